@@ -1,0 +1,52 @@
+# make demo   fly a simulated flight with the real bridge, and draw it
+# make test   run the tests
+# make check  what CI runs: format, lint, types, layers, then the tests
+# make bench  measure, and write benchmarks/results.json
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test check bench mavproxy compile clean
+.DEFAULT_GOAL := help
+.PHONY: help
+help:
+	@sed -n 's/^# make/make/p' Makefile
+
+demo: .venv/.installed compile
+	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --speed 12
+
+test: .venv/.installed-test compile mavproxy
+	$(BIN)/python -m pytest
+
+check: .venv/.installed-test compile
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(MAKE) test
+
+bench: .venv/.installed-test compile
+	$(BIN)/python -m benchmarks
+
+# Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
+compile: .venv/.installed
+	@$(BIN)/python -m compileall -q msp_range sim
+
+.venv/bin/python:
+	@command -v git >/dev/null || { echo "git is missing: apt install git"; exit 1; }
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) is missing: apt install python3"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or later is needed; found $$($(PYTHON) --version). Name another one: make PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.maxsize < 2**32)' || { echo "a 64-bit Python is needed"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "venv is missing: apt install python3-venv"; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/.installed: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --compile --editable '.[sim]'
+	@touch $@
+
+.venv/.installed-test: pyproject.toml .venv/.installed
+	$(BIN)/python -m pip install --quiet --compile --editable '.[sim,test]'
+	@touch $@
+
+clean:
+	rm -rf .venv .venv-mavproxy build flights

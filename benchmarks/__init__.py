@@ -1,0 +1,1 @@
+"""Speed and timing of the project against floors, peers and goals measured in the same run."""

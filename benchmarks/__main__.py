@@ -1,0 +1,39 @@
+"""Run every benchmark, print one table, and write ``results.json`` beside this file: {key, value, unit, goal, met}."""
+
+import json
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from benchmarks import bench_bridge, bench_rates, bench_reading_model, bench_start, bench_virtual_flight
+
+PARTS = (bench_reading_model, bench_bridge, bench_virtual_flight, bench_rates, bench_start)
+RESULTS = Path(__file__).parent / "results.json"
+
+
+def main() -> None:
+    """Measure, show, write."""
+    console = Console()
+    figures = []
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("measuring", total=len(PARTS))
+        for part in PARTS:
+            progress.update(task, description=part.__name__.removeprefix("benchmarks.bench_"))
+            figures += part.run()
+            progress.advance(task)
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading in ("figure", "value", "unit", "goal", "met"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for figure in figures:
+        met = {True: "yes", False: "NO", None: ""}[figure["met"]]
+        table.add_row(figure["key"], f"{figure['value']:g}", figure["unit"], figure["goal"] or "", met)
+    console.print(table)
+    RESULTS.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    console.print(f"written: {RESULTS.relative_to(Path.cwd()) if RESULTS.is_relative_to(Path.cwd()) else RESULTS}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,223 @@
+"""Cost of a reading in the bridge, and the time from the end of a ranging to its message on the link.
+
+CPU is that of the bridge's own thread, of the steps that end a reading: the last transfer, decoding, correction,
+Kalman filter, fusion, packing, the UDP send and the recording. Rounds of it alternate with rounds of the two floors, so
+that a machine that changes its speed changes all three.
+"""
+
+import itertools
+import socket
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from msp_range.bridge import Bridge
+from msp_range.clock import SystemClock, VirtualClock
+from msp_range.config import load_airframe
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.transport import open_transport
+from msp_range.recording.writer import Recorder
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, Timing
+
+AIRFRAME = Path(__file__).parents[1] / "configs" / "quad_pallet.yaml"
+ROUNDS = 15
+READINGS = 400
+LATENCY_S = 30.0
+
+
+def run() -> list[dict[str, Any]]:
+    """All figures of this file."""
+    return cost() + latency()
+
+
+def cost() -> list[dict[str, Any]]:
+    """CPU a reading, and its ratios to the floors."""
+    with _sink() as sink, tempfile.TemporaryDirectory() as folder:
+        bridge_round, records = _bridge(sink, Path(folder))
+        floor_round = _floor(sink)
+        full_floor_round = _full_floor(sink, Path(folder), records)
+        rounds = [(bridge_round(), floor_round(), full_floor_round()) for _ in range(ROUNDS + 2)][2:]
+    bridge_us, floor_us, full_floor_us = (statistics.median(each) for each in zip(*rounds, strict=True))
+    ratio = statistics.median(bridge / floor for bridge, floor, _ in rounds)
+    full_ratio = statistics.median(bridge / full for bridge, _, full in rounds)
+    return [
+        _figure("bridge_cpu_per_reading", bridge_us, "us, recording on", None, None),
+        _figure("floor_pack_and_send", floor_us, "us", "at most 25", floor_us <= 25),
+        _figure("floor_with_kalman_and_records", full_floor_us, f"us, {records} records", None, None),
+        _figure("bridge_over_floor", ratio, "times pack and send", "at most 16", ratio <= 16),
+        _figure(
+            "bridge_over_full_floor", full_ratio, "times with Kalman and records", "at most 2.5", full_ratio <= 2.5
+        ),
+    ]
+
+
+def latency() -> list[dict[str, Any]]:
+    """End of a ranging to the fused message handed to the link, in real time."""
+    clock = SystemClock()
+    ends: dict[int, float] = {}
+    timing = Timing()
+    delays_ms = []
+    with _sink() as sink:
+        transport = _Watched(open_transport(_url(sink), clock), lambda: delays_ms.append(1e3 * (clock.now() - ends[0])))
+
+        def echo(ping_s: float) -> int:
+            reading_cm = 100 + int(ping_s * 100) % 400
+            ends[0] = ping_s + timing.ranging_s(reading_cm)
+            return reading_cm
+
+        bus = EmulatedBus([MB1242(address, clock.now, echo, timing) for address in range(0x70, 0x74)], clock.now)
+        bridge = Bridge(load_airframe(AIRFRAME), bus, clock, transport)
+        stop_s = clock.now() + LATENCY_S
+        while clock.now() < stop_s:
+            bridge.step()
+    p99_ms = float(np.percentile(delays_ms, 99))
+    return [
+        _figure("latency_median", float(np.median(delays_ms)), "ms, end of ranging to message", None, None),
+        _figure("latency_p99", p99_ms, "ms, end of ranging to message", "at most 5", p99_ms <= 5),
+    ]
+
+
+class _Watched:
+    """A transport that calls back at each DISTANCE_SENSOR that has been handed over."""
+
+    def __init__(self, transport: Any, sent: Callable[[], None]) -> None:
+        self._transport = transport
+        self._sent = sent
+        self.receive, self.close = transport.receive, transport.close
+        self.description, self.stats, self.last_error, self.connected = "watched", transport.stats, None, True
+
+    def send(self, frame: bytes) -> bool:
+        taken: bool = self._transport.send(frame)
+        if int.from_bytes(frame[7:10], "little") == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
+            self._sent()
+        return taken
+
+
+def _bridge(sink: socket.socket, folder: Path) -> tuple[Callable[[], float], int]:
+    """A function that flies a round and returns microseconds a reading, and how many records a reading makes."""
+    clock = VirtualClock()
+    ranges = itertools.cycle(range(290, 311))
+    devices = [MB1242(address, clock.now, lambda _: next(ranges)) for address in range(0x70, 0x74)]
+    recorder = _Counting(Recorder(folder / "bridge.mcap", clock))
+    transport = open_transport(_url(sink), SystemClock())
+    bridge = Bridge(load_airframe(AIRFRAME), EmulatedBus(devices, clock.now), clock, transport, recorder=recorder)
+
+    def fly() -> float:
+        spent_ns = readings = 0
+        while readings < READINGS:
+            start_ns = time.thread_time_ns()
+            steps = bridge.step()
+            if steps:
+                spent_ns += time.thread_time_ns() - start_ns
+                readings += len(steps)
+        _drain(sink)
+        return spent_ns / readings / 1e3
+
+    fly()
+    recorder.count = 0
+    fly()
+    return fly, round(recorder.count / READINGS)
+
+
+def _floor(sink: socket.socket) -> Callable[[], float]:
+    """pymavlink packs one DISTANCE_SENSOR, a connected UDP socket sends it."""
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    out.connect(sink.getsockname())
+
+    def send() -> None:
+        message = dialect.MAVLink_distance_sensor_message(
+            1000, 19, 765, 300, 1, 10, 25, 4, 0.44, 0.44, (0.0, 0.0, 0.0, 0.0), 100
+        )
+        out.send(message.pack(mav))
+
+    def round_() -> float:
+        microseconds = _time(send)
+        _drain(sink)
+        return microseconds
+
+    return round_
+
+
+def _full_floor(sink: socket.socket, folder: Path, records: int) -> Callable[[], float]:
+    """The floor, one filterpy predict and update, and as many recorded messages as the bridge writes."""
+    clock = VirtualClock()
+    recorder = Recorder(folder / "floor.mcap", clock)
+    kalman = KalmanFilter(dim_x=2, dim_z=1)
+    kalman.H = np.array([[1.0, 0.0]])
+    transition, noise = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2) * 1e-3
+    measured, variance = np.array([[3.0]]), np.array([[4e-4]])
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
+    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    out.connect(sink.getsockname())
+    outcome = {"time_s": 1234.567891234, "range_m": 3.0123456789, "variance_m2": 0.00012345678}
+
+    def reading() -> None:
+        kalman.predict(F=transition, Q=noise)
+        kalman.update(measured, R=variance)
+        message = dialect.MAVLink_distance_sensor_message(
+            1000, 19, 765, 300, 1, 10, 25, 4, 0.44, 0.44, (0.0, 0.0, 0.0, 0.0), 100
+        )
+        out.send(message.pack(mav))
+        for _ in range(records):
+            recorder.write("/fused", clock.now(), outcome)
+
+    def round_() -> float:
+        microseconds = _time(reading)
+        clock.sleep_until(clock.now() + 2.0)
+        recorder.flush_if_due(clock.now())
+        _drain(sink)
+        return microseconds
+
+    return round_
+
+
+class _Counting:
+    """A recorder that counts."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self.flush_if_due = recorder.flush_if_due
+        self.count = 0
+
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        self.count += 1
+        self._recorder.write(topic, time_s, message)
+
+
+def _time(work: Callable[[], None]) -> float:
+    start_ns = time.thread_time_ns()
+    for _ in range(READINGS):
+        work()
+    return (time.thread_time_ns() - start_ns) / READINGS / 1e3
+
+
+def _sink() -> socket.socket:
+    sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sink.bind(("127.0.0.1", 0))
+    sink.setblocking(False)
+    return sink
+
+
+def _url(sink: socket.socket) -> str:
+    host, port = sink.getsockname()
+    return f"udpout:{host}:{port}"
+
+
+def _drain(sink: socket.socket) -> None:
+    try:
+        while True:
+            sink.recv(4096)
+    except BlockingIOError:
+        return
+
+
+def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
+    return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}

@@ -1,0 +1,158 @@
+"""Air as ultrasound sees it: speed of sound, time of flight, and ranges corrected for temperature.
+
+Temperatures in degrees Celsius enter, metres per second, seconds and metres leave. Follows the characterization
+report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in air it is about
+343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls these functions
+for each reading, so a plain number takes the way through `math` and an array the way through numpy.
+"""
+
+import math
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEAT_CAPACITY_RATIO = 1.4
+"""gamma of dry air: an ideal gas of two-atom molecules has 7/5."""
+
+GAS_CONSTANT_J_PER_MOL_K = 8.314462618
+"""R, exact since the SI of 2019 (CODATA 2018)."""
+
+MOLAR_MASS_KG_PER_MOL = 0.02896546
+"""M of dry air with 400 ppm of CO2 (CIPM-2007: Picard and others 2008, Metrologia 45, 149)."""
+
+ZERO_CELSIUS_K = 273.15
+"""0 deg C [K], by definition."""
+
+_SPEED_SQUARED_PER_K = HEAT_CAPACITY_RATIO * GAS_CONSTANT_J_PER_MOL_K / MOLAR_MASS_KG_PER_MOL
+
+
+@overload
+def speed_of_sound(temperature_c: float) -> float: ...
+@overload
+def speed_of_sound(temperature_c: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def speed_of_sound(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    """Speed of sound in dry air, c = sqrt(gamma R T / M), T in kelvin (report eq 6).
+
+    Parameters
+    ----------
+    temperature_c : float or ndarray, any shape
+        Air temperature [deg C], valid from -20 to 50. NaN gives NaN.
+
+    Returns
+    -------
+    float or ndarray, same shape
+        Speed [m/s]. Humidity is neglected: at most 0.7 % low in saturated air at 30 deg C.
+
+    Raises
+    ------
+    ValueError
+        At or below absolute zero, -273.15 deg C.
+
+    Examples
+    --------
+    >>> print(f"{speed_of_sound(0.0):.1f}")
+    331.3
+    """
+    absolute_k = _absolute_k(temperature_c)
+    if isinstance(absolute_k, np.ndarray):
+        return np.sqrt(_SPEED_SQUARED_PER_K * absolute_k)
+    return math.sqrt(_SPEED_SQUARED_PER_K * absolute_k)
+
+
+@overload
+def time_of_flight(range_m: float, temperature_c: float) -> float: ...
+@overload
+def time_of_flight(range_m: NDArray[np.float64], temperature_c: float | NDArray[np.float64]) -> NDArray[np.float64]: ...
+@overload
+def time_of_flight(range_m: float, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def time_of_flight(
+    range_m: float | NDArray[np.float64], temperature_c: float | NDArray[np.float64]
+) -> float | NDArray[np.float64]:
+    """Time from the ping to its echo in air of one temperature, t = 2 r / c (report eq 1).
+
+    Parameters
+    ----------
+    range_m : float or ndarray
+        Distance from the sensor to the surface and not there and back [m].
+    temperature_c : float or ndarray
+        Temperature of the air between them [deg C]; arrays broadcast.
+
+    Returns
+    -------
+    float or ndarray
+        Time of flight [s].
+
+    Raises
+    ------
+    ValueError
+        At or below absolute zero.
+
+    Examples
+    --------
+    The maker's 58 us a centimetre is the air of its calibration, 22.5 deg C:
+
+    >>> print(f"{1e6 * time_of_flight(0.01, 22.5):.2f} us")
+    58.02 us
+    """
+    return 2.0 * range_m / speed_of_sound(temperature_c)
+
+
+@overload
+def compensate_range(range_m: float, air_temperature_c: float, calibration_temperature_c: float) -> float: ...
+@overload
+def compensate_range(
+    range_m: NDArray[np.float64], air_temperature_c: float | NDArray[np.float64], calibration_temperature_c: float
+) -> NDArray[np.float64]: ...
+@overload
+def compensate_range(
+    range_m: float, air_temperature_c: NDArray[np.float64], calibration_temperature_c: float
+) -> NDArray[np.float64]: ...
+def compensate_range(
+    range_m: float | NDArray[np.float64],
+    air_temperature_c: float | NDArray[np.float64],
+    calibration_temperature_c: float,
+) -> float | NDArray[np.float64]:
+    """Range that a sensor would have reported had it known the air, r = r_m sqrt(T_T / T_C) (report eq 7).
+
+    r_m is the reading, T_T the true air temperature and T_C the one that the sensor assumes, both in kelvin.
+
+    Parameters
+    ----------
+    range_m : float or ndarray
+        Range as the sensor reported it [m].
+    air_temperature_c : float or ndarray
+        Temperature of the air between sensor and surface [deg C], valid from -20 to 50; arrays broadcast.
+    calibration_temperature_c : float
+        Temperature that the sensor's own conversion assumes [deg C], from its sensor model file: the report says
+        20, the maker's pulse width implies 22.5 for the MB1242 (erratum 5).
+
+    Returns
+    -------
+    float or ndarray
+        Compensated range [m]: shorter than the reading in air colder than the calibration, longer in warmer air.
+
+    Raises
+    ------
+    ValueError
+        Either temperature is at or below absolute zero.
+
+    Examples
+    --------
+    >>> print(f"{compensate_range(3.0, 0.0, 22.5):.3f}")
+    2.884
+    """
+    ratio = _absolute_k(air_temperature_c) / _absolute_k(calibration_temperature_c)
+    if isinstance(ratio, np.ndarray):
+        return range_m * np.sqrt(ratio)
+    return range_m * math.sqrt(ratio)
+
+
+def _absolute_k(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    absolute_k = temperature_c + ZERO_CELSIUS_K
+    too_cold = (absolute_k <= 0.0).any() if isinstance(absolute_k, np.ndarray) else absolute_k <= 0.0
+    if too_cold:
+        raise ValueError(
+            f"found a temperature of {np.min(temperature_c)} deg C, expected one above absolute zero (-273.15 deg C)"
+        )
+    return absolute_k

@@ -1,0 +1,63 @@
+"""The I2C bus as the driver sees it: two verbs, and one error that says what the kernel said."""
+
+import errno as errno_names
+import os
+from typing import Protocol
+
+# Not ENODEV (19), although an adapter that was unplugged gives it: others give it where a device does not acknowledge.
+_NO_BUS = frozenset({errno_names.ENOENT, errno_names.EBADF, errno_names.EACCES})
+
+
+class BusError(OSError):
+    """A transfer that failed.
+
+    ``errno`` is the kernel's (121 not acknowledged on a Raspberry Pi, 110 timed out, 5 clock stretch timeout, 6 and
+    19 on other adapters, 2 no such bus). The text is made only when somebody reads it: a sensor that ranges does not
+    acknowledge, so this is raised many times a second in normal work.
+    """
+
+    def __init__(self, errno: int, verb: str, address: int) -> None:
+        super().__init__(errno, verb)
+        self.verb = verb
+        self.address = address
+
+    @property
+    def locked_up(self) -> bool:
+        """True where the bus itself, not one device, did not move within the kernel's timeout."""
+        return self.errno == errno_names.ETIMEDOUT
+
+    @property
+    def bus_at_fault(self) -> bool:
+        """True where the bus is locked up, gone, or not to be opened: no device could have answered."""
+        return self.locked_up or self.errno in _NO_BUS
+
+    def __str__(self) -> str:
+        name = errno_names.errorcode.get(self.errno or 0, "?")
+        words = os.strerror(self.errno or 0)
+        return f"I2C {self.verb} at address 0x{self.address:02x} failed: errno {self.errno} {name}, {words}"
+
+
+class Bus(Protocol):
+    """Plain I2C transfers: one message each, never a combined register access."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """Send ``data`` to the 7-bit ``address``.
+
+        Raises
+        ------
+        BusError
+            The device did not acknowledge, or the bus failed.
+        """
+        ...
+
+    def read(self, address: int, count: int) -> bytes:
+        """Return ``count`` bytes from the 7-bit ``address``; raises BusError as `write` does."""
+        ...
+
+    def reopen(self) -> None:
+        """Close and open the bus again after a lock-up; raises BusError where that fails."""
+        ...
+
+    def close(self) -> None:
+        """Release the bus; further calls of `close` do nothing."""
+        ...

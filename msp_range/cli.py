@@ -1,0 +1,231 @@
+"""msp-range: the commands of what flies."""
+
+import json
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Literal, ParamSpec
+
+import typer
+
+from msp_range.yaml_file import ConfigError
+
+EXIT_FILE = 3
+
+app = typer.Typer(
+    name="msp-range",
+    help="Bridge from ultrasonic range finders on I2C to ArduPilot or PX4 by MAVLink DISTANCE_SENSOR.",
+    epilog="Start with: msp-range check configs/quad_pallet.yaml, then: msp-range run configs/quad_pallet.yaml",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Parameters = ParamSpec("Parameters")
+
+AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
+BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
+
+
+def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
+    """Print a user's mistake as a line on standard error and leave with exit code 3; no traceback."""
+
+    @wraps(command)
+    def telling(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
+        # Imported late: --help must not wait for them.
+        from msp_range.bus import BusError
+        from msp_range.recording.error import RecordingError
+        from msp_range.sensors.addressing import AddressError
+
+        try:
+            command(*args, **kwargs)
+        except (ConfigError, RecordingError, AddressError, BusError) as error:
+            print(error, file=sys.stderr)
+            raise typer.Exit(EXIT_FILE) from None
+
+    return telling
+
+
+@app.command()
+@tell_mistakes
+def run(
+    airframe_file: AirframeFile,
+    log: Annotated[Literal["text", "json"], typer.Option(help="log lines for a person or for a machine")] = "text",
+    record: Annotated[Path | None, typer.Option(help="folder for the recording, instead of the airframe's")] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="record nothing")] = False,
+    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+    bus: Annotated[str | None, typer.Option(help="I2C bus instead of the airframe's")] = None,
+) -> None:
+    """Fly: read the sensors and send DISTANCE_SENSOR until SIGTERM.
+
+    Exit codes: 0 stopped by SIGTERM or SIGINT, 1 a mistake in the program, 2 a wrong command line, 3 a file that
+    cannot be used. Sensors, bus or link that do not work are reported to the pilot and tried again, for ever.
+    """
+    from msp_range import service
+    from msp_range.config import load_airframe
+
+    airframe = with_changes(load_airframe(airframe_file), link=link, bus=bus)
+    if no_record:
+        airframe = airframe.model_copy(update={"recording": None})
+        record = None
+    raise typer.Exit(service.run(airframe, airframe_file, service.make_log(log), record))
+
+
+def with_changes(airframe: Any, *, link: str | None = None, bus: str | None = None) -> Any:
+    """The airframe with what the command line says instead."""
+    from msp_range.mavlink.transport import parse_url
+
+    if link is not None:
+        try:
+            parse_url(link)
+        except ValueError as error:
+            raise ConfigError(f"--link: {error}") from None
+        airframe = airframe.model_copy(update={"link": airframe.link.model_copy(update={"url": link})})
+    if bus is not None:
+        airframe = airframe.model_copy(update={"bus": bus_of(bus)})
+    return airframe
+
+
+def bus_of(text: str) -> int | str:
+    """Bus number, or path, from the command line."""
+    return int(text) if text.isdecimal() else text
+
+
+@app.command()
+@tell_mistakes
+def check(airframe_file: AirframeFile) -> None:
+    """Read an airframe file and show what would fly: sensors, directions, streams. Touches no hardware."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from msp_range.config import load_airframe
+
+    airframe = load_airframe(airframe_file)
+    table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
+    for heading in ("sensor", "id", "address", "orientation", "sent", "in fused"):
+        table.add_column(heading)
+    downward = {sensor.name for sensor in airframe.downward}
+    for sensor in airframe.sensors:
+        orientation = sensor.orientation
+        table.add_row(
+            sensor.name,
+            str(sensor.id),
+            f"0x{sensor.address:02x}",
+            f"{orientation.value} {orientation.name}",
+            "yes" if sensor.name in airframe.sent_names else "no",
+            "yes" if sensor.name in downward else "no",
+        )
+    console = Console()
+    console.print(table)
+    if airframe.send.fused is not None:
+        console.print(f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(downward)} sensors")
+
+
+@app.command()
+def schema(
+    kind: Annotated[Literal["airframe", "sensor"], typer.Argument(help="which kind of file")] = "airframe",
+) -> None:
+    """Print the JSON Schema of airframe or sensor model files, with which editors complete and check them.
+
+    Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
+    """
+    from msp_range.config import Airframe
+    from msp_range.reading_model.sensor_model import SensorModel
+
+    section = Airframe if kind == "airframe" else SensorModel
+    print(json.dumps(section.model_json_schema(), indent=2))
+
+
+@app.command()
+@tell_mistakes
+def scan(
+    bus: BusOption = "1",
+    ping: Annotated[
+        bool, typer.Option("--ping", help="send each the range command, to tell MB1242 from other devices")
+    ] = False,
+) -> None:
+    """List what acknowledges on an I2C bus. Only reads, unless --ping is given."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from msp_range.bus.smbus import KernelBus
+    from msp_range.clock import SystemClock
+    from msp_range.sensors.addressing import scan as scan_bus
+
+    kernel_bus = KernelBus(bus_of(bus))
+    found = scan_bus(kernel_bus, SystemClock(), identify=ping)
+    kernel_bus.close()
+    if not found:
+        print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")
+        return
+    table = Table(title=str(kernel_bus.path))
+    for heading in ("7-bit", "8-bit", "what"):
+        table.add_column(heading)
+    for each in found:
+        table.add_row(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer)
+    Console().print(table)
+
+
+@app.command()
+@tell_mistakes
+def address(
+    old: Annotated[str, typer.Argument(help="the sensor's 7-bit address now, e.g. 0x70")],
+    new: Annotated[str, typer.Argument(help="the 7-bit address that it is to have, e.g. 0x71")],
+    bus: BusOption = "1",
+    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+) -> None:
+    """Change an MB1242's address: shows the bus, refuses what could lose the sensor, verifies. Survives power-off."""
+    from msp_range.bus.smbus import KernelBus
+    from msp_range.clock import SystemClock
+    from msp_range.sensors.addressing import change_address, check_new_address
+    from msp_range.sensors.addressing import scan as scan_bus
+
+    old_address, new_address = _address(old), _address(new)
+    check_new_address(new_address)
+    kernel_bus, clock = KernelBus(bus_of(bus)), SystemClock()
+    for each in scan_bus(kernel_bus, clock, identify=False):
+        print(f"{kernel_bus.path}: 0x{each.address:02x} acknowledges {each.answer}".rstrip())
+    if not yes:
+        typer.confirm(f"Move the sensor at 0x{old_address:02x} to 0x{new_address:02x}?", abort=True)
+    found = change_address(kernel_bus, clock, old_address, new_address)
+    kernel_bus.close()
+    print(f"0x{found.address:02x}: {found.answer}; the sensor has moved and keeps this address")
+
+
+def _address(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise ConfigError(f"address {text!r}: expected a 7-bit address such as 0x70 or 112") from None
+
+
+@app.command()
+@tell_mistakes
+def recover(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the closed copy to make")],
+) -> None:
+    """Close a recording that a power cut left open, so that Foxglove and other tools open it."""
+    from msp_range.recording.recover import recover as recover_recording
+
+    kept = recover_recording(recording, out)
+    print(f"{out}: {kept} messages")
+
+
+@app.command()
+@tell_mistakes
+def export(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
+) -> None:
+    """Write a recording's readings as CSV: time_s, sensor, reading_cm, and context where it is known."""
+    from msp_range.recording.export import export as export_recording
+
+    rows = export_recording(recording, out)
+    print(f"{out}: {rows} readings")
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app()

@@ -1,0 +1,62 @@
+"""Time as an argument: the bridge asks a Clock and never the operating system.
+
+``SystemClock`` is the one place in msp_range that imports ``time``. The simulator passes a virtual clock instead,
+and an hour of flight takes seconds.
+"""
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What the bridge needs to know of time."""
+
+    def now(self) -> float:
+        """Seconds on a clock that never goes backwards; its zero is arbitrary."""
+        ...
+
+    def sleep_until(self, time_s: float) -> None:
+        """Return when ``now() >= time_s``, at once where that has passed."""
+        ...
+
+    def utc(self) -> float:
+        """Seconds since 1970-01-01 UTC, for file names and logs only."""
+        ...
+
+
+class SystemClock:
+    """The operating system's monotonic clock."""
+
+    def now(self) -> float:
+        """Seconds since an arbitrary start, monotonic."""
+        return time.monotonic()
+
+    def sleep_until(self, time_s: float) -> None:
+        """Sleep until ``time_s`` on this clock."""
+        delay_s = time_s - time.monotonic()
+        if delay_s > 0:
+            time.sleep(delay_s)
+
+    def utc(self) -> float:
+        """The operating system's idea of UTC; wrong on a computer without a clock until it has been set."""
+        return time.time()
+
+
+class VirtualClock:
+    """A clock that jumps: sleeping costs nothing, and the same calls give the same times on every run."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+
+    def now(self) -> float:
+        """Seconds since the virtual start."""
+        return self._now_s
+
+    def sleep_until(self, time_s: float) -> None:
+        """Jump to ``time_s``; time never goes back."""
+        if time_s > self._now_s:
+            self._now_s = time_s
+
+    def utc(self) -> float:
+        """The virtual time itself: a virtual flight happens in 1970, the same second every time."""
+        return self._now_s

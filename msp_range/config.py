@@ -1,0 +1,298 @@
+"""The airframe file: all that differs between vehicles, validated.
+
+YAML enters, an `Airframe` leaves; every mistake is named with its place (`msp_range.yaml_file`). What one key cannot
+tell alone, such as two sensors at one address or two streams that an autopilot would mix up, is checked here too.
+"""
+
+import math
+from collections import Counter
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+
+from msp_range.correction.temperature import TemperatureParameters
+from msp_range.filters.kalman import KalmanParameters
+from msp_range.filters.table import FilterParameters
+from msp_range.geometry import Vector, angle_between, boresight
+from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
+from msp_range.mavlink.transport.url import parse_url
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.sensors.addressing import ILLEGAL_8BIT
+from msp_range.yaml_file import Section, load
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+Metres = Annotated[float, Field(ge=-50, le=50)]
+_DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
+
+
+class RotationDeg(Section):
+    """Euler angles [deg], intrinsic yaw, pitch, roll in body FRD; the sensor looks along its own x axis."""
+
+    roll: float = Field(0.0, ge=-360, le=360)
+    """about the beam [deg]; of no effect on a round one"""
+    pitch: float = Field(0.0, ge=-360, le=360)
+    """-90 looks straight down, 0 forward, 90 up [deg]"""
+    yaw: float = Field(0.0, ge=-360, le=360)
+    """90 looks to the right [deg]"""
+
+    @property
+    def radians(self) -> tuple[float, float, float]:
+        """(roll, pitch, yaw) [rad]."""
+        return math.radians(self.roll), math.radians(self.pitch), math.radians(self.yaw)
+
+
+class Sensor(Section):
+    """One range finder of the vehicle."""
+
+    name: Name
+    """a name of its own: small letters, digits and underscores"""
+    id: int = Field(ge=1, le=254)
+    """DISTANCE_SENSOR.id of its stream, 1 to 254"""
+    address: int = Field(ge=0x03, le=0x77)
+    """7-bit I2C address, e.g. 0x70"""
+    model: str
+    """sensor model file, relative to the airframe file"""
+    position_m: tuple[Metres, Metres, Metres]
+    """[forward, right, down] of the vehicle's reference point [m]"""
+    rotation_deg: RotationDeg
+    """Euler angles of the mounting {roll, pitch, yaw} [deg]; pitch -90 looks down"""
+
+    _model: SensorModel = PrivateAttr()
+
+    @field_validator("address")
+    @classmethod
+    def _legal(cls, address: int) -> int:
+        if address << 1 in ILLEGAL_8BIT:
+            raise ValueError(f"an MB1242 cannot have the address 0x{address:02x}; choose another one")
+        return address
+
+    @model_validator(mode="after")
+    def _load_model(self, info: ValidationInfo) -> "Sensor":
+        folder = (info.context or {}).get("folder", Path())
+        self._model = load_sensor_model(folder / self.model)
+        return self
+
+    @property
+    def sensor_model(self) -> SensorModel:
+        """The content of the file that ``model`` names."""
+        return self._model
+
+    @property
+    def boresight(self) -> Vector:
+        """Unit vector along which it looks, body FRD."""
+        return boresight(*self.rotation_deg.radians)
+
+    @property
+    def tilt_from_down_rad(self) -> float:
+        """Angle between its axis and straight down [rad]."""
+        return angle_between(self.boresight, _DOWN_AXIS)
+
+    @cached_property
+    def orientation(self) -> Orientation:
+        """What its messages say of where it looks; the narrowest characterised angle decides."""
+        narrowest_rad = math.radians(min(point.half_angle_deg for point in self._model.breakaway))
+        return orientation_of(*self.rotation_deg.radians, breakaway_rad=narrowest_rad)
+
+
+class Near(Section):
+    """Faster pings close to the ground, where a ping has died away sooner."""
+
+    below_m: float = Field(gt=0, le=10)
+    """while all sensors read less than this [m]"""
+    ping_interval_s: float = Field(ge=0.03, le=1)
+    """time between pings there [s]"""
+
+
+class Polling(Section):
+    """Who pings when."""
+
+    groups: list[list[Name]] | None = None
+    """sensors that ping together, group after group; left out: each alone, in the order of the file. Sensors of one
+    group must not be able to hear each other"""
+    ping_interval_s: float | None = Field(None, ge=0.03, le=10)
+    """time between pings, for the sound to die away [s]; left out: the sensor model's (100 ms)"""
+    near: Near | None = None
+    """faster pings below a height, where the vehicle's builder has found that they do no harm"""
+    adaptive: bool = True
+    """read as soon as a sensor answers; false: wait its full deadline, for a bus master that cannot take a sensor
+    that does not acknowledge"""
+
+
+class Link(Section):
+    """The connection to the autopilot."""
+
+    url: str
+    """as pymavlink writes it: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, serial:PATH:BAUD"""
+    autopilot: Autopilot = "ardupilot"
+    """ardupilot or px4: they differ in what they make of DISTANCE_SENSOR"""
+    component_id: int = Field(191, ge=2, le=254)
+    """MAVLink component id of the bridge; 191 is the first onboard computer"""
+
+    @field_validator("url")
+    @classmethod
+    def _understood(cls, url: str) -> str:
+        parse_url(url)
+        return url
+
+
+class Fused(Section):
+    """One stream along the vehicle's down axis, from all sensors that look down."""
+
+    id: int = Field(10, ge=1, le=254)
+    """DISTANCE_SENSOR.id of the stream"""
+    sensors: list[Name] | None = None
+    """sensors in it; left out: all that look down within their beam"""
+    reference_down_m: float = Field(0.0, ge=-50, le=50)
+    """how far below the vehicle's reference point the distance starts [m]: RNGFND1_POS_Z, EKF2_RNG_POS_Z"""
+
+
+class Send(Section):
+    """What goes out."""
+
+    fused: Fused | None = None
+    """the fused downward stream; left out: none"""
+    sensors: tuple[Name, ...] | Literal["all"] = ()
+    """single sensors that have a stream of their own: a list of names, or all"""
+
+
+class Recording(Section):
+    """Where flights are recorded."""
+
+    folder: str
+    """folder for the files, relative to the working folder of the program"""
+
+
+class Airframe(Section):
+    """An airframe file."""
+
+    vehicle: str = Field(min_length=1)
+    """name of the vehicle"""
+    bus: int | str = 1
+    """I2C bus number (1 is /dev/i2c-1), or the path of the device file"""
+    sensors: list[Sensor] = Field(min_length=1)
+    """the range finders"""
+    polling: Polling = Polling()
+    """who pings when"""
+    filters: tuple[FilterParameters, ...] = (KalmanParameters(filter="kalman"),)
+    """every sensor's filters, in order; [] for none"""
+    temperature: TemperatureParameters = TemperatureParameters()
+    """where the air temperature comes from"""
+    link: Link
+    """the connection to the autopilot"""
+    send: Send
+    """what goes out"""
+    recording: Recording | None = None
+    """where flights are recorded; left out: only where the command line says so"""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Airframe":
+        names = [sensor.name for sensor in self.sensors]
+        _refuse_twice("sensors", "name", names)
+        _refuse_twice("sensors", "address", [f"0x{sensor.address:02x}" for sensor in self.sensors])
+        ids = [sensor.id for sensor in self.sensors] + ([self.send.fused.id] if self.send.fused else [])
+        _refuse_twice("sensors and send.fused", "id", ids)
+        self._check_groups(names)
+        for place, some in (("send.fused.sensors", self._fused_names), ("send.sensors", self.sent_names)):
+            _refuse_unknown(place, some, names)
+        if self.send.fused is None and not self.sent_names:
+            raise ValueError("send: nothing would be sent; give fused, sensors or both")
+        if self.send.fused is not None:
+            self._check_fused()
+        self._check_orientations()
+        return self
+
+    def _check_groups(self, names: list[str]) -> None:
+        if self.polling.groups is None:
+            return
+        grouped = [name for group in self.polling.groups for name in group]
+        _refuse_unknown("polling.groups", grouped, names)
+        _refuse_twice("polling.groups", "sensor", grouped)
+        left_out = [name for name in names if name not in grouped]
+        if left_out or not all(self.polling.groups):
+            raise ValueError(f"polling.groups: every sensor in one group, no group empty; missing: {left_out}")
+
+    def _check_fused(self) -> None:
+        if not self.downward:
+            raise ValueError("send.fused: no sensor looks down (pitch -90 does); a fused downward stream needs one")
+        for sensor in self.downward:
+            if sensor.tilt_from_down_rad > math.radians(45):
+                raise ValueError(
+                    f"send.fused.sensors: {sensor.name} looks {math.degrees(sensor.tilt_from_down_rad):.0f} deg away "
+                    "from straight down; at most 45 can be fused"
+                )
+
+    def _check_orientations(self) -> None:
+        streams = [(sensor.name, sensor.orientation) for sensor in self.sensors if sensor.name in self.sent_names]
+        if self.send.fused is not None:
+            streams.append(("fused", Orientation(DOWN, (0.0, 0.0, 0.0, 0.0))))
+        if self.link.autopilot == "ardupilot":
+            for value, count in Counter(orientation.value for _, orientation in streams).items():
+                if count > 1 and value != CUSTOM:
+                    those = [name for name, orientation in streams if orientation.value == value]
+                    raise ValueError(
+                        f"send: the streams {', '.join(those)} all have orientation {value} "
+                        f"({Orientation(value, (0, 0, 0, 0)).name}); ArduPilot tells streams apart by orientation "
+                        "only and would mix them into one. Send the fused stream alone, or one of them"
+                    )
+        elif self.send.fused is None and not any(orientation.value == DOWN for _, orientation in streams):
+            looks_down = [
+                sensor.name
+                for sensor in self.sensors
+                if sensor.name in self.sent_names and sensor.tilt_from_down_rad < math.radians(45)
+            ]
+            if looks_down:
+                raise ValueError(
+                    f"send: {', '.join(looks_down)} look down at an angle, and PX4 takes a height from orientation "
+                    "25 (straight down) only; give send.fused"
+                )
+
+    @property
+    def sent_names(self) -> list[str]:
+        """Sensors with a stream of their own."""
+        if self.send.sensors == "all":
+            return [sensor.name for sensor in self.sensors]
+        return list(self.send.sensors)
+
+    @property
+    def _fused_names(self) -> list[str]:
+        if self.send.fused is None:
+            return []
+        if self.send.fused.sensors is not None:
+            return self.send.fused.sensors
+        return [
+            sensor.name
+            for sensor in self.sensors
+            if sensor.tilt_from_down_rad
+            <= math.radians(max(point.half_angle_deg for point in sensor.sensor_model.breakaway))
+        ]
+
+    @property
+    def downward(self) -> list[Sensor]:
+        """Sensors of the fused stream."""
+        return [sensor for sensor in self.sensors if sensor.name in self._fused_names]
+
+
+def load_airframe(path: Path | str) -> Airframe:
+    """Read an airframe file and the sensor model files that it names.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or used; one line a mistake.
+    """
+    return load(path, Airframe)
+
+
+def _refuse_twice(place: str, what: str, values: list[Any]) -> None:
+    twice = [str(value) for value, count in Counter(values).items() if count > 1]
+    if twice:
+        raise ValueError(f"{place}: {what} {', '.join(twice)} is given more than once; each needs its own")
+
+
+def _refuse_unknown(place: str, some: list[str], names: list[str]) -> None:
+    for name in some:
+        if name not in names:
+            raise ValueError(f"{place}: no sensor is named {name!r}; the sensors are {', '.join(names)}")

@@ -1,0 +1,68 @@
+"""A sensor's filters in order, behind the gate that lets no code through as a distance."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from msp_range.filters.base import Estimate, Filter
+from msp_range.reading import Reading, Status
+
+MEMORY_S = 1.5
+"""After this long without an accepted reading the filters start anew [s]."""
+FASTEST_M_S = 5.0
+"""Range rate that the prediction of a suspect reading allows for [m/s]."""
+SUSPECT_MARGIN_M = 0.15
+"""What it allows for besides [m]."""
+
+
+class Filtered(NamedTuple):
+    """What the chain made of a reading: an estimate, or the reason why there is none."""
+
+    estimate: Estimate | None
+    rejected: str | None = None
+
+
+class Chain:
+    """The status gate, then every filter in turn.
+
+    Only readings whose status carries a range go on. A suspect value (255) goes on only where the last output, moved
+    by at most what a vehicle can do since, contains it.
+    """
+
+    def __init__(self, filters: Sequence[Filter]) -> None:
+        self._filters = filters
+        self._last: Estimate | None = None
+        self._last_s = float("-inf")
+        self._accepted_s = float("-inf")
+
+    def update(self, reading: Reading) -> Filtered:
+        """Filter one reading; readings come in the order of their times."""
+        if reading.range_m is None:
+            return _REJECTED[reading.status]
+        time_s = reading.time_s
+        if reading.suspect and not self._contains(time_s, reading.range_m):
+            return _SUSPECT
+        if time_s - self._accepted_s > MEMORY_S:
+            self._last = None
+            for each in self._filters:
+                each.reset()
+        self._accepted_s = time_s
+        variance_m2 = float("inf") if reading.std_m is None else reading.std_m * reading.std_m
+        estimate = Estimate(reading.range_m, variance_m2)
+        for each in self._filters:
+            outcome = each.update(time_s, estimate)
+            if outcome is None:
+                return _UNEXPECTED
+            estimate = outcome
+        self._last, self._last_s = estimate, time_s
+        return Filtered(estimate)
+
+    def _contains(self, time_s: float, range_m: float) -> bool:
+        if self._last is None or time_s - self._last_s > MEMORY_S:
+            return False
+        reach_m = SUSPECT_MARGIN_M + FASTEST_M_S * (time_s - self._last_s)
+        return abs(range_m - self._last.range_m) <= reach_m
+
+
+_REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}
+_SUSPECT = Filtered(None, "suspect")
+_UNEXPECTED = Filtered(None, "unexpected")

@@ -1,0 +1,61 @@
+"""Rotations of a mounting: Euler angles, boresight, quaternion.
+
+Frames: body is FRD (x forward, y right, z down). Angles are intrinsic z-y'-x'' (yaw, then pitch, then roll), as in
+MAVLink and aerospace: R = Rz(yaw) Ry(pitch) Rx(roll) takes a vector from the sensor's frame to the body's. A sensor's
+boresight is its own x axis, so pitch -90 deg looks down.
+"""
+
+import math
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+Quaternion = tuple[float, float, float, float]
+
+
+def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix:
+    """R = Rz(yaw) Ry(pitch) Rx(roll), rows first, 3 x 3.
+
+    Examples
+    --------
+    >>> boresight = [row[0] for row in rotation_matrix(0.0, -math.pi / 2, 0.0)]
+    >>> [f"{component:.1f}" for component in boresight]
+    ['0.0', '0.0', '1.0']
+    """
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+
+
+def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
+    """First column of `rotation_matrix`: the direction in which a sensor mounted so looks, body FRD."""
+    cp = math.cos(pitch_rad)
+    return (math.cos(yaw_rad) * cp, math.sin(yaw_rad) * cp, -math.sin(pitch_rad))
+
+
+def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """(w, x, y, z) of `rotation_matrix`, w >= 0."""
+    cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
+    cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
+    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    w = cr * cp * cy + sr * sp * sy
+    x = sr * cp * cy - cr * sp * sy
+    y = cr * sp * cy + sr * cp * sy
+    z = cr * cp * sy - sr * sp * cy
+    return (w, x, y, z) if w >= 0 else (-w, -x, -y, -z)
+
+
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def angle_between(a: Vector, b: Vector) -> float:
+    """Angle between two unit vectors [rad], 0 to pi; exact near 0 and pi, where the arc cosine is not."""
+    difference = math.sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)))
+    total = math.sqrt(sum((p + q) ** 2 for p, q in zip(a, b, strict=True)))
+    return 2 * math.atan2(difference, total)

@@ -1,0 +1,116 @@
+"""Health as a pilot wants to hear of it: once when it changes, and again when an autopilot comes back.
+
+Every sensor is good or bad; one odd reading changes nothing, three of a kind in a row do. What is wrong is told in at
+most 50 characters, the length of a STATUSTEXT.
+"""
+
+from collections.abc import Callable, Iterable
+from enum import IntEnum
+
+from msp_range.reading import Status
+from msp_range.sensors.polling import Ranging
+
+READINGS_TO_CHANGE = 3
+"""Readings in a row that make a sensor bad, or good again."""
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY, of which three are used."""
+
+    ERROR = 3
+    WARNING = 4
+    INFO = 6
+
+
+Report = Callable[[Severity, str], None]
+
+_WORDS = {
+    Status.NO_ANSWER: "no answer",
+    Status.CLOCK_FAULT: "I2C clock fault, use 50 kHz",
+    Status.IMPOSSIBLE: "impossible answers",
+    Status.PART_INFO: "answers without ranging",
+}
+
+
+class _SensorHealth:
+    def __init__(self) -> None:
+        self.fault: str | None = None
+        self.known = False
+        self.streak = 0
+        self.streak_bad = False
+
+
+class Health:
+    """Notices changes and reports them.
+
+    Parameters
+    ----------
+    sensors
+        Names of the sensors.
+    report
+        Called with (severity, text) at each change.
+    """
+
+    def __init__(self, sensors: Iterable[str], report: Report) -> None:
+        self._sensors = {name: _SensorHealth() for name in sensors}
+        self._report = report
+        self._conditions: dict[str, tuple[Severity, str]] = {}
+
+    @property
+    def bad_sensors(self) -> list[str]:
+        """Sensors that are out of order now."""
+        return [name for name, sensor in self._sensors.items() if sensor.fault is not None]
+
+    @property
+    def complete(self) -> bool:
+        """True when every sensor has been judged."""
+        return all(sensor.known for sensor in self._sensors.values())
+
+    def take(self, ranging: Ranging) -> None:
+        """Look at one ranging."""
+        reading = ranging.reading
+        sensor = self._sensors[reading.sensor]
+        bad = reading.status.is_fault
+        sensor.streak = sensor.streak + 1 if bad == sensor.streak_bad else 1
+        sensor.streak_bad = bad
+        if sensor.streak < READINGS_TO_CHANGE:
+            return
+        if bad and sensor.fault is None:
+            sensor.fault = _WORDS[reading.status]
+            if ranging.error is not None:
+                sensor.fault += f" (errno {ranging.error.errno})"
+            self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault}")
+        elif not bad and sensor.fault is not None:
+            sensor.fault = None
+            self._report(Severity.INFO, f"Range {reading.sensor}: good again")
+        if not sensor.known:
+            sensor.known = True
+            if self.complete and not self.bad_sensors:
+                self._report(Severity.INFO, f"Range: all {len(self._sensors)} sensors good")
+
+    def set(self, condition: str, text: str | None, over: str, severity: Severity = Severity.WARNING) -> None:
+        """Note a condition that is not a sensor's: ``text`` while it lasts, None when it is over.
+
+        Parameters
+        ----------
+        condition
+            Its key.
+        text
+            What is wrong, or None.
+        over
+            What to say when it is over.
+        """
+        if text is not None and condition not in self._conditions:
+            self._conditions[condition] = (severity, text)
+            self._report(severity, text)
+        elif text is None and self._conditions.pop(condition, None) is not None:
+            self._report(Severity.INFO, over)
+
+    def faults(self) -> list[tuple[Severity, str]]:
+        """What is wrong now, for an autopilot that has just come."""
+        sensors = [
+            (Severity.ERROR, f"Range {name}: {sensor.fault}")
+            for name, sensor in self._sensors.items()
+            if sensor.fault is not None
+        ]
+        return sensors + list(self._conditions.values())

@@ -1,0 +1,113 @@
+"""An estimate -> a DISTANCE_SENSOR message. Pure: the one place where metres become the message's centimetres.
+
+What autopilots make of the fields (ArduPilot 4.7, PX4 main): no echo is a reading above the maximum, which is 'out of
+range high' and healthy, for PX4's collision prevention one that equals the maximum; a fault is silence; quality 0 means
+unknown and is believed, so an invalid reading has 1; covariance 255 means unknown; 20 cm, the sensor's shortest
+report, must lie above ``min_distance`` to be taken.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
+
+MIN_DISTANCE_CM = 19
+COVARIANCE_UNKNOWN = 255
+QUALITY_INVALID = 1
+QUALITY_LOWEST, QUALITY_BEST = 2, 100
+
+Autopilot = Literal["ardupilot", "px4"]
+
+_ULTRASOUND = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
+_Message = dialect.MAVLink_distance_sensor_message
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """What stays the same in all messages of one stream.
+
+    Attributes
+    ----------
+    id
+        The message's ``id``.
+    orientation
+        Where the stream looks.
+    max_distance_cm
+        The sensor's longest report [cm].
+    no_echo_cm
+        ``current_distance`` that says that nothing was heard [cm].
+    """
+
+    id: int
+    orientation: Orientation
+    max_distance_cm: int
+    no_echo_cm: int
+
+
+def make_stream(id: int, orientation: Orientation, max_distance_cm: int, autopilot: Autopilot) -> Stream:
+    """A stream with the no-echo value that the autopilot understands."""
+    vertical = orientation.value in (DOWN, PITCH_90)
+    equals_maximum = autopilot == "px4" and not vertical
+    return Stream(id, orientation, max_distance_cm, max_distance_cm if equals_maximum else max_distance_cm + 1)
+
+
+def distance_sensor(
+    stream: Stream,
+    time_boot_ms: int,
+    range_m: float,
+    variance_m2: float,
+    field_of_view_rad: float,
+    quality: int,
+) -> Any:
+    """DISTANCE_SENSOR with a distance.
+
+    Parameters
+    ----------
+    time_boot_ms
+        Time of the echo on the autopilot's clock [ms].
+    range_m
+        Distance [m]; held within what the sensor can report.
+    variance_m2
+        Variance of its error [m^2]; infinite where unknown. Sent in cm^2, rounded up, 1 to 254.
+    field_of_view_rad
+        Full angle of the beam at this range, horizontal and vertical [rad].
+    quality
+        2 to 100.
+
+    Raises
+    ------
+    ValueError
+        The range is not a number: that is a fault, and a fault is never sent.
+    """
+    if not math.isfinite(range_m):
+        raise ValueError(f"a distance of {range_m} m cannot be sent")
+    current_cm = round(min(max(range_m * 100, MIN_DISTANCE_CM + 1), stream.max_distance_cm))
+    covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254)) if math.isfinite(variance_m2) else COVARIANCE_UNKNOWN
+    quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
+    return _message(stream, time_boot_ms, current_cm, covariance, field_of_view_rad, quality)
+
+
+def no_echo(stream: Stream, time_boot_ms: int, field_of_view_rad: float) -> Any:
+    """DISTANCE_SENSOR that says that the sensor works and hears nothing within its range."""
+    return _message(stream, time_boot_ms, stream.no_echo_cm, COVARIANCE_UNKNOWN, field_of_view_rad, QUALITY_INVALID)
+
+
+def _message(
+    stream: Stream, time_boot_ms: int, current_cm: int, covariance: int, field_of_view_rad: float, quality: int
+) -> Any:
+    return _Message(
+        time_boot_ms & 0xFFFFFFFF,
+        MIN_DISTANCE_CM,
+        stream.max_distance_cm,
+        current_cm,
+        _ULTRASOUND,
+        stream.id,
+        stream.orientation.value,
+        covariance,
+        field_of_view_rad,
+        field_of_view_rad,
+        stream.orientation.quaternion,
+        quality,
+    )

@@ -1,0 +1,90 @@
+"""Mounting -> MAV_SENSOR_ORIENTATION: the enum whose axis the sensor can be said to measure along, or CUSTOM.
+
+The enum's values are rotations; a range finder's beam is round, so only the axis counts, and of the values that share
+an axis the lowest is used. The quaternion goes with CUSTOM only.
+"""
+
+import math
+from dataclasses import dataclass
+
+from msp_range.geometry import Quaternion, angle_between, boresight, quaternion
+
+NONE, YAW_45, YAW_90, YAW_135, YAW_180, YAW_225, YAW_270, YAW_315 = range(8)
+PITCH_90 = 24
+PITCH_270 = 25
+ROLL_90_PITCH_68_YAW_293 = 38
+PITCH_315 = 39
+CUSTOM = 100
+DOWN = PITCH_270
+
+NAMES = {
+    NONE: "forward",
+    YAW_45: "forward right",
+    YAW_90: "right",
+    YAW_135: "rear right",
+    YAW_180: "rear",
+    YAW_225: "rear left",
+    YAW_270: "left",
+    YAW_315: "forward left",
+    PITCH_90: "up",
+    PITCH_270: "down",
+    ROLL_90_PITCH_68_YAW_293: "up, 68 deg, towards yaw 293",
+    PITCH_315: "forward and down",
+    CUSTOM: "custom",
+}
+
+# Roll, pitch, yaw [deg] of each axis, from the enum's own descriptions in common.xml.
+_ROTATIONS_DEG = {
+    **{NONE + step: (0.0, 0.0, 45.0 * step) for step in range(8)},
+    PITCH_90: (0.0, 90.0, 0.0),
+    PITCH_270: (0.0, 270.0, 0.0),
+    ROLL_90_PITCH_68_YAW_293: (90.0, 68.0, 293.0),
+    PITCH_315: (0.0, 315.0, 0.0),
+}
+_AXES = {value: boresight(*(math.radians(angle) for angle in angles)) for value, angles in _ROTATIONS_DEG.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation:
+    """What DISTANCE_SENSOR says of where a sensor looks.
+
+    Attributes
+    ----------
+    value
+        MAV_SENSOR_ORIENTATION.
+    quaternion
+        (w, x, y, z) of the mounting where ``value`` is CUSTOM, otherwise zeros, which mean 'not given'.
+    """
+
+    value: int
+    quaternion: Quaternion
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return NAMES[self.value]
+
+
+def orientation_of(roll_rad: float, pitch_rad: float, yaw_rad: float, breakaway_rad: float) -> Orientation:
+    """The nearest orientation whose axis lies within the beam, or CUSTOM.
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad, yaw_rad
+        Mounting, intrinsic z-y'-x'', body FRD [rad].
+    breakaway_rad
+        Half angle within which the sensor still hears a wall [rad]: the narrowest of the ranges characterised, so that
+        what the enum claims holds at all of them.
+
+    Examples
+    --------
+    >>> orientation_of(0.0, math.radians(-95), 0.0, math.radians(12.6)).name
+    'down'
+    >>> orientation_of(0.0, math.radians(-70), 0.0, math.radians(12.6)).name
+    'custom'
+    """
+    looks = boresight(roll_rad, pitch_rad, yaw_rad)
+    nearest = min(_AXES, key=lambda value: (round(angle_between(looks, _AXES[value]), 9), value))
+    if angle_between(looks, _AXES[nearest]) <= breakaway_rad:
+        return Orientation(nearest, (0.0, 0.0, 0.0, 0.0))
+    return Orientation(CUSTOM, quaternion(roll_rad, pitch_rad, yaw_rad))

@@ -1,0 +1,44 @@
+"""What goes out when: a fused message at once, single ones spaced out behind it.
+
+PX4 keeps one unread message a link, so of several in one burst only the last is seen: single streams wait until
+`SPACING_S` after whatever went before.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+SPACING_S = 0.020
+
+
+class Outbox:
+    """Messages of the single streams that wait for their turn.
+
+    Parameters
+    ----------
+    send
+        Sends one message now.
+    """
+
+    def __init__(self, send: Callable[[Any], object]) -> None:
+        self._send = send
+        self._waiting: dict[int, Any] = {}
+        self._free_s = float("-inf")
+
+    @property
+    def next_event_s(self) -> float:
+        """When `send_due` has something to do [s]; infinite where nothing waits."""
+        return self._free_s if self._waiting else float("inf")
+
+    def send_now(self, now_s: float, message: Any) -> None:
+        """Send before all that waits."""
+        self._send(message)
+        self._free_s = now_s + SPACING_S
+
+    def put(self, stream_id: int, message: Any) -> None:
+        """Queue a message; a newer one of the same stream takes the place of one that still waits."""
+        self._waiting[stream_id] = message
+
+    def send_due(self, now_s: float) -> None:
+        """Send the next that waits, where it is time."""
+        if self._waiting and now_s >= self._free_s:
+            self.send_now(now_s, self._waiting.pop(next(iter(self._waiting))))

@@ -1,0 +1,48 @@
+"""The byte transports of the MAVLink link: frames go out and bytes come in, and no call ever blocks or raises.
+
+A URL, written as pymavlink writes it, becomes a `Transport` of one of five kinds. All of them open in the background,
+come back by themselves after a loss (`base.Reconnecting`) and drop a frame rather than wait for somebody to take it.
+"""
+
+from collections.abc import Callable
+
+from msp_range.clock import Clock
+from msp_range.mavlink.transport.base import Transport, TransportStats
+from msp_range.mavlink.transport.serial import Serial
+from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
+from msp_range.mavlink.transport.udp import UdpIn, UdpOut
+from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
+
+__all__ = ["NetworkUrl", "SerialUrl", "Transport", "TransportStats", "TransportUrl", "open_transport", "parse_url"]
+
+_NETWORK: dict[str, Callable[[NetworkUrl, Clock], Transport]] = {
+    "udpin": UdpIn,
+    "udpout": UdpOut,
+    "tcp": TcpOut,
+    "tcpin": TcpIn,
+}
+
+
+def open_transport(url: TransportUrl | str, clock: Clock) -> Transport:
+    """Start the transport that ``url`` names.
+
+    The first attempt to open is made at once. Where it fails (no such device, port in use, nobody there) nothing is
+    raised: ``last_error`` says why, and ``send`` and ``receive`` try again when it is due.
+
+    Parameters
+    ----------
+    url
+        What `parse_url` returned, or the text itself.
+    clock
+        Deadlines and back-off are counted on it.
+
+    Raises
+    ------
+    ValueError
+        The text is not a URL of a known kind.
+    """
+    if isinstance(url, str):
+        url = parse_url(url)
+    if isinstance(url, SerialUrl):
+        return Serial(url, clock)
+    return _NETWORK[url.kind](url, clock)

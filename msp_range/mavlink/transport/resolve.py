@@ -1,0 +1,50 @@
+"""A host's name becomes its IPv4 address without waiting: the operating system's look-up may take many seconds."""
+
+import ipaddress
+import socket
+import threading
+
+
+class Resolver:
+    """Looks up ``host`` in a thread of its own, each time that the address is wanted for a new connection.
+
+    The look-up has no deadline of its own; the operating system gives up after some 10 s.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._thread: threading.Thread | None = None
+        self._answer: str | OSError = host
+        try:
+            ipaddress.IPv4Address(host)
+            self._numeric = True
+        except ValueError:
+            self._numeric = False
+
+    def address(self) -> str | None:
+        """Return the numeric address, or None while the look-up is under way: ask again later.
+
+        Raises
+        ------
+        OSError
+            The look-up failed. The next call starts another.
+        """
+        if self._numeric:
+            return self._host
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._look_up, name=f"look up {self._host}", daemon=True)
+            self._thread.start()
+        if self._thread.is_alive():
+            return None
+        self._thread = None
+        if isinstance(self._answer, OSError):
+            raise self._answer
+        return self._answer
+
+    def _look_up(self) -> None:
+        try:
+            self._answer = str(socket.getaddrinfo(self._host, None, socket.AF_INET)[0][4][0])
+        except OSError as error:
+            self._answer = OSError(error.errno, f"cannot look up {self._host!r}: {error.strerror or error}")
+        except UnicodeError as error:
+            self._answer = OSError(f"cannot look up {self._host!r}: {error}")

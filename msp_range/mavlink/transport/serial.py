@@ -1,0 +1,87 @@
+"""MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, nobody else on it."""
+
+import array
+import fcntl
+import os
+import termios
+from contextlib import suppress
+
+from msp_range.clock import Clock
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
+from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
+from msp_range.mavlink.transport.url import BAUD_RATES, SerialUrl
+
+#: Start bit, eight data bits, stop bit.
+BITS_PER_BYTE = 10
+
+
+class Serial(StreamTransport):
+    """``serial``: a device file, which may vanish (unplugged) and return under the same name."""
+
+    def __init__(self, url: SerialUrl, clock: Clock) -> None:
+        super().__init__(str(url), clock)
+        self._path = url.path
+        self._speed = BAUD_RATES[url.baud]
+        self._most_queued_bytes = int(url.baud / BITS_PER_BYTE * FRAME_DEADLINE_S)
+        self._file: int | None = None
+        self._try_open()
+
+    def _open(self) -> bool:
+        # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.
+        self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            _make_exclusive(self._file)
+            _make_raw(self._file, self._speed)
+        except termios.error as error:  # which is no OSError, though it has the same two arguments
+            raise OSError(*error.args) from None
+        self._stream = FrameStream(self._write, self._clock, self.stats)
+        return True
+
+    def _write(self, unwritten: bytes) -> int:
+        assert self._file is not None
+        # The kernel takes up to 4 kB, which is 4 s at 9600 baud: what is in there already must leave in time.
+        if queued_bytes(self._file) > self._most_queued_bytes:
+            return 0
+        return os.write(self._file, unwritten)
+
+    def _read(self) -> bytes:
+        assert self._file is not None
+        return os.read(self._file, RECEIVE_BOUND_BYTES)
+
+    def _release(self) -> None:
+        if self._file is not None:
+            with suppress(OSError, termios.error):
+                if self._stream is not None and self._stream.blocked:
+                    # Closing would wait for the device to take its bytes, up to 30 s.
+                    termios.tcflush(self._file, termios.TCOFLUSH)
+                fcntl.ioctl(self._file, termios.TIOCNXCL)
+            os.close(self._file)
+            self._file = None
+        super()._release()
+
+
+def queued_bytes(file: int) -> int:
+    """Bytes that the kernel has taken and the device has not sent; 0 where the driver does not tell."""
+    count = array.array("i", [0])
+    fcntl.ioctl(file, termios.TIOCOUTQ, count)
+    return count[0]
+
+
+def _make_exclusive(file: int) -> None:
+    try:
+        # The lock is what pyserial and most terminals ask for, and the only one of the two that root heeds.
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError("the port is in use by another program") from None
+    fcntl.ioctl(file, termios.TIOCEXCL)
+
+
+def _make_raw(file: int, speed: int) -> None:
+    control = termios.tcgetattr(file)[6]
+    # With VMIN 0 'nothing has arrived' and 'the device is gone' would look the same.
+    control[termios.VMIN] = 1
+    control[termios.VTIME] = 0
+    mode = termios.CS8 | termios.CREAD | termios.CLOCAL
+    termios.tcsetattr(file, termios.TCSANOW, [0, 0, mode, 0, speed, speed, control])
+    if termios.tcgetattr(file)[5] != speed:
+        raise OSError("the device does not have this baud rate")

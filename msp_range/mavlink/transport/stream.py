@@ -1,0 +1,171 @@
+"""Frames on a byte stream (TCP, serial): whole, in order, and never late.
+
+A receiver that finds half a frame followed by another loses both. So a frame that the operating system took in part
+is finished before anything else, and one that has not been started within its deadline is dropped: the autopilot
+wants the newest range, not all of them.
+"""
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+from msp_range.clock import Clock
+from msp_range.mavlink.transport.base import Reconnecting, TransportStats
+
+#: A frame that has not been started this long after ``send`` is dropped.
+FRAME_DEADLINE_S = 0.25
+MOST_WAITING_FRAMES = 64
+
+
+class FrameStream:
+    """The way out of one open byte stream.
+
+    Parameters
+    ----------
+    write
+        Takes bytes without blocking and returns how many it took; raises BlockingIOError for none, any other
+        OSError where the stream is broken.
+    clock
+        Counts the deadlines.
+    stats
+        Where frames are counted.
+    stuck_after_s
+        Time without progress after which the stream counts as broken [s].
+    """
+
+    def __init__(
+        self,
+        write: Callable[[bytes], int],
+        clock: Clock,
+        stats: TransportStats,
+        stuck_after_s: float = float("inf"),
+    ) -> None:
+        self._write = write
+        self._clock = clock
+        self._stats = stats
+        self._stuck_after_s = stuck_after_s
+        self._waiting: deque[tuple[bytes, float]] = deque()
+        self._rest = b""
+        self._blocked_since_s: float | None = None
+
+    @property
+    def blocked(self) -> bool:
+        """True where the last write was not taken whole."""
+        return self._blocked_since_s is not None
+
+    def send(self, frame: bytes) -> bool:
+        """Write ``frame``, or keep it until its deadline; False where too many are kept already.
+
+        Raises
+        ------
+        OSError
+            As `flush` does.
+        """
+        if len(self._waiting) >= MOST_WAITING_FRAMES:
+            self.flush()
+            if len(self._waiting) >= MOST_WAITING_FRAMES:
+                self._stats.dropped_frames += 1
+                return False
+        self._waiting.append((frame, self._clock.now() + FRAME_DEADLINE_S))
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Write what waits, as far as the stream takes it, and drop what is late.
+
+        Raises
+        ------
+        OSError
+            The stream is broken; TimeoutError where it took nothing for too long.
+        """
+        if not self._waiting and not self._rest:
+            return
+        now_s = self._clock.now()
+        while self._waiting or self._rest:
+            if not self._rest and now_s > self._waiting[0][1]:
+                self._waiting.popleft()
+                self._stats.dropped_frames += 1
+                continue
+            unwritten = self._rest or self._waiting[0][0]
+            try:
+                written = self._write(unwritten)
+            except BlockingIOError:
+                written = 0
+            if written == len(unwritten):
+                self._take_up(b"")
+                self._stats.sent_frames += 1
+                continue
+            if written:
+                self._take_up(unwritten[written:])
+            self._note_blocked(now_s)
+            return
+
+    def _take_up(self, rest: bytes) -> None:
+        """Note that all but ``rest`` of the foremost frame has been written."""
+        if not self._rest:
+            self._waiting.popleft()
+        self._rest = rest
+        self._blocked_since_s = None
+
+    def _note_blocked(self, now_s: float) -> None:
+        if self._blocked_since_s is None:
+            self._blocked_since_s = now_s
+        elif now_s - self._blocked_since_s > self._stuck_after_s:
+            raise TimeoutError(f"the peer has taken nothing for {self._stuck_after_s:.0f} s")
+
+    def abandon(self) -> None:
+        """Count what was not written whole as dropped: the stream is gone."""
+        self._stats.dropped_frames += len(self._waiting) + bool(self._rest)
+        self._waiting.clear()
+        self._rest = b""
+
+
+class StreamTransport(Reconnecting):
+    """A Transport with one byte stream, which is there from ``_open`` to ``_release``."""
+
+    _stream: FrameStream | None = None
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """What has arrived; ``b""`` for the end of the stream, BlockingIOError for nothing."""
+
+    @property
+    def connected(self) -> bool:
+        """True while the stream is open."""
+        return self._stream is not None
+
+    def send(self, frame: bytes) -> bool:
+        """Send a frame whole, now or within 0.25 s; False without a link, or with too many frames waiting."""
+        if self._stream is None:
+            self._try_open()
+        if self._stream is None:
+            self.stats.dropped_frames += 1
+            return False
+        try:
+            return self._stream.send(frame)
+        except OSError as error:
+            self._lost(error)
+            return False
+
+    def receive(self) -> bytes:
+        """Return what has arrived; connect and write what waits."""
+        if self._stream is None:
+            self._try_open()
+        if self._stream is None:
+            return b""
+        try:
+            self._stream.flush()
+            received = self._read()
+            if not received:
+                raise ConnectionError("the other side has closed the link")
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            self._lost(error)
+            return b""
+        return received
+
+    def _release(self) -> None:
+        if self._stream is not None:
+            self._stream.abandon()
+            self._stream = None

@@ -1,0 +1,204 @@
+"""MAVLink over TCP, as a client of one server (``tcp``) and as a server of several clients (``tcpin``)."""
+
+import errno
+import os
+import socket
+
+from msp_range.clock import Clock
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
+from msp_range.mavlink.transport.resolve import Resolver
+from msp_range.mavlink.transport.stream import FrameStream, StreamTransport
+from msp_range.mavlink.transport.url import NetworkUrl
+
+#: Linux asks for a connection after 0, 1 and 3 s; a host that has not answered then is asked anew.
+CONNECT_DEADLINE_S = 4.0
+#: A peer that takes nothing, or acknowledges nothing, for this long is given up.
+STUCK_AFTER_S = 5.0
+MOST_CLIENTS = 8
+
+#: Limits what the kernel keeps for a peer that does not take it, because these frames arrive late or never: with this
+#: some 40 kB of small frames, without it 1 MB and more [bytes; the kernel doubles it].
+_SEND_BUFFER_BYTES = 8192
+
+
+def _prepare(tcp: socket.socket) -> None:
+    tcp.setblocking(False)
+    tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    tcp.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    # A peer that lost its power says nothing; without this the kernel would go on trying for 15 minutes.
+    tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(STUCK_AFTER_S * 1000))
+
+
+class TcpOut(StreamTransport):
+    """``tcp``: a client of one server."""
+
+    def __init__(self, url: NetworkUrl, clock: Clock) -> None:
+        super().__init__(str(url), clock)
+        self._port = url.port
+        self._resolver = Resolver(url.host)
+        self._socket: socket.socket | None = None
+        self._address = ("", 0)
+        self._give_up_at_s = 0.0
+        self._try_open()
+
+    def _open(self) -> bool:
+        if self._socket is None:
+            host = self._resolver.address()
+            if host is None:
+                return False
+            self._address = (host, self._port)
+            self._give_up_at_s = self._clock.now() + CONNECT_DEADLINE_S
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            _prepare(self._socket)
+        # Called again while it is under way, connect tells how it went.
+        error = self._socket.connect_ex(self._address)
+        if error in (errno.EINPROGRESS, errno.EALREADY):
+            if self._clock.now() > self._give_up_at_s:
+                raise TimeoutError(f"no answer within {CONNECT_DEADLINE_S:.0f} s")
+            return False
+        if error not in (0, errno.EISCONN):
+            raise OSError(error, os.strerror(error))
+        if self._socket.getsockname() == self._socket.getpeername():
+            # A free port on this computer can be given to the socket itself, and it is then connected to itself.
+            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+        self._stream = FrameStream(self._socket.send, self._clock, self.stats, STUCK_AFTER_S)
+        return True
+
+    def _read(self) -> bytes:
+        assert self._socket is not None
+        return self._socket.recv(RECEIVE_BOUND_BYTES)
+
+    def _release(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        super()._release()
+
+
+class _Client:
+    """One accepted connection, its way out, and what has arrived of a frame that is not complete."""
+
+    def __init__(self, tcp: socket.socket, stream: FrameStream) -> None:
+        self.tcp = tcp
+        self.stream = stream
+        self.incomplete = bytearray()
+
+
+class TcpIn(Reconnecting):
+    """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received."""
+
+    def __init__(self, url: NetworkUrl, clock: Clock) -> None:
+        super().__init__(str(url), clock)
+        self._port = url.port
+        self._resolver = Resolver(url.host)
+        self._listener: socket.socket | None = None
+        self._clients: list[_Client] = []
+        self._try_open()
+
+    @property
+    def connected(self) -> bool:
+        """True while there is a client."""
+        return bool(self._clients)
+
+    def send(self, frame: bytes) -> bool:
+        """Send a frame to every client, now or within 0.25 s; False where no client can have it."""
+        taken = False
+        if not self._clients:
+            self.stats.dropped_frames += 1
+        for client in self._clients.copy():
+            try:
+                taken = client.stream.send(frame) or taken
+            except OSError as error:
+                self._part(client, error)
+        return taken
+
+    def receive(self) -> bytes:
+        """Return the whole frames that have arrived; accept clients and write what waits."""
+        if self._listener is None:
+            self._try_open()
+        if self._listener is not None:
+            self._accept(self._listener)
+        received: list[bytes] = []
+        for client in self._clients.copy():
+            try:
+                client.stream.flush()
+                arrived = client.tcp.recv(RECEIVE_BOUND_BYTES)
+                if not arrived:
+                    raise ConnectionError("a client has left")
+                client.incomplete += arrived
+                received.append(take_whole_frames(client.incomplete))
+            except BlockingIOError:
+                pass
+            except OSError as error:
+                self._part(client, error)
+        return b"".join(received)
+
+    def _open(self) -> bool:
+        host = self._resolver.address()
+        if host is None:
+            return False
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setblocking(False)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._listener.bind((host, self._port))
+        self._listener.listen()
+        return True
+
+    def _release(self) -> None:
+        for client in self._clients.copy():
+            self._drop(client)
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    def _accept(self, listener: socket.socket) -> None:
+        while len(self._clients) < MOST_CLIENTS:
+            try:
+                tcp, _ = listener.accept()
+                _prepare(tcp)
+            except BlockingIOError:
+                return
+            except OSError as error:  # the client has gone again, or this program has no file handles left
+                self._remember(error)
+                return
+            self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S)))
+            self.last_error = None
+
+    def _part(self, client: _Client, error: OSError) -> None:
+        self._drop(client)
+        self._remember(error)
+
+    def _drop(self, client: _Client) -> None:
+        client.tcp.close()
+        client.stream.abandon()
+        self._clients.remove(client)
+
+
+def take_whole_frames(arrived: bytearray) -> bytes:
+    """Remove and return the longest start of ``arrived`` that does not end inside a MAVLink frame.
+
+    The bytes of several clients become one stream, in which the frames of one must not be cut by those of another.
+    A frame is as long as its header says (MAVLink 1: 8 bytes and the payload, MAVLink 2: 12 and the payload, and 13
+    more with a signature); what belongs to no frame is passed on for the parser to judge.
+
+    Examples
+    --------
+    >>> arrived = bytearray.fromhex("00 fe01000000aa01bbbb fd02")
+    >>> take_whole_frames(arrived).hex(), arrived.hex()
+    ('00fe01000000aa01bbbb', 'fd02')
+    """
+    end = 0
+    while end < len(arrived):
+        start = arrived[end : end + 3]
+        if start[0] == 0xFD:
+            length = 12 + start[1] + 13 * (start[2] & 1) if len(start) == 3 else 3
+        elif start[0] == 0xFE:
+            length = 8 + start[1] if len(start) >= 2 else 2
+        else:
+            length = 1
+        if end + length > len(arrived):
+            break
+        end += length
+    whole = bytes(arrived[:end])
+    del arrived[:end]
+    return whole

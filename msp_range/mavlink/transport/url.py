@@ -1,0 +1,130 @@
+"""The text of a link, as pymavlink writes it, becomes what it means. Nothing is opened here.
+
+Addresses are IPv4 or names, as in pymavlink. The default baud rate is that of ArduPilot's SERIAL1_BAUD and PX4's
+TELEM1, 57600.
+"""
+
+import ipaddress
+import re
+import termios
+from dataclasses import dataclass
+from typing import Literal, cast
+
+DEFAULT_BAUD = 57600
+
+#: The standard rates of this system [baud] and termios' constant for each.
+BAUD_RATES: dict[int, int] = {
+    int(name[1:]): getattr(termios, name) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)
+}
+
+NetworkKind = Literal["udpin", "udpout", "tcp", "tcpin"]
+
+_EXAMPLES = {
+    "udpin": "udpin:0.0.0.0:14550",
+    "udpout": "udpout:192.168.2.1:14550",
+    "tcp": "tcp:127.0.0.1:5760",
+    "tcpin": "tcpin:0.0.0.0:5760",
+    "serial": "serial:/dev/serial/by-id/usb-ArduPilot_Pixhawk1-if00:57600",
+}
+
+
+@dataclass(frozen=True)
+class NetworkUrl:
+    """A UDP or TCP link; ``in`` kinds wait on an address of this computer, the others go to ``host``."""
+
+    kind: NetworkKind
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.host}:{self.port}"
+
+
+@dataclass(frozen=True)
+class SerialUrl:
+    """A serial device file and its rate [baud]."""
+
+    path: str
+    baud: int
+
+    def __str__(self) -> str:
+        return f"serial:{self.path}:{self.baud}"
+
+
+TransportUrl = NetworkUrl | SerialUrl
+
+
+def parse_url(text: str) -> TransportUrl:
+    """Return what a link's URL means.
+
+    Parameters
+    ----------
+    text
+        ``udpin:HOST:PORT``, ``udpout:HOST:PORT``, ``tcp:HOST:PORT``, ``tcpin:HOST:PORT``, ``serial:PATH:BAUD`` with
+        an optional ``:BAUD``, or ``PATH`` and ``PATH,BAUD`` with a PATH that begins with ``/``. A serial PATH may
+        hold colons.
+
+    Raises
+    ------
+    ValueError
+        Says what was found, what was expected, and gives an example.
+
+    Examples
+    --------
+    >>> parse_url("udpout:192.168.2.1:14550")
+    NetworkUrl(kind='udpout', host='192.168.2.1', port=14550)
+    >>> parse_url("serial:/dev/serial/by-path/pci-0000:00:14.0-usb-0:3:1.0")
+    SerialUrl(path='/dev/serial/by-path/pci-0000:00:14.0-usb-0:3:1.0', baud=57600)
+    """
+    kind, colon, rest = text.partition(":")
+    if text.startswith("/"):
+        path, comma, baud = text.partition(",")
+        return SerialUrl(path, _baud(text, baud) if comma else DEFAULT_BAUD)
+    if colon and kind == "serial":
+        return _serial(text, rest)
+    if colon and kind in ("udpin", "udpout", "tcp", "tcpin"):
+        return _network(text, cast(NetworkKind, kind), rest)
+    raise ValueError(
+        f"link {text!r}: found {kind!r} as its kind; expected one of {', '.join(_EXAMPLES)}, each followed by a colon"
+        f" (udpout sends to an address, udpin waits to be sent to), for example {_EXAMPLES['udpout']}"
+    )
+
+
+def _network(text: str, kind: NetworkKind, rest: str) -> NetworkUrl:
+    host, colon, port = rest.rpartition(":")
+    if not colon:
+        raise _wrong(text, f"{rest!r} after the kind", f"{kind}:HOST:PORT", kind)
+    if not re.fullmatch(r"[0-9]{1,5}", port) or not 1 <= int(port) <= 65535:
+        raise _wrong(text, f"port {port!r}", "a whole number from 1 to 65535", kind)
+    if re.fullmatch(r"[0-9.]+", host):
+        try:
+            ipaddress.IPv4Address(host)
+        except ValueError as error:
+            raise _wrong(text, f"host {host!r} ({error})", "an IPv4 address or a name", kind) from None
+    elif not re.fullmatch(r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?", host):
+        everywhere = ", 0.0.0.0 for all of this computer's addresses" if kind.endswith("in") else ""
+        raise _wrong(text, f"host {host!r}", f"an IPv4 address or a name{everywhere}", kind)
+    return NetworkUrl(kind, host, int(port))
+
+
+def _serial(text: str, rest: str) -> SerialUrl:
+    path, colon, tail = rest.rpartition(":")
+    # A by-path name ends in the USB configuration and interface, "...:1.0" or "...:1.0-port0", which is no rate.
+    if not colon or "." in tail or "/" in tail:
+        path, baud = rest, DEFAULT_BAUD
+    else:
+        baud = _baud(text, tail)
+    if not path.startswith("/"):
+        raise _wrong(text, f"path {path!r}", "the full path of a device file, beginning with /", "serial")
+    return SerialUrl(path, baud)
+
+
+def _baud(text: str, baud: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", baud) or int(baud) not in BAUD_RATES:
+        known = ", ".join(str(rate) for rate in sorted(BAUD_RATES))
+        raise _wrong(text, f"baud rate {baud!r}", f"one of {known}", "serial")
+    return int(baud)
+
+
+def _wrong(text: str, found: str, expected: str, kind: str) -> ValueError:
+    return ValueError(f"link {text!r}: found {found}; expected {expected}, for example {_EXAMPLES[kind]}")

@@ -1,0 +1,189 @@
+"""The sensor model file: what is known about one kind of range finder.
+
+YAML enters, a validated `SensorModel` leaves. The bridge takes limits, timing, calibration temperature, beam and noise
+from it; the simulator draws its readings from the same file; characterisation and the gap workflow write it back with
+fitted numbers, effects and the evidence for them.
+"""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from msp_range.acoustics.beam import BreakawayTable
+from msp_range.yaml_file import Section, load
+
+SATURATED_CM = 255
+"""What a no-echo code reads where its two bytes are OR-ed (0x02 | 0xFD for 765) or it saturates to eight bits [cm]."""
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class Timing(Section):
+    """When a sensor answers after a ping, and when it may be pinged again."""
+
+    ready_s: float = Field(ge=0.0, le=1.0)
+    """Time from the ping to the answer without the echo's own time of flight [s]."""
+
+    s_per_cm: float = Field(gt=0.0, le=0.001)
+    """Time that each centimetre of range adds to it [s/cm]: sound there and back."""
+
+    cycle_s: float = Field(gt=0.0, le=1.0)
+    """Length of a full cycle, the one without an echo [s]."""
+
+    deadline_s: float = Field(gt=0.0, le=2.0)
+    """Time after the ping at which a sensor that has not answered is given up [s]."""
+
+    ping_interval_s: float = Field(gt=0.0, le=10.0)
+    """Shortest time between two pings that can hear each other, for the sound to decay [s]."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Timing":
+        if not self.ready_s < self.cycle_s <= self.deadline_s:
+            raise ValueError(
+                "expected ready_s < cycle_s <= deadline_s, "
+                f"found {self.ready_s:g}, {self.cycle_s:g}, {self.deadline_s:g}"
+            )
+        return self
+
+
+class BreakawayPoint(Section):
+    """One row of the breakaway table (report 4.3.3)."""
+
+    range_cm: float = Field(gt=0.0, le=10_000.0)
+    """Perpendicular distance to the surface [cm]."""
+
+    half_angle_deg: float = Field(gt=0.0, lt=90.0)
+    """Largest angle to either side of the axis with a reliable range [deg]."""
+
+
+class Weights(Section):
+    """Shares of the four kinds of reading; their sum is 1."""
+
+    hit: Probability
+    """Share of readings of the surface itself."""
+
+    unexpected: Probability
+    """Share of readings of something nearer than the surface."""
+
+    max: Probability
+    """Share of echoes missed, which read the maximum."""
+
+    random: Probability
+    """Share of readings that nothing explains."""
+
+    @model_validator(mode="after")
+    def _sum_to_one(self) -> "Weights":
+        total = self.hit + self.unexpected + self.max + self.random
+        # Six digits are what a person or a fit writes.
+        if abs(total - 1.0) > 1e-6:
+            raise ValueError(f"expected weights whose sum is 1, found a sum of {total:.7g}")
+        return self
+
+
+class MixtureParameters(Section):
+    """Parameters of the base mixture (report eq 9-12); `msp_range.reading_model.mixture` has the equations."""
+
+    weights: Weights
+    """Shares of hit, unexpected, max and random readings."""
+
+    sigma_cm: float = Field(ge=0.01, le=100.0)
+    """Standard deviation of a hit before it is rounded to whole centimetres [cm]."""
+
+    unexpected_rate_per_m: float = Field(gt=0.0, le=1000.0)
+    """Rate at which unexpected readings get rarer with range [1/m]."""
+
+    saturated_fraction: Probability
+    """Share of no-echo readings that arrive as 255."""
+
+
+class SensorModel(Section):
+    """A sensor model file."""
+
+    name: str = Field(min_length=1)
+    """Name of the part, as its maker writes it."""
+
+    maker: str = Field(min_length=1)
+    """Who makes it."""
+
+    driver: Literal["mb1242"]
+    """The driver that speaks its protocol."""
+
+    minimum_cm: int = Field(ge=0)
+    """Shortest reading; a nearer surface reads this too [cm]."""
+
+    maximum_cm: int = Field(le=32767)
+    """Longest reading; it is also the code for 'no echo' [cm]."""
+
+    resolution_cm: Literal[1]
+    """Step of the readings [cm]: whole centimetres is what the driver and the reading model know."""
+
+    calibration_temperature_c: float = Field(ge=-20.0, le=50.0)
+    """Air temperature that the sensor's own conversion to range assumes [deg C]."""
+
+    oblique_reading: Literal["slant", "nearest", "unknown"]
+    """What a canted sensor reads over flat ground: the range along its axis, or to the nearest point of the ground."""
+
+    timing: Timing
+    """When the sensor answers, and when it may be pinged again."""
+
+    breakaway: tuple[BreakawayPoint, ...] = Field(min_length=1)
+    """Largest angle with a reliable range, over range."""
+
+    reading_model: MixtureParameters
+    """Parameters of the base mixture that the readings follow."""
+
+    effects: tuple[dict[str, Any], ...] = ()
+    """Effects on top of the base mixture, for the simulator; the bridge keeps them unread."""
+
+    evidence: tuple[dict[str, Any], ...] = ()
+    """Where parameters and effects come from; kept unread."""
+
+    @field_validator("breakaway")
+    @classmethod
+    def _is_a_beam(cls, points: tuple[BreakawayPoint, ...]) -> tuple[BreakawayPoint, ...]:
+        _beam(points)
+        return points
+
+    @model_validator(mode="after")
+    def _can_be_met(self) -> "SensorModel":
+        if not self.minimum_cm < self.maximum_cm:
+            raise ValueError(f"expected minimum_cm < maximum_cm, found {self.minimum_cm} and {self.maximum_cm}")
+        saturates = self.reading_model.saturated_fraction > 0.0
+        if saturates and not self.minimum_cm <= SATURATED_CM < self.maximum_cm:
+            raise ValueError(
+                f"expected reading_model.saturated_fraction 0 with readings of {self.minimum_cm} to "
+                f"{self.maximum_cm} cm, which leave out 255"
+            )
+        timing = self.timing
+        farthest_s = timing.ready_s + self.maximum_cm * timing.s_per_cm
+        if farthest_s > timing.cycle_s:
+            raise ValueError(
+                f"expected an echo from maximum_cm within timing.cycle_s ({timing.cycle_s:g} s), "
+                f"found that it ends after {farthest_s:.4g} s (ready_s + maximum_cm * s_per_cm)"
+            )
+        return self
+
+    @cached_property
+    def beam(self) -> BreakawayTable:
+        """The breakaway table as the bridge uses it."""
+        return _beam(self.breakaway)
+
+
+def load_sensor_model(path: Path | str) -> SensorModel:
+    """Read a sensor model file.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or says something impossible; one line a mistake.
+    """
+    return load(path, SensorModel)
+
+
+def _beam(points: tuple[BreakawayPoint, ...]) -> BreakawayTable:
+    return BreakawayTable(
+        ranges_m=tuple(point.range_cm / 100.0 for point in points),
+        half_angles_deg=tuple(point.half_angle_deg for point in points),
+    )

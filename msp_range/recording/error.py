@@ -1,0 +1,5 @@
+"""The one error of recordings and measured data."""
+
+
+class RecordingError(ValueError):
+    """A recording or a file of measured data that cannot be read or written; the text is for a person."""

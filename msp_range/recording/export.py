@@ -1,0 +1,82 @@
+"""A recording as measured data in the one CSV form.
+
+One row is one ping. What a simulator knew of it (``/truth/<sensor>``) becomes its context; from a real flight the
+context is the air temperature, where it was measured, and the time since another sensor's ping.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_range.reading import Status
+from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, write_csv
+from msp_range.recording.reader import Recording
+from msp_range.recording.topics import TRUTH_PREFIX
+
+_NOT_A_READING = frozenset({Status.NO_ANSWER.value, Status.PART_INFO.value})
+
+
+def export(recording: Path | str | Recording, csv_path: Path | str) -> int:
+    """Write a recording as CSV; return the number of rows.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read or the CSV file cannot be written.
+    """
+    data = measured_data(recording if isinstance(recording, Recording) else Recording(recording))
+    write_csv(csv_path, data)
+    return len(data)
+
+
+def measured_data(recording: Recording) -> MeasuredData:
+    """The readings of a recording as columns, in the order in which they were recorded.
+
+    ``reading_cm`` is the sensor's own word, fault codes and all; empty where there was no answer, or only part
+    information. ``run`` is the recording's file name.
+    """
+    rows: list[dict[str, Any]] = []
+    pings_s: list[float] = []
+    truth: dict[str, dict[str, Any]] = {}
+    newest: dict[str, dict[str, Any]] = {}
+    for topic, _, message in recording:
+        _, _, stage = topic.rpartition("/")
+        if topic.startswith(TRUTH_PREFIX):
+            truth[topic.removeprefix(TRUTH_PREFIX)] = message
+        elif stage == "reading":
+            sensor = topic.removeprefix("/").removesuffix("/reading")
+            row = {"time_s": message["time_s"], "sensor": sensor, "run": recording.path.stem}
+            if message["status"] not in _NOT_A_READING:
+                row["reading_cm"] = message.get("raw")
+            # A truth belongs to one ping: a ping that the sensor did not take leaves none behind.
+            rows.append(row | truth.pop(sensor, {}))
+            pings_s.append(message["ping_s"])
+            newest[sensor] = rows[-1]
+        elif stage == "corrected" and message.get("source") != "fixed":
+            row = newest.get(topic.removeprefix("/").removesuffix("/corrected"), {})
+            row.setdefault("air_temperature_c", message.get("temperature_c"))
+    for row, lag_s in zip(rows, _neighbour_lags_s([row["sensor"] for row in rows], pings_s), strict=True):
+        row.setdefault("neighbour_lag_ms", None if lag_s is None else round(lag_s * 1e3, 3))
+    names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
+    names |= dict.fromkeys(name for row in rows for name in row)
+    return MeasuredData({name: _column(name, [row.get(name) for row in rows]) for name in names})
+
+
+def _column(name: str, values: list[Any]) -> Column:
+    if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
+        return np.array(["" if value is None else str(value) for value in values], dtype=str)
+    return np.array([math.nan if value is None else value for value in values], dtype=float)
+
+
+def _neighbour_lags_s(sensors: list[str], pings_s: list[float]) -> list[float | None]:
+    """Time since the last ping of another sensor, for each ping; None where there was none before."""
+    lags_s: list[float | None] = [None] * len(pings_s)
+    last_s: dict[str, float] = {}
+    for index in sorted(range(len(pings_s)), key=pings_s.__getitem__):
+        others_s = [ping_s for sensor, ping_s in last_s.items() if sensor != sensors[index]]
+        if others_s:
+            lags_s[index] = pings_s[index] - max(others_s)
+        last_s[sensors[index]] = pings_s[index]
+    return lags_s

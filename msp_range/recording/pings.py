@@ -1,0 +1,100 @@
+"""Measured readings as the pings that a `msp_range.bus.replay.ReplayBus` plays again.
+
+A recording knows when each sensor was pinged and when it answered; a CSV file knows the time of the echo, from which
+the ping follows by half the time of flight.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from msp_range.bus.replay import RecordedPing
+from msp_range.reading import Status
+from msp_range.recording.csv_form import MeasuredData, read_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording, is_recording
+from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
+from msp_range.sensors.polling import POLL_INTERVAL_S
+
+READY_S = 0.020
+"""A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
+NO_ECHO_READY_S = 0.067
+"""The full cycle, after which a sensor that heard nothing says so."""
+
+
+def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[RecordedPing]]:
+    """The pings of every sensor in a recording or a CSV file, by the sensor's name.
+
+    Parameters
+    ----------
+    path
+        An MCAP recording, whole or cut, or measured data in the one CSV form.
+    run
+        Which run of a CSV file; needed where there are several.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, holds no readings or several runs, its times go backwards, or a reading is not one
+        that two bytes can hold.
+    """
+    pings = _of_recording(Recording(path)) if is_recording(path) else _of_csv(Path(path), run)
+    if not pings:
+        raise RecordingError(f"{path}: no readings to replay")
+    return pings
+
+
+def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
+    pings: dict[str, list[RecordedPing]] = {}
+    for topic, _, message in recording:
+        sensor, _, stage = topic.removeprefix("/").rpartition("/")
+        if stage != "reading" or message["status"] == Status.PART_INFO.value:
+            continue
+        word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
+        # The try before the one that succeeded was one poll interval earlier and found the sensor busy.
+        ready_s = max(0.0, message["read_s"] - message["ping_s"] - POLL_INTERVAL_S / 2)
+        pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, ready_s))
+    return pings
+
+
+def _of_csv(path: Path, run: str | None) -> dict[str, list[RecordedPing]]:
+    data = _one_run(path, read_csv(path), run)
+    return {str(name): _of_sensor(path, data.select(data["sensor"] == name)) for name in np.unique(data["sensor"])}
+
+
+def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
+    runs = np.unique(data["run"]).tolist() if "run" in data else []
+    if run is None and len(runs) < 2:
+        return data
+    if run not in runs:
+        found = ", ".join(runs) if runs else "no column 'run'"
+        raise RecordingError(f"{path}: {'choose one run' if run is None else f'no run {run!r}'}; found: {found}")
+    return data.select(data["run"] == run)
+
+
+def _of_sensor(path: Path, data: MeasuredData) -> list[RecordedPing]:
+    time_s, reading_cm = data["time_s"], data["reading_cm"]
+    sensor = str(data["sensor"][0])
+    back = np.flatnonzero(np.diff(time_s) < 0)
+    if back.size:
+        before_s, after_s = time_s[back[0] : back[0] + 2]
+        raise RecordingError(
+            f"{path}: sensor {sensor!r}: time_s goes back from {before_s} to {after_s}; "
+            "expected the readings in order, and several sessions told apart by the column 'run'"
+        )
+    words = np.rint(reading_cm)
+    odd = np.flatnonzero((words < 0) | (words > 0xFFFF))
+    if odd.size:
+        raise RecordingError(
+            f"{path}: sensor {sensor!r} at time_s {time_s[odd[0]]}: reading_cm {reading_cm[odd[0]]:g} is not a number "
+            "that the sensor's two bytes can hold; expected 0 to 65535"
+        )
+    is_range = (words >= MINIMUM_CM) & (words < NO_ECHO_CM)
+    ping_s = time_s - np.where(is_range, 0.5 * ECHO_S_PER_CM * words, 0.0)
+    # A clock fault sets one bit of an answer that came when it should.
+    echo_cm = np.mod(np.nan_to_num(words), CLOCK_FAULT_BIT)
+    ready_s = np.where(echo_cm < NO_ECHO_CM, READY_S + ECHO_S_PER_CM * echo_cm, NO_ECHO_READY_S)
+    return [
+        RecordedPing(each_s, None if word != word else int(word), each_ready_s)
+        for each_s, word, each_ready_s in zip(ping_s.tolist(), words.tolist(), ready_s.tolist(), strict=True)
+    ]

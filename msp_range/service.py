@@ -1,0 +1,189 @@
+"""The bridge as a service: signals, watchdog, logs, exit codes.
+
+Exit codes: 0 ended by SIGTERM, SIGINT or the end of its input; 1 a mistake in the program; 2 a wrong command line;
+3 an airframe, sensor model or data file that cannot be used. Broken equipment never ends the service.
+"""
+
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+import structlog
+
+from msp_range.bridge import Bridge
+from msp_range.bus.smbus import KernelBus
+from msp_range.clock import Clock, SystemClock
+from msp_range.config import Airframe
+from msp_range.health import Report, Severity
+from msp_range.mavlink.transport import Transport, open_transport
+from msp_range.recording.error import RecordingError
+from msp_range.recording.writer import Recorder
+
+EXIT_OK, EXIT_MISTAKE, EXIT_USAGE, EXIT_FILE = 0, 1, 2, 3
+SUMMARY_INTERVAL_S = 60.0
+
+Log = structlog.typing.FilteringBoundLogger
+
+
+def make_log(form: str, stream: TextIO = sys.stderr) -> Log:
+    """A logger that writes for a person (``text``) or for a machine (``json``, one object a line)."""
+    renderer: structlog.typing.Processor
+    if form == "json":
+        renderer = structlog.processors.JSONRenderer(serializer=json.dumps)
+    else:
+        renderer = structlog.dev.ConsoleRenderer(colors=stream.isatty())
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            renderer,
+        ],
+        logger_factory=structlog.WriteLoggerFactory(file=stream),
+        cache_logger_on_first_use=False,
+    )
+    log: Log = structlog.get_logger()
+    return log
+
+
+def reporter(log: Log) -> Report:
+    """Health changes as log lines."""
+
+    def report(severity: Severity, text: str) -> None:
+        write = {Severity.ERROR: log.error, Severity.WARNING: log.warning, Severity.INFO: log.info}[severity]
+        write(text)
+
+    return report
+
+
+class Notifier:
+    """systemd's notification socket: ready, and alive from the loop that works; does nothing elsewhere."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET")
+        self._socket: socket.socket | None = None
+        if address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+            self._address = "\0" + address[1:] if address.startswith("@") else address
+
+    def tell(self, state: str) -> None:
+        """Send a state such as READY=1; a socket that is gone or full is no reason to stop."""
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.sendto(state.encode(), self._address)
+
+
+@contextmanager
+def stop_signals() -> Iterator[list[int]]:
+    """While inside, SIGTERM and SIGINT fill the list instead of ending the program."""
+    received: list[int] = []
+
+    def note(signum: int, frame: FrameType | None) -> None:
+        received.append(signum)
+
+    before = {signum: signal.signal(signum, note) for signum in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield received
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+
+
+def open_recording(airframe: Airframe, airframe_file: Path, folder: Path | None, clock: Clock) -> Recorder | None:
+    """A recorder in ``folder``, else in the airframe's; None where neither is named.
+
+    Raises
+    ------
+    RecordingError
+        The folder or file cannot be made.
+    """
+    if folder is None and airframe.recording is not None:
+        folder = Path(airframe.recording.folder)
+    if folder is None:
+        return None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(f"{folder}: the folder for recordings cannot be made: {error.strerror}") from None
+    started = f"{clock.utc():.0f}"
+    stem = f"{airframe.vehicle.replace(' ', '_').replace('/', '_')}-{started}"
+    # A computer without a clock starts at the same time again and again.
+    for number in range(1000):
+        path = folder / (f"{stem}.mcap" if number == 0 else f"{stem}-{number}.mcap")
+        if not path.exists():
+            return Recorder(path, clock, airframe_text=airframe_file.read_text(encoding="utf-8"))
+    raise RecordingError(f"{folder}: holds a thousand recordings named {stem}; move them")
+
+
+def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
+    """Step the bridge until a signal comes; the exit code."""
+    notifier = Notifier()
+    notifier.tell("READY=1")
+    next_note_s = clock.now() + 1.0
+    next_summary_s = clock.now() + SUMMARY_INTERVAL_S
+    autopilot: int | None = None
+    connected = False
+    trouble: str | None = None
+    with stop_signals() as stopped:
+        while not stopped:
+            bridge.step()
+            now_s = clock.now()
+            if now_s < next_note_s:
+                continue
+            next_note_s = now_s + 1.0
+            notifier.tell("WATCHDOG=1")
+            if bridge.link.autopilot_heard and bridge.link.autopilot_system != autopilot:
+                autopilot = bridge.link.autopilot_system
+                log.info("autopilot heard", system=autopilot)
+            if transport.last_error != trouble or transport.connected != connected:
+                trouble, connected = transport.last_error, transport.connected
+                write = log.info if connected else log.warning
+                write("link", url=transport.description, connected=connected, error=trouble)
+            if now_s >= next_summary_s:
+                next_summary_s += SUMMARY_INTERVAL_S
+                log.info("still flying", **_summary(bridge))
+    log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge))
+    notifier.tell("STOPPING=1")
+    return EXIT_OK
+
+
+def _summary(bridge: Bridge) -> dict[str, object]:
+    return {
+        "readings": {name: counts.readings for name, counts in bridge.counts().items()},
+        "rejected": {name: counts.rejected for name, counts in bridge.counts().items() if counts.rejected},
+        "sent": dict(bridge.link.sent),
+        "dropped": dict(bridge.link.dropped),
+    }
+
+
+def run(airframe: Airframe, airframe_file: Path, log: Log, record: Path | None) -> int:
+    """The service on this computer's bus and link; the exit code."""
+    clock = SystemClock()
+    report = reporter(log)
+    recorder = None
+    try:
+        recorder = open_recording(airframe, airframe_file, record, clock)
+    except RecordingError as error:
+        log.error("flying without a recording", error=str(error))
+    bus = KernelBus(airframe.bus)
+    transport = open_transport(airframe.link.url, clock)
+    log.info("started", vehicle=airframe.vehicle, bus=str(bus.path), link=airframe.link.url, pid=os.getpid())
+    if recorder is not None:
+        log.info("recording", file=str(recorder.path))
+    bridge = Bridge(airframe, bus, clock, transport, recorder=recorder, report=report)
+    try:
+        return serve(bridge, clock, log, transport)
+    finally:
+        bus.close()
+        transport.close()
+        if recorder is not None:
+            try:
+                recorder.close()
+            except RecordingError as error:
+                log.error("recording not finished", error=str(error))

@@ -1,0 +1,269 @@
+"""YAML files that people write: read, validated, and explained where they are wrong.
+
+Every configuration file of the project is a `Section` read by `load`. A mistake becomes one `ConfigError` whose lines
+name the file, the path inside it, what was found, what was expected and, for an unknown key, the nearest known one.
+"""
+
+import difflib
+import types
+import typing
+from collections.abc import Hashable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+_YAML_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_QUOTE = "'"
+
+
+class ConfigError(ValueError):
+    """A configuration file that cannot be used; the text is for the person who wrote the file."""
+
+
+class Section(BaseModel):
+    """Base of every part of a configuration file: unknown keys are errors, values never change, NaN is no value."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, strict=False
+    )
+
+
+SectionT = TypeVar("SectionT", bound=Section)
+
+
+class _UniqueKeyLoader(_YAML_BASE):  # type: ignore[misc]
+    """SafeLoader that refuses a key given twice, which YAML itself would silently overwrite."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key!r} is given twice", key_node.start_mark
+                )
+            seen.add(key)
+        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep=deep)
+        return mapping
+
+
+def read_yaml(path: Path) -> Any:
+    """Return what a YAML file holds as plain Python values.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, unreadable, not YAML, or gives a key twice.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        near = difflib.get_close_matches(path.name, _names_beside(path), n=1)
+        hint = f" (beside it there is {near[0]})" if near else ""
+        raise ConfigError(f"{path}: no such file{hint}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f":{mark.line + 1}:{mark.column + 1}" if mark is not None else ""
+        raise ConfigError(f"{path}{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
+
+
+def load(path: Path | str, section: type[SectionT]) -> SectionT:
+    """Read the YAML file ``path`` as a ``section``.
+
+    Files that ``section`` names by relative path are resolved by its own validators, which find the folder in
+    ``info.context["folder"]``.
+
+    Raises
+    ------
+    ConfigError
+        One line a mistake, all mistakes at once.
+    """
+    path = Path(path)
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise ConfigError(
+            f"{path}: found {_show(content)}, expected a mapping with the keys {_join(section.model_fields)}"
+        )
+    try:
+        return section.model_validate(content, context={"folder": path.parent})
+    except ValidationError as error:
+        raise ConfigError("\n".join(_explain(path, section, error))) from None
+
+
+class _Spot(NamedTuple):
+    """Where in a file a mistake is.
+
+    ``path`` is what a person would write, ``choices`` the types that may stand there, and ``union`` the path of the
+    first union on the way whose members nothing in the file tells apart.
+    """
+
+    path: tuple[int | str, ...]
+    choices: list[Any]
+    union: tuple[int | str, ...] | None
+
+
+def _explain(path: Path, section: type[Section], error: ValidationError) -> Iterator[str]:
+    spots = [(_locate(section, problem["loc"]), problem) for problem in error.errors(include_url=False)]
+    deepest: dict[Any, int] = {}
+    for spot, _ in spots:
+        deepest[spot.union] = max(deepest.get(spot.union, 0), len(spot.path))
+    lines: dict[tuple[str, str], list[str]] = {}
+    for spot, problem in spots:
+        # Of a union's members, the one that the value fits best is the one that was meant.
+        if spot.union is None or len(spot.path) == deepest[spot.union]:
+            around = _locate(section, problem["loc"][:-1]).choices
+            found, expected = _describe(path, spot, around, problem)
+            lines.setdefault((_prefix(path, spot, problem), found), []).append(expected)
+    for (prefix, found), expected_here in lines.items():
+        yield f"{prefix}{found}{' or '.join(dict.fromkeys(expected_here))}"
+
+
+def _prefix(path: Path, spot: _Spot, problem: Any) -> str:
+    if isinstance(problem.get("ctx", {}).get("error"), ConfigError):
+        return ""
+    place = _place(spot.path)
+    discriminator = problem.get("ctx", {}).get("discriminator")
+    if discriminator is not None:
+        place += f".{discriminator.strip(_QUOTE)}"
+    # A check of the whole file names its places itself.
+    return f"{path}: {place}: " if place else f"{path}: "
+
+
+def _describe(path: Path, spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
+    """What was found, and what was expected instead; ``around`` are the types that the spot may lie in."""
+    kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
+    if kind == "extra_forbidden":
+        keys = _keys(around)
+        return "", f"unknown key.{_near(spot.path[-1], keys)} Known keys here: {_join(keys)}"
+    if kind == "missing":
+        if isinstance(spot.path[-1], int):
+            return "", "this value is missing from the list"
+        return "", f"this key is missing; expected {_meaning(around, spot.path[-1])}"
+    if kind == "union_tag_not_found":
+        tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
+        return "", f"this key is missing; expected one of {_join(tags)}"
+    if kind == "union_tag_invalid":
+        tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
+        return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{_near(context['tag'], tags)}"
+    if isinstance(context.get("error"), ConfigError):
+        # Another file that this one names is wrong, and says so itself.
+        place = _place(spot.path)
+        return "", f"{context['error']} (named in {path}{': ' if place else ''}{place})"
+    if kind == "value_error":
+        found = "" if isinstance(value, dict | list) else f"found {_show(value)}; "
+        return found, str(context["error"])
+    expected = problem["msg"].removeprefix("Input should be ")
+    if kind in ("model_type", "model_attributes_type"):
+        expected = f"a mapping with the keys {_join(_keys(spot.choices))}"
+    elif kind in ("list_type", "tuple_type"):
+        expected = "a list"
+    elif kind == "string_pattern_mismatch":
+        expected = f"text that matches {context['pattern']}"
+    elif kind == "literal_error":
+        options = [str(option) for choice in spot.choices for option in typing.get_args(choice)]
+        near = _near(value, options)
+        expected += f".{near}" if near else ""
+    return f"found {_show(value)}; expected ", expected
+
+
+def _locate(section: type[Section], loc: Sequence[int | str]) -> _Spot:
+    """Follow pydantic's path through the annotations and leave out the names that it adds for members of unions."""
+    path: list[int | str] = []
+    choices: list[Any] = [section]
+    at_union = False
+    union: tuple[int | str, ...] | None = None
+    for part in loc:
+        if at_union:
+            named = [choice for choice in choices if part in _literals(choice)]
+            if not named and union is None:
+                union = tuple(path)
+            choices, at_union = named or choices, False
+            continue
+        path.append(part)
+        inner = [annotation for choice in choices for annotation in _inside(choice, part)]
+        at_union = any(len(_members(annotation)) > 1 for annotation in inner)
+        choices = [member for annotation in inner for member in _members(annotation)]
+    return _Spot(tuple(path), choices, union)
+
+
+def _is_section(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Section)
+
+
+def _inside(annotation: Any, part: int | str) -> list[Any]:
+    if _is_section(annotation):
+        field = annotation.model_fields.get(part)
+        return [] if field is None else [field.annotation]
+    return [each for each in typing.get_args(annotation) if each is not Ellipsis]
+
+
+def _members(annotation: Any) -> list[Any]:
+    """The members of a union without None; else the annotation alone."""
+    if typing.get_origin(annotation) is Annotated:
+        return _members(typing.get_args(annotation)[0])
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        return [
+            member for each in typing.get_args(annotation) if each is not types.NoneType for member in _members(each)
+        ]
+    return [annotation]
+
+
+def _literals(annotation: Any) -> set[Any]:
+    """Values of a section's fields that can have but some: what tells members of a union apart."""
+    if not _is_section(annotation):
+        return set()
+    return {
+        value
+        for field in annotation.model_fields.values()
+        if typing.get_origin(field.annotation) is Literal
+        for value in typing.get_args(field.annotation)
+    }
+
+
+def _tags(choices: list[Any], discriminator: str) -> list[str]:
+    return [str(value) for each in choices for value in typing.get_args(each.model_fields[discriminator].annotation)]
+
+
+def _keys(choices: list[Any]) -> list[str]:
+    return sorted({name for each in choices if _is_section(each) for name in each.model_fields})
+
+
+def _meaning(choices: list[Any], key: str) -> str:
+    for each in choices:
+        field = each.model_fields.get(key) if _is_section(each) else None
+        if field is not None:
+            return (field.description or "a value").strip().split("\n")[0]
+    return "a value"
+
+
+def _near(word: Any, known: list[str]) -> str:
+    near = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
+    return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def _place(path: Sequence[int | str]) -> str:
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return text.lstrip(".")
+
+
+def _names_beside(path: Path) -> list[str]:
+    return sorted(each.name for each in path.parent.iterdir()) if path.parent.is_dir() else []
+
+
+def _join(names: Any) -> str:
+    return ", ".join(names)
+
+
+def _show(found: Any) -> str:
+    if found is None:
+        return "nothing"
+    text = repr(found)
+    return text if len(text) <= 80 else text[:77] + "..."

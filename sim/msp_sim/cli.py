@@ -1,0 +1,150 @@
+"""msp-sim: the commands of what imitates."""
+
+import json
+import shutil
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from msp_range.cli import tell_mistakes
+from msp_range.yaml_file import ConfigError
+
+SHOWN_EACH_S = 0.1
+"""Wall time between two looks at a flight [s]."""
+
+app = typer.Typer(
+    name="msp-sim",
+    help="Simulator of msp-range: the real bridge on emulated sensors, with no hardware.",
+    epilog="Start with: msp-sim fly configs/scenarios/demo.yaml --out flights/demo",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+@app.command()
+@tell_mistakes
+def fly(
+    scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
+    model: Annotated[
+        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the airframe's")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same flight")] = 1,
+    out: Annotated[Path | None, typer.Option(help="folder for summary, recording, link log and picture")] = None,
+    link: Annotated[
+        str | None, typer.Option(help="share the link with a ground station, e.g. udpout:127.0.0.1:14550")
+    ] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="fly in real time")] = False,
+    speed: Annotated[
+        float | None, typer.Option(min=0.1, help="at most so many times real time, to watch; left out: all it can")
+    ] = None,
+) -> None:
+    """Fly a scenario with the real bridge, and show what came of it.
+
+    In --out: summary.json (what the table shows), flight.mcap (every stage of every reading, for Foxglove or
+    'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
+    """
+    from rich.console import Console
+    from rich.live import Live
+
+    from msp_range.clock import SystemClock, VirtualClock
+    from msp_range.mavlink.transport import open_transport, parse_url
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.recording.writer import Recorder
+    from msp_sim.autopilot import Tee
+    from msp_sim.flight import Simulation
+    from msp_sim.scenario import load_scenario
+    from msp_sim.show import Live as Shown
+    from msp_sim.show import draw, print_table
+    from msp_sim.summary import summarise
+
+    if realtime and speed is not None:
+        raise ConfigError("--realtime and --speed: give one of them")
+    scenario = load_scenario(scenario_file)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    if link is not None:
+        try:
+            parse_url(link)
+        except ValueError as error:
+            raise ConfigError(f"--link: {error}") from None
+    system = SystemClock()
+    clock = system if realtime else VirtualClock()
+    recorder = None
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "flight.mcap").unlink(missing_ok=True)
+        recorder = Recorder(out / "flight.mcap", clock, metadata={"scenario": scenario.name, "seed": str(seed)})
+    simulation = Simulation(
+        scenario,
+        clock,
+        seed,
+        model=sensor_model,
+        recorder=recorder,
+        link=(lambda autopilot: Tee(open_transport(link, system), autopilot)) if link is not None else None,
+        tlog=out / "link.tlog" if out is not None else None,
+    )
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    shown = Shown(simulation, scenario.duration_s)
+    started_s = next_look_s = system.now()
+    live: Any = Live(shown, console=console, auto_refresh=False) if console.is_terminal else nullcontext()
+    with live:
+        for steps in simulation.fly():
+            shown.take(steps)
+            if steps and speed is not None:
+                system.sleep_until(started_s + simulation.now_s() / speed)
+            if steps and console.is_terminal and system.now() >= next_look_s:
+                next_look_s = system.now() + SHOWN_EACH_S
+                live.refresh()
+        if console.is_terminal:
+            live.refresh()
+    wall_s = system.now() - started_s
+    if recorder is not None:
+        recorder.close()
+    summary = summarise(simulation.flight, scenario.name, seed)
+    print_table(console, summary)
+    times = summary["duration_s"] / wall_s
+    print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time")
+    if out is not None:
+        summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
+        (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        shutil.copyfile(scenario_file, out / "scenario.yaml")
+        draw(simulation.flight, out / "flight.png", f"{scenario.name}, seed {seed}")
+        for name, what in (
+            ("flight.png", "picture"),
+            ("summary.json", "numbers"),
+            ("flight.mcap", "recording"),
+            ("link.tlog", "link"),
+        ):
+            print(f"{what:>9}: {out / name}")
+
+
+@app.command()
+@tell_mistakes
+def sample(
+    model: Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file")],
+    contexts: Annotated[Path, typer.Option(help="CSV whose rows say where a reading is to be drawn (true_range_cm)")],
+    out: Annotated[Path, typer.Option(help="CSV to write: the contexts with reading_cm filled in")],
+    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+) -> None:
+    """Draw one reading a row of a CSV from a sensor model."""
+    from numpy.random import default_rng
+
+    from msp_range.reading_model.mixture import ReadingModel
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.recording.csv_form import read_csv, write_csv
+
+    readings = ReadingModel.of(load_sensor_model(model))
+    given = read_csv(contexts, required=("true_range_cm",))
+    reading_cm = readings.sample({"true_range_cm": given["true_range_cm"]}, default_rng(seed))
+    write_csv(out, {**given.columns, "reading_cm": reading_cm})
+    print(f"{out}: {len(given)} readings", file=sys.stderr)
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app()

@@ -1,0 +1,309 @@
+"""One MB1242 (I2CXL-MaxSonar-EZ4) seen from the bus, with the faults that real ones show.
+
+Bytes written by the master and the readings of an imitated world enter, acknowledged bytes leave. Commands, busy
+time and address change follow the datasheet; where it is silent the choice is a parameter or is said to be a guess.
+Only the standard library is used, so that the same device answers in a virtual flight and behind an emulated kernel
+interface under the system's own Python. Every time is seconds on the ``now`` clock that the device is given.
+"""
+
+import errno
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+DEFAULT_ADDRESS = 0x70
+"""7-bit address from the factory; 0xE0 in the 8-bit form of the datasheet."""
+
+RANGE_COMMAND = b"\x51"
+ADDRESS_COMMAND = b"\xaa\xa5"
+ILLEGAL_ADDRESSES_8BIT = frozenset({0, 80, 164, 170})
+"""New addresses, in 8-bit form, that the sensor ignores."""
+
+MIN_CM = 20
+NO_ECHO_CM = 765
+
+PART_INFO = b"\x01\x2c"
+"""What is read before the first ranging. The real bytes are not documented: these look like 300 cm."""
+
+CLOCK_FAULT_BIT = 0x8000
+
+
+class NotAcknowledged(OSError):
+    """Nobody pulled the data line low: errno 121 on a Raspberry Pi."""
+
+    def __init__(self) -> None:
+        super().__init__(errno.EREMOTEIO, "not acknowledged")
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long the sensor does not answer.
+
+    Attributes
+    ----------
+    ready_s, s_per_cm
+        A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm]. The second is the way there and
+        back at 22.5 deg C; the first is an assumption.
+    no_echo_s
+        A ranging without an echo takes this long [s]; the part's full cycle is about 67 ms.
+    address_change_s
+        After an address change [s], from the datasheet.
+    """
+
+    ready_s: float = 0.020
+    s_per_cm: float = 58e-6
+    no_echo_s: float = 0.067
+    address_change_s: float = 0.125
+
+    def ranging_s(self, reading_cm: int) -> float:
+        """Time from the ping until the sensor acknowledges again [s]."""
+        return self.no_echo_s if reading_cm == NO_ECHO_CM else self.ready_s + self.s_per_cm * reading_cm
+
+
+FAULT_KINDS = {
+    "clock_fault": "bit 15 reads as one: the master samples while the sensor still stretches the clock",
+    "or_ed": "the two bytes are OR-ed into one, a shift lost by the driver: 765 reads 255",
+    "saturated": "the reading saturates to eight bits: 765 reads 255",
+    "lost_high_byte": "range modulo 256: 765 reads 253",
+    "impossible": "the answer is `word`, which no healthy sensor gives",
+    "missed_read": "one read of a ranging is not acknowledged, the next one is",
+    "stuck": "pings are accepted and the last reading stays",
+    "silent": "nothing is acknowledged",
+    "power_cycle": "without power from start_s to end_s, then part info until the next ping",
+    "locked_up": "the data line is held low: every transfer of the bus times out, until a re-open after end_s",
+}
+"""Every kind of fault and what it looks like from the master."""
+
+_ALWAYS = frozenset({"power_cycle", "locked_up"})
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that lasts from ``start_s`` up to ``end_s``.
+
+    Attributes
+    ----------
+    kind
+        One of `FAULT_KINDS`.
+    start_s, end_s
+        When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length.
+    probability
+        That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck" and
+        "missed_read", one transfer for "silent". A power cycle and a lock-up always happen.
+    word
+        The 16-bit answer of the kind "impossible".
+
+    Raises
+    ------
+    ValueError
+        An unknown kind, a window that does not last, or a word that another kind stands for.
+    """
+
+    kind: str
+    start_s: float
+    end_s: float
+    probability: float = 1.0
+    word: int = 1000
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            raise ValueError(f"fault kind {self.kind!r}: expected one of {', '.join(FAULT_KINDS)}")
+        if self.end_s < self.start_s or (self.end_s == self.start_s and self.kind not in _ALWAYS):
+            raise ValueError(f"fault {self.kind}: end_s {self.end_s}: expected a time after start_s {self.start_s}")
+        if not 0.0 < self.probability <= 1.0 or (self.kind in _ALWAYS and self.probability != 1.0):
+            expected = "1, it always happens" if self.kind in _ALWAYS else "more than 0 and at most 1"
+            raise ValueError(f"fault {self.kind}: probability {self.probability}: expected {expected}")
+        if not 0 <= self.word <= 0xFFFF or MIN_CM <= self.word & ~CLOCK_FAULT_BIT <= NO_ECHO_CM:
+            raise ValueError(
+                f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits that are neither a range nor, with bit 15 "
+                'set, a range behind a clock fault (that is the kind "clock_fault")'
+            )
+
+
+class MB1242:
+    """One sensor on the bus.
+
+    Parameters
+    ----------
+    address
+        7-bit address.
+    now
+        The time [s].
+    echo
+        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, 20 to 765, where 765
+        says that there was no echo.
+    timing
+        How long it does not answer.
+    faults
+        What is wrong with it, and when.
+    chance
+        Draws for faults with a probability below one.
+
+    Attributes
+    ----------
+    address : int
+        7-bit address, as it is now.
+    pings : int
+        Range commands accepted so far.
+
+    Raises
+    ------
+    ValueError
+        A fault has a probability and there is no ``chance``.
+
+    Examples
+    --------
+    >>> time_s = 0.0
+    >>> sonar = MB1242(0x70, lambda: time_s, lambda ping_time_s: 258)
+    >>> sonar.write(RANGE_COMMAND)
+    >>> sonar.read(2)
+    Traceback (most recent call last):
+        ...
+    msp_sim.device.NotAcknowledged: [Errno 121] not acknowledged
+    >>> time_s = 0.1
+    >>> sonar.read(2).hex()
+    '0102'
+    """
+
+    def __init__(
+        self,
+        address: int,
+        now: Callable[[], float],
+        echo: Callable[[float], int],
+        timing: Timing = Timing(),
+        faults: Sequence[Fault] = (),
+        chance: random.Random | None = None,
+    ) -> None:
+        if chance is None and any(fault.probability < 1.0 for fault in faults):
+            raise ValueError("a fault has a probability below one: pass the random.Random that draws for it as chance")
+        self.address = address
+        self.faults = tuple(faults)
+        self.pings = 0
+        self._now = now
+        self._echo = echo
+        self._timing = timing
+        self._chance = chance
+        self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Lose the last ranging and whatever was going on; the address stays."""
+        self._answer = PART_INFO
+        self._ranged = False
+        self._busy_until_s = float("-inf")
+        self._may_miss_read = True
+
+    def write(self, data: bytes) -> None:
+        """Take ``data`` from the master.
+
+        One range command pings, an address command changes the address, anything else is acknowledged and ignored.
+
+        Raises
+        ------
+        NotAcknowledged
+            It ranges, changes its address, or a fault keeps it silent.
+        """
+        now_s = self._acknowledge()
+        if data == RANGE_COMMAND:
+            self._ping(now_s)
+        elif len(data) == 3 and data.startswith(ADDRESS_COMMAND):
+            self._change_address(data[2], now_s)
+
+    def read(self, count: int) -> bytes:
+        """Return ``count`` bytes: the last ranging, most significant byte first, or part info before the first one.
+
+        Bytes beyond the second are those of a released line, 0xFF: a guess. Raises NotAcknowledged as `write` does.
+        """
+        now_s = self._acknowledge()
+        answer = self._answer
+        if self.faults:
+            may_miss_read, self._may_miss_read = self._may_miss_read, False
+            if may_miss_read and self._strikes("missed_read", now_s):
+                raise NotAcknowledged
+            answer = self._corrupt(answer, now_s)
+        return answer if count == 2 else answer.ljust(count, b"\xff")[:count]
+
+    def _acknowledge(self) -> float:
+        """Return the time [s] of a transfer that the sensor takes part in."""
+        now_s = self._now()
+        if self.faults:
+            while self._power_cycles and now_s >= self._power_cycles[0].start_s:
+                if now_s < self._power_cycles[0].end_s:
+                    raise NotAcknowledged
+                self._power_cycles.pop(0)
+                self.power_cycle()
+            if self._strikes("silent", now_s):
+                raise NotAcknowledged
+        if now_s < self._busy_until_s:
+            raise NotAcknowledged
+        return now_s
+
+    def _ping(self, now_s: float) -> None:
+        reading_cm = self._echo(now_s)
+        if not MIN_CM <= reading_cm <= NO_ECHO_CM:
+            raise ValueError(f"echo returned {reading_cm} cm: expected {MIN_CM} to {NO_ECHO_CM}")
+        self.pings += 1
+        self._busy_until_s = now_s + self._timing.ranging_s(reading_cm)
+        self._may_miss_read = True
+        if not (self._ranged and self.faults and self._strikes("stuck", now_s)):
+            self._answer = reading_cm.to_bytes(2, "big")
+            self._ranged = True
+
+    def _change_address(self, new_8bit: int, now_s: float) -> None:
+        new_8bit &= ~1
+        if new_8bit not in ILLEGAL_ADDRESSES_8BIT:
+            self.address = new_8bit >> 1
+            self._busy_until_s = now_s + self._timing.address_change_s
+
+    def _strikes(self, kind: str, now_s: float) -> bool:
+        return any(fault.kind == kind and self._fault_strikes(fault, now_s) for fault in self.faults)
+
+    def _fault_strikes(self, fault: Fault, now_s: float) -> bool:
+        if not fault.start_s <= now_s < fault.end_s:
+            return False
+        return fault.probability == 1.0 or (self._chance is not None and self._chance.random() < fault.probability)
+
+    def _corrupt(self, answer: bytes, now_s: float) -> bytes:
+        """Return the answer as the master sees it, each fault on top of those before it in the list."""
+        word = int.from_bytes(answer, "big")
+        for fault in self.faults:
+            if fault.kind in _CORRUPTIONS and self._fault_strikes(fault, now_s):
+                word = _CORRUPTIONS[fault.kind](word, fault)
+        return word.to_bytes(2, "big")
+
+
+_CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
+    "clock_fault": lambda word, fault: word | CLOCK_FAULT_BIT,
+    "or_ed": lambda word, fault: word >> 8 | word & 0xFF,
+    "saturated": lambda word, fault: min(word, 0xFF),
+    "lost_high_byte": lambda word, fault: word & 0xFF,
+    "impossible": lambda word, fault: fault.word,
+}
+
+
+class PlainDevice:
+    """Something else on the bus: it acknowledges everything and answers with the same bytes.
+
+    An SHTC3, a PCA9685 and a TCA9548A all answer at 0x70, and none of them is a sonar.
+
+    Parameters
+    ----------
+    address
+        7-bit address.
+    answer
+        What it sends, followed by 0xFF for as long as the master asks.
+    faults
+        Only "locked_up" has an effect: a device other than a sonar can hold the bus.
+    """
+
+    def __init__(self, address: int, answer: bytes = b"", faults: Sequence[Fault] = ()) -> None:
+        self.address = address
+        self.faults = tuple(faults)
+        self._answer = answer
+
+    def write(self, data: bytes) -> None:
+        """Acknowledge ``data``."""
+
+    def read(self, count: int) -> bytes:
+        """Return the answer, cut or filled to ``count`` bytes."""
+        return self._answer.ljust(count, b"\xff")[:count]

@@ -1,0 +1,373 @@
+"""A simulated flight: a scenario's vehicle, world and emulated sensors around the real bridge.
+
+Everything that varies is an argument: with a virtual clock and a seed, the same flight gives the same bytes on the
+link. What comes out is what each reading became beside the truth, for the table, the picture and ``summary.json``.
+"""
+
+import hashlib
+import math
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from numpy.random import Generator, SeedSequence, default_rng
+
+from msp_range.acoustics.air import speed_of_sound
+from msp_range.bridge import Bridge, Records, Step
+from msp_range.bus import Bus
+from msp_range.clock import Clock
+from msp_range.config import Airframe, Sensor
+from msp_range.correction.temperature import FileSource
+from msp_range.health import Severity
+from msp_range.mavlink.transport import Transport
+from msp_range.reading import Status
+from msp_range.reading_model.mixture import ReadingModel
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.autopilot import LoopbackAutopilot
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.scenario import Scenario
+from msp_sim.vehicle import Pose
+from msp_sim.world import Beam, Ping, World
+
+LEVEL_M = 0.15
+"""Where the ground below the sensors differs by more than this, one fused distance has no truth to compare with [m]."""
+
+
+class EmulatedSensor:
+    """One sensor's pings: what they meet, and what the sensor makes of it.
+
+    The sensor counts the echo's delay in centimetres of air at its calibration temperature; the reading model draws
+    from the range that it so believes in. At an angle it reads the slant range or the nearest point, as its model
+    says; where that is unknown, the nearest point.
+
+    Parameters
+    ----------
+    sensor
+        As mounted on the vehicle.
+    model
+        What it reads.
+    world, pose
+        What is there, and where the vehicle is at a time of the flight [s].
+    generator
+        Its chance.
+    keep
+        Called with (time of the ping in the flight [s], truth) for each ping.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        model: SensorModel,
+        world: World,
+        pose: Callable[[float], Pose],
+        generator: Generator,
+        keep: Callable[[str, float, Ping], None],
+    ) -> None:
+        self._name = sensor.name
+        self._beam = Beam(sensor.position_m, sensor.boresight, model.beam.half_angle_rad)
+        self._readings = ReadingModel.of(model)
+        self._slant = model.oblique_reading == "slant"
+        self._calibration_m_s = speed_of_sound(model.calibration_temperature_c)
+        self._world = world
+        self._pose = pose
+        self._generator = generator
+        self._keep = keep
+
+    def echo(self, ping_s: float) -> int:
+        """The reading [cm] of a ping at a time of the flight [s]."""
+        ping = self._world.ping(self._pose(ping_s), self._beam)
+        self._keep(self._name, ping_s, ping)
+        return self._readings.sample_one(self._believed_cm(ping), self._generator)
+
+    def _believed_cm(self, ping: Ping) -> float | None:
+        range_cm = ping.slant_range_cm if self._slant else ping.true_range_cm
+        if not ping.heard or range_cm is None:
+            return None
+        speed_m_s = speed_of_sound(ping.air_temperature_c)
+        # The sound meets the surface when the vehicle has moved on: the range is that of half the time of flight.
+        range_cm += (ping.range_rate_cm_s or 0.0) * range_cm / 100 / speed_m_s
+        return range_cm * self._calibration_m_s / speed_m_s
+
+
+def emulated_bus(
+    airframe: Airframe,
+    models: dict[str, SensorModel],
+    world: World,
+    pose: Callable[[float], Pose],
+    now: Callable[[], float],
+    seed: SeedSequence,
+    keep: Callable[[str, float, Ping], None],
+    faults: dict[str, list[Fault]],
+) -> Bus:
+    """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
+    devices = []
+    for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):
+        model = models[sensor.name]
+        for_readings, for_faults = of_sensor.spawn(2)
+        emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep)
+        timing = Timing(model.timing.ready_s, model.timing.s_per_cm, model.timing.cycle_s)
+        chance = random.Random(int(for_faults.generate_state(1)[0]))
+        devices.append(MB1242(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
+    return EmulatedBus(devices, now)
+
+
+@dataclass(slots=True)
+class Track:
+    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value."""
+
+    time_s: list[float] = field(default_factory=list)
+    truth_m: list[float | None] = field(default_factory=list)
+    raw_m: list[float | None] = field(default_factory=list)
+    filtered_m: list[float | None] = field(default_factory=list)
+    why: list[str | None] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Flight:
+    """What a flight left behind.
+
+    Attributes
+    ----------
+    tracks
+        By sensor.
+    fused
+        The fused stream; its ``raw_m`` stays empty, and ``why`` says ``edge`` where the ground below differs.
+    texts
+        Health changes: time [s], severity, text.
+    rejected, sent, dropped
+        Readings by sensor and reason; messages by type.
+    frames_sha256
+        Of all bytes sent, in order.
+    duration_s
+        Time flown [s].
+    """
+
+    tracks: dict[str, Track]
+    fused: Track
+    texts: list[tuple[float, str, str]]
+    rejected: dict[str, dict[str, int]] = field(default_factory=dict)
+    sent: dict[str, int] = field(default_factory=dict)
+    dropped: dict[str, int] = field(default_factory=dict)
+    autopilot_received: dict[str, int] = field(default_factory=dict)
+    frames_sha256: str = ""
+    duration_s: float = 0.0
+
+
+class _Keeping:
+    """A transport that keeps a copy of what is sent: its hash, and its frames in a telemetry log.
+
+    The log is in the form of ground stations' tlog files: microseconds since 1970 as eight bytes, most significant
+    first, before each frame.
+    """
+
+    def __init__(self, transport: Transport, clock: Clock, tlog: Path | None) -> None:
+        self._transport = transport
+        self._clock = clock
+        self._utc_s = clock.utc() - clock.now()
+        self._tlog = tlog.open("wb") if tlog is not None else None
+        self.sha256 = hashlib.sha256()
+        self.receive = transport.receive
+        self.description = transport.description
+        self.stats = transport.stats
+
+    @property
+    def last_error(self) -> str | None:
+        return self._transport.last_error
+
+    @property
+    def connected(self) -> bool:
+        return self._transport.connected
+
+    def send(self, frame: bytes) -> bool:
+        self.sha256.update(frame)
+        if self._tlog is not None:
+            self._tlog.write(round((self._clock.now() + self._utc_s) * 1e6).to_bytes(8, "big") + frame)
+        return self._transport.send(frame)
+
+    def close(self) -> None:
+        if self._tlog is not None:
+            self._tlog.close()
+        self._transport.close()
+
+
+class Simulation:
+    """One flight of a scenario.
+
+    Parameters
+    ----------
+    scenario
+        The flight.
+    clock
+        Virtual, or the system's for a flight in real time.
+    seed
+        Of all chance.
+    model
+        What the sensors read, for all of them; None: each sensor's own model file.
+    recorder
+        Keeps every stage of every reading and the truth.
+    link
+        A real link to share the flight with.
+    tlog
+        File for the frames sent.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        clock: Clock,
+        seed: int,
+        *,
+        model: SensorModel | None = None,
+        recorder: Records | None = None,
+        link: Callable[[LoopbackAutopilot], Transport] | None = None,
+        tlog: Path | None = None,
+    ) -> None:
+        airframe = scenario.airframe
+        for_vehicle, for_sensors = SeedSequence(seed).spawn(2)
+        self._clock = clock
+        self._start_s = clock.now()
+        self._duration_s = scenario.duration_s
+        self._world = scenario.world()
+        self._vehicle = scenario.vehicle(self._world, default_rng(for_vehicle))
+        self._recorder = recorder
+        self._truths: dict[str, tuple[float, Ping]] = {}
+        self._slant = {
+            sensor.name: (model or sensor.sensor_model).oblique_reading == "slant" for sensor in airframe.sensors
+        }
+        self._downward = airframe.downward
+        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        faults: dict[str, list[Fault]] = {}
+        for planned in scenario.faults:
+            faults.setdefault(planned.sensor, []).append(planned.on_device())
+        bus = emulated_bus(
+            airframe,
+            {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors},
+            self._world,
+            self._vehicle.pose,
+            self.now_s,
+            for_sensors,
+            self._keep_truth,
+            faults,
+        )
+        plan = scenario.autopilot
+        self._autopilot = LoopbackAutopilot(
+            clock,
+            self._vehicle.pose,
+            lambda pose: self._world.air_temperature_c(-pose.position_ned_m[2]),
+            kind=(plan.kind if plan else None) or airframe.link.autopilot,
+            heard_from_s=plan.heard_from_s if plan else float("inf"),
+            reboots_at_s=plan.reboots_at_s if plan else (),
+        )
+        transport = link(self._autopilot) if link is not None else self._autopilot
+        self._transport = _Keeping(transport, clock, tlog)
+        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
+        self._bridge = Bridge(
+            airframe,
+            bus,
+            clock,
+            self._transport,
+            recorder=recorder,
+            report=self._note,
+            thermometer=self._thermometer,
+        )
+
+    def now_s(self) -> float:
+        """Time of the flight [s]."""
+        return self._clock.now() - self._start_s
+
+    def pose(self) -> Pose:
+        """Where the vehicle is now."""
+        return self._vehicle.pose(self.now_s())
+
+    def height_m(self) -> float:
+        """Vertical distance to what is below the vehicle now [m]."""
+        return self._world.height_above_ground(self.pose()).vertical_m
+
+    def fly(self) -> Iterator[list[Step]]:
+        """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""
+        try:
+            while self.now_s() < self._duration_s:
+                steps = self._bridge.step()
+                for step in steps:
+                    self._take(step)
+                yield steps
+        finally:
+            self._finish()
+
+    def _take(self, step: Step) -> None:
+        reading = step.ranging.reading
+        time_s = reading.time_s - self._start_s
+        _, ping = self._truths.get(reading.sensor, (0.0, None))
+        truth_m = self._truth_m(reading.sensor, ping)
+        track = self.flight.tracks[reading.sensor]
+        track.time_s.append(time_s)
+        track.truth_m.append(truth_m)
+        track.raw_m.append(reading.range_m)
+        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
+        why = step.filtered.rejected or (reading.status.value if reading.status is Status.AT_MINIMUM else None)
+        track.why.append(why)
+        if step.fused is not None:
+            below = self._world.height_above_ground(self._vehicle.pose(time_s)).down_axis_m
+            self.flight.fused.time_s.append(time_s)
+            self.flight.fused.truth_m.append(None if below is None else below - self._reference_down_m)
+            self.flight.fused.filtered_m.append(step.fused.range_m)
+            self.flight.fused.why.append(None if below is not None and self._is_level(below) else "edge")
+
+    def _is_level(self, below_m: float) -> bool:
+        """Whether the downward sensors and the vehicle's middle are over the same ground, give or take a bit."""
+        for sensor in self._downward:
+            _, ping = self._truths.get(sensor.name, (0.0, None))
+            if ping is None or ping.slant_range_cm is None:
+                continue
+            down_m = ping.slant_range_cm / 100 * math.cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
+            if abs(down_m - below_m) > LEVEL_M:
+                return False
+        return True
+
+    def _truth_m(self, sensor: str, ping: Ping | None) -> float | None:
+        """The range at the time of the echo."""
+        if ping is None or not ping.heard:
+            return None
+        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
+        if range_cm is None:
+            return None
+        range_m = range_cm / 100
+        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
+
+    def _keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
+        self._truths[sensor] = (ping_s, ping)
+        if self._recorder is not None:
+            truth = {key: value for key, value in ping._asdict().items() if value is not None and key in _TRUTH}
+            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
+
+    def _thermometer(self, source: FileSource) -> float:
+        """The air about the vehicle, in place of this computer's own files."""
+        return self._world.air_temperature_c(-self.pose().position_ned_m[2]) / source.scale
+
+    def _note(self, severity: Severity, text: str) -> None:
+        self.flight.texts.append((self.now_s(), severity.name.lower(), text))
+
+    def _finish(self) -> None:
+        flight = self.flight
+        flight.duration_s = self.now_s()
+        flight.rejected = {name: counts.rejected for name, counts in self._bridge.counts().items()}
+        flight.sent = dict(self._bridge.link.sent)
+        flight.dropped = dict(self._bridge.link.dropped)
+        for _, message in self._autopilot.received:
+            name = message.get_type()
+            flight.autopilot_received[name] = flight.autopilot_received.get(name, 0) + 1
+        flight.frames_sha256 = self._transport.sha256.hexdigest()
+        self._transport.close()
+
+    @property
+    def received(self) -> list[tuple[float, Any]]:
+        """What the autopilot has received: time of the flight [s], message."""
+        return self._autopilot.received
+
+
+_TRUTH = frozenset(
+    {"true_range_cm", "incidence_deg", "range_rate_cm_s", "air_temperature_c", "target", "target_size_cm"}
+)

@@ -1,0 +1,336 @@
+"""How a simulated vehicle moves: height and horizontal track as functions of time.
+
+A scenario's lists of segments enter; `Course` objects leave, each the motion along one axis. Where a vehicle would be
+smooth, speed changes along a smooth step with bounded acceleration. The kinds `step`, `ramp` and
+`random` are those of a bench (the report's Table 5.3) and are as sharp as they look. Heights are over the place where
+the vehicle stood at the start, up positive [m].
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal
+
+from numpy.random import Generator
+from pydantic import Field
+
+from msp_range.yaml_file import Section
+
+STEEPEST = 1.5
+"""Largest slope of the smooth step 3 u^2 - 2 u^3."""
+TERRAIN_STEP_S = 0.05
+"""Time between two decisions of the terrain follower [s]."""
+TERRAIN_GAIN_HZ = 1.0
+"""Speed that the terrain follower wants per metre that it is off, near its goal [1/s]."""
+RANDOM_RATE_HZ = 10.0
+"""Samples of the report's random range come at this rate (5.3.1)."""
+SAMPLES_OF_A_STRETCH = (5, 19)
+"""Fewest and most samples in one stretch of the random profile."""
+
+Positive = Annotated[float, Field(gt=0)]
+Motion = tuple[float, float, float]
+"""Position [m], speed [m/s] and acceleration [m/s^2] along one axis."""
+
+
+class Course:
+    """Motion along one axis, put together from pieces in order of time; after the last piece it rests.
+
+    Parameters
+    ----------
+    position_m
+        Where it starts, at rest [m].
+
+    Attributes
+    ----------
+    end_s, end_m, end_m_s
+        Time, position and speed at the end of the pieces so far [s, m, m/s].
+    """
+
+    def __init__(self, position_m: float) -> None:
+        self.end_s = 0.0
+        self.end_m = position_m
+        self.end_m_s = 0.0
+        self._starts_s: list[float] = []
+        self._pieces: list[Callable[[float], Motion]] = []
+
+    def at(self, time_s: float) -> Motion:
+        """Position, speed and acceleration at ``time_s``; at rest before the first piece and after the last."""
+        if time_s >= self.end_s:
+            return self.end_m, 0.0, 0.0
+        index = max(bisect_right(self._starts_s, time_s) - 1, 0)
+        return self._pieces[index](max(time_s - self._starts_s[index], 0.0))
+
+    def change_speed(self, by_m_s: float, duration_s: float) -> None:
+        """Change speed by ``by_m_s`` along a smooth step; the acceleration is at most 1.5 times the mean.
+
+        With u = t / T: v = v0 + dv (3 u^2 - 2 u^3), s = s0 + v0 t + dv T (u^3 - u^4 / 2).
+        """
+        from_m, from_m_s = self.end_m, self.end_m_s
+
+        def piece(t: float) -> Motion:
+            u = t / duration_s
+            return (
+                from_m + from_m_s * t + by_m_s * duration_s * u * u * u * (1 - u / 2),
+                from_m_s + by_m_s * u * u * (3 - 2 * u),
+                6 * by_m_s / duration_s * u * (1 - u),
+            )
+
+        if duration_s > 0:
+            self._append(piece, duration_s, piece(duration_s))
+
+    def coast(self, duration_s: float) -> None:
+        """Keep the present speed."""
+        self.change_speed(0.0, duration_s)
+
+    def set(self, position_m: float, speed_m_s: float = 0.0) -> None:
+        """Be at another place, or at another speed, at once."""
+        self.end_m, self.end_m_s = position_m, speed_m_s
+
+    def swing(self, by_m: float, period_s: float, cycles: int) -> None:
+        """Go to and fro between here and ``by_m`` further, s = s0 + by (1 - cos(2 pi t / T)) / 2, from rest to rest."""
+        from_m, rate = self.end_m, 2 * math.pi / period_s
+
+        def piece(t: float) -> Motion:
+            sine, cosine = math.sin(rate * t), math.cos(rate * t)
+            return from_m + by_m * (1 - cosine) / 2, by_m * rate * sine / 2, by_m * rate * rate * cosine / 2
+
+        self._append(piece, period_s * cycles, (from_m, 0.0, 0.0))
+
+    def move_to(self, to_m: float, speed_m_s: float, acceleration_m_s2: float) -> None:
+        """Go from rest here to rest at ``to_m``, never faster than given; a short way never reaches that speed."""
+        way_m = abs(to_m - self.end_m)
+        # Speeding up and slowing down each take STEEPEST v / a at the mean speed v / 2.
+        reached_m_s = min(speed_m_s, math.sqrt(way_m * acceleration_m_s2 / STEEPEST))
+        if reached_m_s > 0:
+            signed_m_s = math.copysign(reached_m_s, to_m - self.end_m)
+            speeding_s = STEEPEST * reached_m_s / acceleration_m_s2
+            self.change_speed(signed_m_s, speeding_s)
+            self.coast(max(way_m - reached_m_s * speeding_s, 0.0) / reached_m_s)
+            self.change_speed(-signed_m_s, speeding_s)
+        self.set(to_m)
+
+    def stop(self, acceleration_m_s2: float) -> None:
+        """Come to rest."""
+        self.change_speed(-self.end_m_s, STEEPEST * abs(self.end_m_s) / acceleration_m_s2)
+        self.set(self.end_m)
+
+    def _append(self, piece: Callable[[float], Motion], duration_s: float, end: Motion) -> None:
+        self._starts_s.append(self.end_s)
+        self._pieces.append(piece)
+        self.end_s += duration_s
+        self.end_m, self.end_m_s, _ = end
+
+
+class Hold(Section):
+    """Stay at the present height."""
+
+    kind: Literal["hold"]
+    duration_s: Positive
+    """how long [s]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``."""
+        height.coast(self.duration_s)
+
+
+class Climb(Section):
+    """Take off, climb or descend to a height at a speed, and stop there."""
+
+    kind: Literal["climb"]
+    to_m: float
+    """height over the starting place [m]"""
+    speed_m_s: Positive = 1.0
+    """largest vertical speed, up or down [m/s]"""
+    acceleration_m_s2: Positive = 1.0
+    """largest vertical acceleration [m/s^2]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``."""
+        height.move_to(self.to_m, self.speed_m_s, self.acceleration_m_s2)
+
+
+class Land(Section):
+    """Descend to the surface below and stay on it."""
+
+    kind: Literal["land"]
+    speed_m_s: Positive = 0.5
+    """largest speed of descent [m/s]"""
+    acceleration_m_s2: Positive = 1.0
+    """largest vertical acceleration [m/s^2]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``; the surface is the one below at its beginning."""
+        height.move_to(surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
+
+
+class StepTo(Section):
+    """Be at another height at once, as when a bench's target is exchanged."""
+
+    kind: Literal["step"]
+    to_m: float
+    """height over the starting place [m]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``; it takes no time."""
+        height.set(self.to_m)
+
+
+class Ramp(Section):
+    """Change height at constant speed, with sharp corners."""
+
+    kind: Literal["ramp"]
+    to_m: float
+    """height over the starting place at the end [m]"""
+    duration_s: Positive
+    """how long it takes [s]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``."""
+        _ramp(height, self.to_m, self.duration_s)
+
+
+class Sinusoid(Section):
+    """Swing between the present height and another one, from rest to rest."""
+
+    kind: Literal["sinusoid"]
+    swing_m: float
+    """from the present height to the other end of the swing, up positive: twice the amplitude [m]"""
+    period_s: Positive
+    """time of one cycle [s]"""
+    cycles: Annotated[int, Field(ge=1)]
+    """how many whole cycles"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``."""
+        height.swing(self.swing_m, self.period_s, self.cycles)
+
+
+class FollowTerrain(Section):
+    """Keep a height above the surface below, as fast as the vehicle can."""
+
+    kind: Literal["terrain"]
+    height_m: Positive
+    """height to keep above the surface below [m]"""
+    duration_s: Positive
+    """how long [s]; a moment more where it still moves at the end, until it has come to rest"""
+    speed_m_s: Positive = 1.5
+    """largest vertical speed [m/s]"""
+    acceleration_m_s2: Positive = 2.0
+    """largest vertical acceleration [m/s^2]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``.
+
+        The wanted speed is proportional to the error near the goal, and further off the one from which half the
+        acceleration still stops in time, v = sqrt(a |error|).
+        """
+        most_change_m_s = self.acceleration_m_s2 * TERRAIN_STEP_S / STEEPEST
+        for _ in range(round(self.duration_s / TERRAIN_STEP_S)):
+            error_m = surface_m(height.end_s) + self.height_m - height.end_m
+            near_m_s, far_m_s = TERRAIN_GAIN_HZ * abs(error_m), math.sqrt(self.acceleration_m_s2 * abs(error_m))
+            wanted_m_s = math.copysign(min(near_m_s, far_m_s, self.speed_m_s), error_m)
+            change_m_s = min(max(wanted_m_s - height.end_m_s, -most_change_m_s), most_change_m_s)
+            height.change_speed(change_m_s, TERRAIN_STEP_S)
+        height.stop(self.acceleration_m_s2)
+
+
+class RandomLevels(Section):
+    """The report's random range (5.3): sharp changes, slopes and few steady parts.
+
+    Stretches of 5 to 19 samples at 10 Hz; half of them are constant at a new level, half a ramp from the last value
+    to a new level. Levels are uniform between ``low_m`` and ``high_m``. The report shows pictures and no recipe; this
+    is one that gives what they show.
+    """
+
+    kind: Literal["random"]
+    duration_s: Positive
+    """how long [s]"""
+    low_m: float = 2.3
+    """lowest level [m]"""
+    high_m: float = 3.6
+    """highest level [m]"""
+
+    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+        """Append this segment to ``height``."""
+        fewest, most = SAMPLES_OF_A_STRETCH
+        end_s = height.end_s + self.duration_s
+        while height.end_s < end_s - 1e-9:
+            stretch_s = int(generator.integers(fewest, most, endpoint=True)) / RANDOM_RATE_HZ
+            is_ramp = generator.random() < 0.5
+            level_m = float(generator.uniform(self.low_m, self.high_m))
+            flown_s = min(stretch_s, end_s - height.end_s)
+            if is_ramp:
+                _ramp(height, height.end_m + (level_m - height.end_m) * flown_s / stretch_s, flown_s)
+            else:
+                height.set(level_m)
+                height.coast(flown_s)
+
+
+Segment = Annotated[
+    Hold | Climb | Land | StepTo | Ramp | Sinusoid | FollowTerrain | RandomLevels, Field(discriminator="kind")
+]
+
+
+def _ramp(height: Course, to_m: float, duration_s: float) -> None:
+    height.set(height.end_m, (to_m - height.end_m) / duration_s)
+    height.coast(duration_s)
+    height.set(to_m)
+
+
+def altitude(segments: Sequence[Segment], surface_m: Callable[[float], float], generator: Generator) -> Course:
+    """Height over the starting place as a function of time.
+
+    Parameters
+    ----------
+    segments
+        What is flown, in order.
+    surface_m
+        Height of the surface below the vehicle at a time [s], over the starting place [m]; asked for by landing and
+        terrain following only.
+    generator
+        Draws the random levels.
+    """
+    height = Course(0.0)
+    for segment in segments:
+        segment.fly(height, surface_m, generator)
+    return height
+
+
+class Leg(Section):
+    """A part of the horizontal track at one speed and heading."""
+
+    duration_s: Positive
+    """how long [s], with the change of speed from the leg before at its beginning"""
+    speed_m_s: Annotated[float, Field(ge=0)] = 0.0
+    """speed over ground [m/s]; 0 waits"""
+    heading_deg: float = 0.0
+    """where it goes, from north to east [deg]"""
+
+
+class Track(Section):
+    """Where the vehicle goes over the ground; after the last leg it comes to rest."""
+
+    start_m: tuple[float, float] = (0.0, 0.0)
+    """where it stands at the start, north and east [m]"""
+    acceleration_m_s2: Positive = 1.0
+    """largest horizontal acceleration [m/s^2]"""
+    legs: tuple[Leg, ...] = ()
+    """in order, from the start of the scenario"""
+
+    def courses(self) -> tuple[Course, Course]:
+        """North and east as functions of time."""
+        north, east = Course(self.start_m[0]), Course(self.start_m[1])
+        for leg in (*self.legs, None):
+            speed_m_s, heading_rad = (leg.speed_m_s, math.radians(leg.heading_deg)) if leg else (0.0, 0.0)
+            by_north_m_s = speed_m_s * math.cos(heading_rad) - north.end_m_s
+            by_east_m_s = speed_m_s * math.sin(heading_rad) - east.end_m_s
+            change_s = STEEPEST * math.hypot(by_north_m_s, by_east_m_s) / self.acceleration_m_s2
+            if leg and change_s > leg.duration_s:
+                by_north_m_s *= leg.duration_s / change_s
+                by_east_m_s *= leg.duration_s / change_s
+                change_s = leg.duration_s
+            for course, by_m_s in ((north, by_north_m_s), (east, by_east_m_s)):
+                course.change_speed(by_m_s, change_s)
+                if leg and leg.duration_s > change_s:
+                    course.coast(leg.duration_s - change_s)
+        return north, east

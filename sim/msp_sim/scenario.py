@@ -1,0 +1,149 @@
+"""The scenario file: a flight, the world below it, and what goes wrong.
+
+YAML enters, a `Scenario` leaves; every mistake is named with its place (`msp_range.yaml_file`). That the vehicle would
+fly through the ground, or a fault hit a sensor that the airframe does not have, is found here too and not in flight.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from numpy.random import Generator, default_rng
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+
+from msp_range.config import Airframe, load_airframe
+from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.yaml_file import Section, load
+from msp_sim import device
+from msp_sim.profiles import Positive
+from msp_sim.surfaces import Ground
+from msp_sim.vehicle import Flight, Vehicle
+from msp_sim.world import Air, World
+
+CHECK_EVERY_S = 0.1
+"""Time between two looks at the vehicle's height above the ground when a scenario is loaded [s]."""
+SCRAPES_M = 0.01
+"""The vehicle's feet may be this deep in the ground [m]."""
+
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class PlannedFault(Section):
+    """Something that goes wrong with a sensor or the bus for a while; the kinds are those of `msp_sim.device`."""
+
+    sensor: str
+    """name of the sensor in the airframe; one that holds the bus (locked_up) stops all of them"""
+    kind: str
+    """what goes wrong: one of the fault kinds, such as clock_fault, silent or stuck"""
+    from_s: NotNegative
+    """when it begins, from the start of the flight [s]"""
+    to_s: NotNegative
+    """when it ends [s]"""
+    probability: float = 1.0
+    """that it shows at one opportunity, more than 0 and at most 1"""
+    word: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
+    """the answer of the kind impossible: 16 bits that are no range; left out: 1000"""
+
+    @model_validator(mode="after")
+    def _possible(self) -> "PlannedFault":
+        if self.to_s < self.from_s:
+            raise ValueError(f"to_s: found {self.to_s:g}; expected a time after from_s {self.from_s:g}")
+        if self.word is not None and self.kind != "impossible":
+            raise ValueError(
+                f"word: found {self.word}; expected none with the kind {self.kind!r}, only with 'impossible'"
+            )
+        self.on_device()
+        return self
+
+    def on_device(self) -> device.Fault:
+        """The fault as the emulated sensor takes it."""
+        fault = device.Fault(self.kind, self.from_s, self.to_s, self.probability)
+        return fault if self.word is None else replace(fault, word=self.word)
+
+
+class LoopbackAutopilot(Section):
+    """The autopilot at the other end of the link."""
+
+    kind: Autopilot | None = None
+    """ardupilot or px4; left out: the one that the airframe's link names"""
+    heard_from_s: NotNegative = 0.0
+    """when its first heartbeat comes, from the start of the flight [s]"""
+    reboots_at_s: tuple[NotNegative, ...] = ()
+    """when it starts anew, its clock with it [s]"""
+
+
+def _load_airframe(named: Any, info: ValidationInfo) -> Airframe:
+    if not isinstance(named, str):
+        raise ValueError("expected the path of an airframe file, relative to this file")
+    folder = (info.context or {}).get("folder", Path())
+    return load_airframe(folder / named)
+
+
+class Scenario(Section):
+    """A scenario file."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    """a name of its own: small letters, digits and underscores"""
+    airframe: Annotated[Airframe, BeforeValidator(_load_airframe)]
+    """airframe file, relative to the scenario file"""
+    duration_s: Positive
+    """how long the flight is looked at [s]"""
+    flight: Flight
+    """what the vehicle does"""
+    ground: Ground = Ground()
+    """what lies and stands below"""
+    air: Air = Air()
+    """air temperature over height"""
+    faults: tuple[PlannedFault, ...] = ()
+    """what goes wrong, in any order"""
+    autopilot: LoopbackAutopilot | None = LoopbackAutopilot()
+    """the autopilot at the other end of the link; null: none is ever heard"""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Scenario":
+        names = [sensor.name for sensor in self.airframe.sensors]
+        for i, fault in enumerate(self.faults):
+            if fault.sensor not in names:
+                raise ValueError(f"faults[{i}].sensor: found {fault.sensor!r}; expected one of {', '.join(names)}")
+            if fault.from_s >= self.duration_s:
+                raise ValueError(
+                    f"faults[{i}].from_s: found {fault.from_s:g}; expected a time before the end, duration_s "
+                    f"{self.duration_s:g}"
+                )
+        self._check_flight()
+        return self
+
+    def _check_flight(self) -> None:
+        vehicle = self.vehicle(self.world(), default_rng(0))
+        if vehicle.duration_s > self.duration_s + 1e-6:
+            raise ValueError(
+                f"duration_s: found {self.duration_s:g}; expected at least {vehicle.duration_s:.1f}, which "
+                "flight.altitude takes"
+            )
+        for i in range(math.ceil(self.duration_s / CHECK_EVERY_S)):
+            clearance_m = vehicle.clearance_m(i * CHECK_EVERY_S)
+            if clearance_m < -SCRAPES_M:
+                raise ValueError(
+                    f"flight: at {i * CHECK_EVERY_S:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "
+                    "is below it; expected heights above the ground and its boxes, and a landing at rest"
+                )
+
+    def world(self) -> World:
+        """Ground, objects and air."""
+        return World(self.ground, self.air)
+
+    def vehicle(self, world: World, generator: Generator) -> Vehicle:
+        """The vehicle that flies over this world; ``generator`` draws its random heights and its sway."""
+        return Vehicle(self.flight, world.elevation_m, generator)
+
+
+def load_scenario(path: Path | str) -> Scenario:
+    """Read a scenario file, and the airframe file that it names.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or used; one line a mistake.
+    """
+    return load(path, Scenario)

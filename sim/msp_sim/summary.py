@@ -1,0 +1,74 @@
+"""A flight in numbers: what ``summary.json`` holds and the table shows.
+
+Errors are a reading minus the truth at the time of its echo, over readings with a range, a truth, and not at the
+sensor's minimum; of the fused distance only over level ground. 'Before' is the reading as the sensor gave it, 'after'
+what came out of the filters.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from msp_sim.flight import Flight, Track
+
+
+def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:
+    """Bias, root mean square and 95th percentile of the magnitude [cm], and how many they are of."""
+    pairs = [
+        (value - truth) * 100
+        for truth, value, reason in zip(truth_m, value_m, why, strict=True)
+        if truth is not None and value is not None and reason not in ("at_minimum", "edge")
+    ]
+    if not pairs:
+        return {"count": 0}
+    errors = np.array(pairs)
+    return {
+        "count": len(pairs),
+        "bias_cm": round(float(errors.mean()), 3),
+        "rms_cm": round(math.sqrt(float((errors**2).mean())), 3),
+        "p95_cm": round(float(np.percentile(np.abs(errors), 95)), 3),
+    }
+
+
+def summarise(flight: Flight, scenario: str, seed: int) -> dict[str, Any]:
+    """Everything about a flight that the same seed repeats."""
+    rejected = flight.rejected
+    return {
+        "scenario": scenario,
+        "seed": seed,
+        "duration_s": round(flight.duration_s, 6),
+        "sensors": {
+            name: {
+                "readings": len(track.time_s),
+                "rejected": dict(sorted(rejected.get(name, {}).items())),
+                "error_before": error_of(track.truth_m, track.raw_m, track.why),
+                "error_after": error_of(track.truth_m, track.filtered_m, track.why),
+            }
+            for name, track in flight.tracks.items()
+        },
+        "fused": _fused(flight.fused),
+        "link": {
+            "sent": {
+                name: {"messages": count, "rate_hz": round(count / flight.duration_s, 3) if flight.duration_s else 0.0}
+                for name, count in sorted(flight.sent.items())
+            },
+            "dropped": dict(sorted(flight.dropped.items())),
+            "autopilot_received": dict(sorted(flight.autopilot_received.items())),
+            "sha256": flight.frames_sha256,
+        },
+        "texts": [
+            {"time_s": round(time_s, 3), "severity": severity, "text": text} for time_s, severity, text in flight.texts
+        ],
+    }
+
+
+def _fused(track: Track) -> dict[str, Any]:
+    count = len(track.time_s)
+    elapsed_s = track.time_s[-1] - track.time_s[0] if count > 1 else 0.0
+    return {
+        "estimates": count,
+        "rate_hz": round((count - 1) / elapsed_s, 3) if elapsed_s else 0.0,
+        "over_edges": track.why.count("edge"),
+        "error": error_of(track.truth_m, track.filtered_m, track.why),
+    }

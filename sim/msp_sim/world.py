@@ -1,0 +1,216 @@
+"""What a sensor's ping meets: the ground, the objects on it, and the air between.
+
+A pose and a beam enter, the truth of one ping leaves: `World.ping`. World frame NED with its origin on the ground;
+heights are over the origin, up positive. What is heard of a surface is told in `msp_sim.surfaces`; of several echoes
+the nearest counts.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+from pydantic import Field, model_validator
+
+from msp_range.geometry import Matrix, Vector, dot, rotation_matrix
+from msp_range.yaml_file import Section
+from msp_sim.surfaces import Block, Echo, Ground, HalfAngle, Terrain
+from msp_sim.vehicle import Pose
+
+
+class WarmLayer(Section):
+    """A layer of warmer air, as over hot asphalt."""
+
+    bottom_m: float
+    """height over the origin where it begins [m]"""
+    top_m: float
+    """height over the origin where it ends [m]"""
+    warmer_by_c: float
+    """how much warmer it is than the air would be without it; negative where it is colder [K]"""
+
+    @model_validator(mode="after")
+    def _upright(self) -> "WarmLayer":
+        if self.top_m <= self.bottom_m:
+            raise ValueError(f"expected top_m above bottom_m, but {self.top_m} is not above {self.bottom_m}")
+        return self
+
+
+class Air(Section):
+    """Air temperature over height."""
+
+    ground_c: Annotated[float, Field(ge=-40, le=60)] = 20.0
+    """at the height of the origin [deg C]"""
+    lapse_c_per_m: float = 0.0065
+    """how much it falls per metre of height [K/m]; the standard atmosphere's"""
+    warm_layer: WarmLayer | None = None
+    """comes on top; none where it is absent"""
+
+    def mean_c(self, from_m: float, to_m: float) -> float:
+        """Mean over the straight path between two heights [deg C].
+
+        The speed of sound is so nearly linear in temperature that the mean is what the echo's delay shows.
+        """
+        mean_c = self.ground_c - self.lapse_c_per_m * (from_m + to_m) / 2
+        layer = self.warm_layer
+        if layer is None:
+            return mean_c
+        low_m, high_m = min(from_m, to_m), max(from_m, to_m)
+        if high_m == low_m:
+            share = 1.0 if layer.bottom_m <= low_m <= layer.top_m else 0.0
+        else:
+            share = max(min(high_m, layer.top_m) - max(low_m, layer.bottom_m), 0.0) / (high_m - low_m)
+        return mean_c + share * layer.warmer_by_c
+
+
+class Beam(NamedTuple):
+    """A sensor's place on the vehicle and what it can hear.
+
+    Attributes
+    ----------
+    position_m
+        Where it is mounted, body FRD [m].
+    boresight
+        Unit vector along which it looks, body FRD.
+    half_angle_rad
+        Largest angle off the boresight from which an echo at a range [m] is heard [rad]; does not grow with range.
+    """
+
+    position_m: Vector
+    boresight: Vector
+    half_angle_rad: HalfAngle
+
+
+class Ping(NamedTuple):
+    """The truth of one ping, in the names and units of the columns of measured data.
+
+    Where nothing is heard, ranges, incidence and target are those of the surface that the boresight meets, and None
+    where it meets none.
+
+    Attributes
+    ----------
+    heard
+        Whether an echo comes back from within the beam.
+    true_range_cm
+        Perpendicular distance to the surface; distance to the nearest point where an edge is heard [cm].
+    slant_range_cm
+        Distance along the boresight to that surface's plane; the same as ``true_range_cm`` for an edge [cm].
+    incidence_deg
+        Angle between the boresight and the line of ``true_range_cm``, which for a surface is its normal; without a
+        sign, 0 to 90 [deg].
+    range_rate_cm_s
+        How fast ``true_range_cm`` grows with the vehicle's velocity; what its turning adds is left out [cm/s].
+    air_temperature_c
+        Mean along the path; at the sensor where there is no path [deg C].
+    target
+        Name of the surface.
+    target_size_cm
+        Shorter side of a box [cm]; None for the ground.
+    """
+
+    heard: bool
+    true_range_cm: float | None
+    slant_range_cm: float | None
+    incidence_deg: float | None
+    range_rate_cm_s: float | None
+    air_temperature_c: float
+    target: str | None
+    target_size_cm: float | None
+
+
+class HeightAboveGround(NamedTuple):
+    """Height of the body frame's origin over what is below, objects included.
+
+    Attributes
+    ----------
+    vertical_m
+        Straight down [m].
+    down_axis_m
+        Along the body's down axis, as an autopilot expects a rangefinder to read [m]; None where it meets nothing.
+    """
+
+    vertical_m: float
+    down_axis_m: float | None
+
+
+class World:
+    """Ground, objects and air.
+
+    Examples
+    --------
+    >>> world = World(Ground(surface="concrete"), Air(ground_c=15.0, lapse_c_per_m=0.0))
+    >>> beam = Beam((0.2, 0.0, 0.1), (0.0, 0.0, 1.0), lambda range_m: math.radians(12.0))
+    >>> ping = world.ping(Pose(0.0, (0.0, 0.0, -2.1), 0.0, 0.0, 0.0, (0.0, 0.0, -0.5)), beam)
+    >>> ping.heard, f"{ping.true_range_cm:.1f}", f"{ping.range_rate_cm_s:.1f}", ping.target
+    (True, '200.0', '50.0', 'concrete')
+    """
+
+    def __init__(self, ground: Ground, air: Air) -> None:
+        self._terrain = Terrain(ground)
+        self._blocks = [Block(box, self._terrain) for box in ground.boxes]
+        self._air = air
+
+    def elevation_m(self, north_m: float, east_m: float) -> float:
+        """Height of the surface over the origin, objects included [m]."""
+        tops_m = [block.top_m for block in self._blocks if block.covers(north_m, east_m)]
+        return max(self._terrain.elevation_m(north_m, east_m), *tops_m, -math.inf)
+
+    def air_temperature_c(self, height_m: float) -> float:
+        """Air temperature at a height over the origin [deg C]."""
+        return self._air.mean_c(height_m, height_m)
+
+    def ping(self, pose: Pose, beam: Beam) -> Ping:
+        """What is true about a ping that a sensor sends from this pose."""
+        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        north_m, east_m, down_m = pose.position_ned_m
+        ahead_m, right_m, below_m = _rotate(rotation, beam.position_m)
+        sensor = (north_m + ahead_m, east_m + right_m, down_m + below_m)
+        axis = _rotate(rotation, beam.boresight)
+        heard = self._nearest_echo(sensor, axis, beam.half_angle_rad)
+        surface = heard or self._ray(sensor, axis)
+        height_m = -sensor[2]
+        if surface is None:
+            return Ping(False, None, None, None, None, self.air_temperature_c(height_m), None, None)
+        range_m, direction, slant_m, target, target_size_m = surface
+        return Ping(
+            heard is not None,
+            100 * range_m,
+            100 * slant_m,
+            math.degrees(math.acos(min(max(dot(direction, axis), -1.0), 1.0))),
+            -100 * dot(pose.velocity_ned_m_s, direction),
+            self._air.mean_c(height_m, height_m - range_m * direction[2]),
+            target,
+            None if target_size_m is None else 100 * target_size_m,
+        )
+
+    def height_above_ground(self, pose: Pose) -> HeightAboveGround:
+        """How high the vehicle is, for comparison with what it believes."""
+        north_m, east_m, down_m = pose.position_ned_m
+        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        below = self._ray(pose.position_ned_m, _rotate(rotation, (0.0, 0.0, 1.0)))
+        return HeightAboveGround(-down_m - self.elevation_m(north_m, east_m), below.slant_m if below else None)
+
+    def _nearest_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Echo | None:
+        nearest = None
+        for echo in self._terrain.echoes(sensor, axis, half_angle_rad):
+            if (nearest is None or echo.range_m < nearest.range_m) and not self._is_covered(sensor, echo):
+                nearest = echo
+        for block in self._blocks:
+            for echo in block.echoes(sensor, axis, half_angle_rad):
+                if nearest is None or echo.range_m < nearest.range_m:
+                    nearest = echo
+        return nearest
+
+    def _is_covered(self, sensor: Vector, echo: Echo) -> bool:
+        """Whether the place on the ground that an echo would come from is below a block."""
+        if not self._blocks:
+            return False
+        north_m = sensor[0] + echo.range_m * echo.direction[0]
+        east_m = sensor[1] + echo.range_m * echo.direction[1]
+        return any(block.covers(north_m, east_m) for block in self._blocks)
+
+    def _ray(self, sensor: Vector, axis: Vector) -> Echo | None:
+        meets = [self._terrain.ray(sensor, axis), *(block.ray(sensor, axis) for block in self._blocks)]
+        return min((echo for echo in meets if echo is not None), key=lambda echo: echo.slant_m, default=None)
+
+
+def _rotate(rotation: Matrix, vector: Vector) -> Vector:
+    """From the body frame to the world's."""
+    return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)

@@ -1,0 +1,189 @@
+"""The driver and the poller against a scripted bus: which transfers, when, and what becomes of each answer."""
+
+import errno
+
+import pytest
+
+from msp_range.bus import Bus
+from msp_range.clock import VirtualClock
+from msp_range.reading import Status
+from msp_range.sensors.mb1242 import MB1242, encode
+from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from tests.support.scripted_bus import Expected, ScriptedBus, read, reopen, scripted_bus, write
+
+RANGE = b"\x51"
+FRONT, REAR = 0x70, 0x71
+NACK = errno.EREMOTEIO
+FIRST_S, DEADLINE_S = 0.021, 0.080
+
+
+def make_poller(bus: Bus, clock: VirtualClock, *addresses: int) -> Poller:
+    timing = Timing(FIRST_S, DEADLINE_S)
+    sensors = [PolledSensor(f"at_{address:x}", MB1242(bus, address), timing, std_m=0.02) for address in addresses]
+    return Poller(bus, clock, RoundRobin([[sensor] for sensor in sensors], Spacing(0.100), clock.now()))
+
+
+def poll(bus: ScriptedBus, clock: VirtualClock, *addresses: int, until_s: float) -> list[Ranging]:
+    """What ended before ``until_s``; nothing is done at ``until_s`` itself."""
+    poller = make_poller(bus, clock, *addresses)
+    ended = []
+    while poller.next_event_s < until_s - 1e-9:
+        clock.sleep_until(poller.next_event_s)
+        ended += poller.step()
+    return ended
+
+
+def busy(address: int, ping_s: float, tries: int, first: int = 0) -> list[Expected]:
+    """Reads that are not acknowledged, 2 ms apart from the first moment on."""
+    return [read(address, errno=NACK, at_s=ping_s + FIRST_S + 0.002 * i) for i in range(first, first + tries)]
+
+
+def test_one_ranging_is_one_command_and_plain_reads() -> None:
+    clock = VirtualClock()
+    script = [write(FRONT, RANGE, at_s=0.0), *busy(FRONT, 0.0, 8), read(FRONT, encode(258), at_s=0.037)]
+    with scripted_bus(clock, *script) as bus:
+        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    reading = ranging.reading
+    assert (reading.sensor, reading.status, reading.range_m, reading.raw) == ("at_70", Status.OK, 2.58, 258)
+    assert reading.std_m == 0.02
+    assert (ranging.ping_s, ranging.answered_s, ranging.error) == (0.0, pytest.approx(0.037), None)
+    # The echo came after half of the way there and back, 58 us a centimetre; it was read 22 ms later.
+    assert reading.time_s == pytest.approx(258 * 58e-6 / 2)
+
+
+@pytest.mark.parametrize(
+    ("answer", "status"),
+    [
+        (encode(20), Status.AT_MINIMUM),
+        (encode(19), Status.IMPOSSIBLE),
+        (encode(1000), Status.IMPOSSIBLE),
+        (bytes([0x81, 0x02]), Status.CLOCK_FAULT),
+    ],
+)
+def test_the_answer_ends_the_ranging_whatever_it_is(answer: bytes, status: Status) -> None:
+    clock = VirtualClock()
+    with scripted_bus(clock, write(FRONT, RANGE), read(FRONT, answer)) as bus:
+        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    assert ranging.reading.status is status
+    assert ranging.reading.raw == int.from_bytes(answer, "big")
+
+
+def test_two_sensors_take_turns_and_no_echo_is_timed_at_the_ping() -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, at_s=0.0),
+        *busy(FRONT, 0.0, 23),
+        read(FRONT, encode(765), at_s=0.067),
+        write(REAR, RANGE, at_s=0.1),
+        read(REAR, encode(100), at_s=0.121),
+        write(FRONT, RANGE, at_s=0.2),
+        read(FRONT, encode(100), at_s=0.221),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        nothing, near, _ = poll(bus, clock, FRONT, REAR, until_s=0.3)
+    assert (nothing.reading.status, nothing.reading.time_s) == (Status.NO_ECHO, 0.0)
+    assert nothing.reading.range_m is nothing.reading.std_m is None
+    assert (near.reading.sensor, near.reading.time_s) == ("at_71", pytest.approx(0.1 + 0.0029))
+
+
+def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, at_s=0.0),
+        *busy(FRONT, 0.0, 30),
+        read(FRONT, errno=NACK, at_s=DEADLINE_S),
+        write(FRONT, RANGE, at_s=0.1),
+        read(FRONT, encode(100), at_s=0.121),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        failed, good = poll(bus, clock, FRONT, until_s=0.2)
+    assert (failed.reading.status, failed.reading.time_s, failed.reading.raw) == (Status.NO_ANSWER, 0.0, None)
+    assert failed.error is not None
+    assert failed.error.errno == NACK
+    assert good.reading.range_m == 1.0
+
+
+def test_a_ping_that_is_not_acknowledged_is_a_reading_and_does_not_stop_the_round() -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, errno=NACK, at_s=0.0),
+        write(REAR, RANGE, at_s=0.1),
+        read(REAR, encode(100)),
+        write(FRONT, RANGE, at_s=0.2),
+        read(FRONT, encode(100)),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        failed, *good = poll(bus, clock, FRONT, REAR, until_s=0.3)
+    assert (failed.reading.status, failed.reading.sensor) == (Status.NO_ANSWER, "at_70")
+    assert [each.reading.status for each in good] == [Status.OK, Status.OK]
+
+
+@pytest.mark.parametrize("not_there", [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV, errno.EIO])
+def test_what_an_adapter_calls_not_acknowledged_makes_no_difference(not_there: int) -> None:
+    clock = VirtualClock()
+    script = [write(FRONT, RANGE), read(FRONT, errno=not_there), read(FRONT, encode(100))]
+    with scripted_bus(clock, *script) as bus:
+        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    assert ranging.reading.range_m == 1.0
+
+
+@pytest.mark.parametrize("lost", [errno.ETIMEDOUT, errno.ENOENT])
+def test_a_bus_that_locks_up_or_goes_is_reopened_once_a_second(lost: int) -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, at_s=0.0),
+        read(FRONT, errno=lost, at_s=FIRST_S),
+        reopen(at_s=FIRST_S),
+        *[write(FRONT, RANGE, errno=lost, at_s=0.1 * i) for i in range(1, 12)],
+        reopen(at_s=1.1),
+        write(FRONT, RANGE, at_s=1.2),
+        read(FRONT, encode(100)),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        *failed, good = poll(bus, clock, FRONT, until_s=1.3)
+    assert {each.reading.status for each in failed} == {Status.NO_ANSWER}
+    assert {each.error.errno for each in failed if each.error} == {lost}
+    assert good.reading.range_m == 1.0
+
+
+def test_where_reopening_fails_that_is_the_error() -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, errno=errno.ENODEV),
+        reopen(errno=errno.ENOENT),
+        write(FRONT, RANGE, errno=errno.ENOENT),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        first, second = poll(bus, clock, FRONT, until_s=0.2)
+    for each in (first, second):
+        assert each.error is not None
+        assert each.error.errno == errno.ENOENT
+        assert each.error.bus_at_fault
+
+
+@pytest.mark.parametrize(
+    ("reading_cm", "earliest_s"),
+    [(100, 0.0158), (400, 0.0332), (765, 0.05437)],
+)
+def test_an_answer_that_comes_before_its_own_echo_could_is_impossible(reading_cm: int, earliest_s: float) -> None:
+    clock = VirtualClock()
+    with scripted_bus(
+        clock, write(FRONT, RANGE), read(FRONT, encode(reading_cm)), read(FRONT, encode(reading_cm))
+    ) as bus:
+        sensor = MB1242(bus, FRONT)
+        sensor.ping()
+        soon, later = sensor.answer(earliest_s - 1e-4), sensor.answer(earliest_s + 1e-4)
+    assert (soon.status, soon.range_m, soon.raw) == (Status.IMPOSSIBLE, None, reading_cm)
+    assert later.status in (Status.OK, Status.NO_ECHO)
+
+
+def test_what_is_read_without_a_ping_is_part_information() -> None:
+    clock = VirtualClock()
+    with scripted_bus(
+        clock, read(FRONT, b"\x01\x2c"), write(FRONT, RANGE, errno=NACK), read(FRONT, b"\x01\x2c")
+    ) as bus:
+        sensor = MB1242(bus, FRONT)
+        assert sensor.answer(0.1).status is Status.PART_INFO
+        with pytest.raises(OSError, match="errno 121"):
+            sensor.ping()
+        assert sensor.answer(0.1).status is Status.PART_INFO

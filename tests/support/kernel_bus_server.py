@@ -1,0 +1,191 @@
+"""An emulated kernel's /dev/i2c-1 with emulated devices behind it: the server's side of kernel_bus.py.
+
+Runs under the system's own Python, where Debian's bindings of umockdev are. The specification is one line of JSON on
+standard input; the answer is one line of JSON with the testbed's folder. Then each line "journal" is answered with
+the transfers so far, and the end of standard input ends the server.
+"""
+
+import errno
+import itertools
+import json
+import random
+import struct
+import sys
+import time
+import traceback
+from collections import deque
+
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, Fault, PlainDevice, Timing
+
+# linux/i2c-dev.h and linux/i2c.h
+I2C_RETRIES, I2C_TIMEOUT, I2C_SLAVE, I2C_FUNCS = 0x0701, 0x0702, 0x0703, 0x0705
+I2C_SLAVE_FORCE, I2C_RDWR, I2C_SMBUS = 0x0706, 0x0707, 0x0720
+I2C_M_RD = 0x0001
+FUNCTIONS = 0x0C7F0001  # I2C_FUNC_I2C and the SMBus transfers below
+SMBUS_QUICK, SMBUS_BYTE, SMBUS_BYTE_DATA, SMBUS_WORD_DATA, SMBUS_I2C_BLOCK_DATA = 0, 1, 2, 3, 8
+SMBUS_DATA_LENGTH = 34
+SMBUS_COUNTS = {SMBUS_BYTE: 1, SMBUS_BYTE_DATA: 1, SMBUS_WORD_DATA: 2}
+
+
+class TimeSinceOpened:
+    """Seconds since a program first opened the bus: the clock of the devices and of their faults."""
+
+    def __init__(self):
+        self.start_s = None
+
+    def opened(self):
+        if self.start_s is None:
+            self.start_s = time.monotonic()
+
+    def __call__(self):
+        return time.monotonic() - self.start_s
+
+
+class KernelInterface:
+    """Turns the ioctl calls of i2c-dev into transfers of an EmulatedBus."""
+
+    def __init__(self, bus):
+        self.bus = bus
+        self.journal = deque(maxlen=200_000)
+        self.addresses = {}
+
+    def handle(self, _device, client):
+        """Answer one ioctl. Nothing may be raised from here: the client would wait for ever."""
+        try:
+            # Two objects of the binding may stand for one client; their hash is the client's.
+            result, error = self.ioctl(hash(client), client.get_request(), client.get_arg()), 0
+        except OSError as failure:
+            result, error = -1, failure.errno
+        except Exception:
+            traceback.print_exc()
+            result, error = -1, errno.EIO
+        client.complete(result, error)
+        return True
+
+    def ioctl(self, client, request, argument):
+        """Return what the system call returns; raises OSError with its errno."""
+        if request in (I2C_SLAVE, I2C_SLAVE_FORCE):
+            (self.addresses[client],) = struct.unpack("L", bytes(argument.retrieve()))
+            return 0
+        if request in (I2C_RETRIES, I2C_TIMEOUT):
+            return 0
+        if request == I2C_FUNCS:
+            argument.resolve(0, 8).update(0, list(struct.pack("L", FUNCTIONS)))
+            return 0
+        if request == I2C_RDWR:
+            return self.combined(argument.resolve(0, 16))
+        if request == I2C_SMBUS:
+            self.smbus(self.addresses.get(client, 0), argument.resolve(0, 16))
+            return 0
+        raise OSError(errno.ENOTTY, f"ioctl 0x{request:x}")
+
+    def combined(self, argument):
+        """struct i2c_rdwr_ioctl_data: messages with a repeated start between them."""
+        _, count = struct.unpack("PI4x", bytes(argument.retrieve()))
+        messages = argument.resolve(0, 16 * count)
+        for index in range(count):
+            address, flags, length, _ = struct.unpack_from("HHH2xP", bytes(messages.retrieve()), 16 * index)
+            buffer = messages.resolve(16 * index + 8, length)
+            if flags & I2C_M_RD:
+                answer = self.read(address, length)
+                if buffer is not None:
+                    buffer.update(0, list(answer))
+            else:
+                self.write(address, bytes(buffer.retrieve()) if buffer is not None else b"")
+        return count
+
+    def smbus(self, address, argument):
+        """struct i2c_smbus_ioctl_data, carried out as the kernel does on an adapter without SMBus hardware."""
+        is_read, command, size, _ = struct.unpack("BB2xIP", bytes(argument.retrieve()))
+        data = argument.resolve(8, SMBUS_DATA_LENGTH)
+        if size == SMBUS_QUICK:
+            return self.read(address, 0) if is_read else self.write(address, b"")
+        if size not in (*SMBUS_COUNTS, SMBUS_I2C_BLOCK_DATA):
+            raise OSError(errno.EOPNOTSUPP, f"SMBus transfer {size}")
+        register = bytes([command])
+        if size == SMBUS_BYTE and not is_read:
+            return self.write(address, register)
+        content = bytes(data.retrieve())
+        is_block = size == SMBUS_I2C_BLOCK_DATA
+        first, count = (1, content[0]) if is_block else (0, SMBUS_COUNTS[size])
+        if not is_read:
+            return self.write(address, register + content[first : first + count])
+        if size != SMBUS_BYTE:
+            self.write(address, register)
+        return data.update(first, list(self.read(address, count)))
+
+    def write(self, address, data):
+        self.transfer("write", address, lambda: self.bus.write(address, data) or data)
+
+    def read(self, address, count):
+        return self.transfer("read", address, lambda: self.bus.read(address, count))
+
+    def transfer(self, verb, address, act):
+        """Carry out one message and note it in the journal."""
+        time_s = time.monotonic()
+        try:
+            data = act()
+        except OSError as failure:
+            self.journal.append((time_s, verb, address, "", failure.errno))
+            raise
+        self.journal.append((time_s, verb, address, data.hex(), 0))
+        return data
+
+
+def make_device(spec, now, chance):
+    """One device from its specification."""
+    faults = [Fault(**fault) for fault in spec["faults"]]
+    if "readings_cm" not in spec:
+        return PlainDevice(spec["address"], bytes.fromhex(spec["answer"]), faults)
+    readings_cm = itertools.cycle(spec["readings_cm"])
+    return MB1242(spec["address"], now, lambda ping_time_s: next(readings_cm), Timing(**spec["timing"]), faults, chance)
+
+
+def main():
+    """Serve until standard input ends."""
+    spec = json.loads(sys.stdin.readline())
+    try:
+        import gi
+
+        gi.require_version("UMockdev", "1.0")
+        from gi.repository import GLib, UMockdev
+    except (ImportError, ValueError) as missing:
+        print(json.dumps({"missing": str(missing)}), flush=True)
+        return
+    now = TimeSinceOpened()
+    chance = random.Random(spec["seed"])
+    devices = [make_device(device, now, chance) for device in spec["devices"]]
+    interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]))
+
+    def opened(_device, _client):
+        now.opened()
+        interface.bus.reopen()
+
+    testbed = UMockdev.Testbed.new()
+    testbed.add_from_string("P: /devices/i2c-1/i2c-dev/i2c-1\nN: i2c-1\nE: DEVNAME=/dev/i2c-1\nE: SUBSYSTEM=i2c-dev\n")
+    ioctls = UMockdev.IoctlBase()
+    ioctls.connect("handle-ioctl", interface.handle)
+    ioctls.connect("client-connected", opened)
+    testbed.attach_ioctl("/dev/i2c-1", ioctls)
+    milli_c = str(round(spec["temperature_c"] * 1000)) + "\n"
+    testbed.add_device("hwmon", "hwmon0", None, ["name", "sht4x\n", "temp1_input", milli_c], [])
+    testbed.add_device("iio", "iio:device0", None, ["name", "bme280\n", "in_temp_input", milli_c], [])
+
+    loop = GLib.MainLoop()
+
+    def command(_source, _condition):
+        if sys.stdin.readline() == "journal\n":
+            print(json.dumps(list(interface.journal)), flush=True)
+            return True
+        loop.quit()
+        return False
+
+    GLib.unix_fd_add_full(GLib.PRIORITY_DEFAULT, sys.stdin.fileno(), GLib.IO_IN | GLib.IO_HUP, command)
+    print(json.dumps({"root": testbed.get_root_dir()}), flush=True)
+    loop.run()
+    testbed.detach_ioctl("/dev/i2c-1")
+
+
+if __name__ == "__main__":
+    main()

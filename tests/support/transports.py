@@ -1,0 +1,117 @@
+"""What the tests of the transports share: a clock to step, frames that can be told apart, and peers' small habits."""
+
+import contextlib
+import socket
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator
+
+from msp_range.clock import Clock
+from msp_range.mavlink.transport import Transport, open_transport
+
+FRAME_BYTES = 52
+_HEADER_BYTES = 10
+_CHECKSUM_BYTES = 2
+
+
+class StepClock:
+    """A clock that stands still until it is stepped."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def now(self) -> float:
+        return self.now_s
+
+    def sleep_until(self, time_s: float) -> None:
+        self.now_s = max(self.now_s, time_s)
+
+    def utc(self) -> float:
+        return self.now_s
+
+
+def numbered_frame(number: int) -> bytes:
+    """52 bytes shaped like a MAVLink 2 frame, with a number in them and a checksum over everything else."""
+    payload_bytes = FRAME_BYTES - _HEADER_BYTES - _CHECKSUM_BYTES
+    payload = struct.pack("<I", number) + bytes((number + i) % 256 for i in range(payload_bytes - 4))
+    body = struct.pack("<BBBBBBBHB", 0xFD, payload_bytes, 0, 0, number % 256, 1, 191, 132, 0) + payload
+    return body + struct.pack("<H", zlib.crc32(body) & 0xFFFF)
+
+
+def frame_numbers(received: bytes) -> list[int]:
+    """The numbers of frames that follow each other without a byte between; a torn one is an AssertionError."""
+    assert len(received) % FRAME_BYTES == 0, f"{len(received)} bytes are no whole number of frames"
+    numbers: list[int] = []
+    for start in range(0, len(received), FRAME_BYTES):
+        frame = received[start : start + FRAME_BYTES]
+        number = struct.unpack_from("<I", frame, _HEADER_BYTES)[0]
+        assert frame == numbered_frame(number), f"torn or damaged frame at byte {start}, after {numbers[-3:]}"
+        numbers.append(number)
+    return numbers
+
+
+@contextlib.contextmanager
+def opened(url: str, clock: Clock) -> Iterator[Transport]:
+    transport = open_transport(url, clock)
+    try:
+        yield transport
+    finally:
+        transport.close()
+
+
+def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+    """Wait in real time until something outside this process's control has happened."""
+    give_up_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < give_up_s, "did not happen in time"
+        time.sleep(0.001)
+
+
+def received_by(transport: Transport, count: int) -> bytes:
+    """Call ``receive`` until ``count`` bytes have come."""
+    received = bytearray()
+
+    def enough() -> bool:
+        received.extend(transport.receive())
+        return len(received) >= count
+
+    until(enough)
+    return bytes(received)
+
+
+def read_exactly(tcp: socket.socket, count: int) -> bytes:
+    tcp.settimeout(5.0)
+    received = b""
+    while len(received) < count:
+        chunk = tcp.recv(count - len(received))
+        assert chunk, f"closed after {len(received)} of {count} bytes"
+        received += chunk
+    return received
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    """A loopback port that nobody uses now."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class SendTimer:
+    """Sends frames and keeps how long each call took on the real clock."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.took_s: list[float] = []
+
+    def send(self, frame: bytes) -> bool:
+        start_s = time.perf_counter()
+        taken = self._transport.send(frame)
+        self.took_s.append(time.perf_counter() - start_s)
+        return taken
+
+    def check(self) -> None:
+        """99 of 100 within 20 ms; the rest may be the scheduler's doing, but not half a second."""
+        ordered = sorted(self.took_s)
+        assert ordered[int(0.99 * (len(ordered) - 1))] < 0.02
+        assert ordered[-1] < 0.5

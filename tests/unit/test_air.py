@@ -1,0 +1,73 @@
+"""Speed of sound and temperature compensation against published values."""
+
+import math
+
+import numpy as np
+import pytest
+
+from msp_range.acoustics.air import compensate_range, speed_of_sound, time_of_flight
+
+
+@pytest.mark.parametrize(
+    ("temperature_c", "published_m_s"),
+    [(-20.0, 318.9), (0.0, 331.3), (10.0, 337.3), (20.0, 343.2), (30.0, 349.0)],
+)
+def test_speed_of_sound_is_that_of_dry_air_tables(temperature_c: float, published_m_s: float) -> None:
+    # Half a unit of the table's last digit, and 1e-4 for gamma and M as different tables take them.
+    assert speed_of_sound(temperature_c) == pytest.approx(published_m_s, abs=0.05 + 1e-4 * published_m_s)
+
+
+@pytest.mark.parametrize(("air_c", "error_percent"), [(0.0, 4.0), (15.0, 1.3), (40.0, -2.8)])
+def test_compensation_takes_out_the_error_of_a_sensor_calibrated_at_22_5(air_c: float, error_percent: float) -> None:
+    reading_m = 3.0
+    true_m = compensate_range(reading_m, air_c, 22.5)
+    assert 100.0 * (reading_m / true_m - 1.0) == pytest.approx(error_percent, abs=0.05)
+
+
+def test_compensation_of_table_5_1_at_335_cm() -> None:
+    # Mean errors 2.821 and 0.067 cm before and after, which is air of 15.2 C (to 0.05 C) under a calibration at 20 C.
+    tolerance_m = 3.35 * 0.5 * 0.05 / 288.0 + 0.5e-5
+    assert compensate_range(3.37821, 15.2, 20.0) == pytest.approx(3.35067, abs=tolerance_m)
+
+
+def test_hot_air_of_the_report_is_4_4_percent_and_not_30() -> None:
+    hot_c, room_c = (115.0 - 32.0) / 1.8, (68.0 - 32.0) / 1.8
+    assert compensate_range(1.0, hot_c, room_c) == pytest.approx(1.0436, abs=5e-5)
+
+
+@pytest.mark.parametrize("air_c", [-20.0, 3.0, 22.5, 50.0])
+def test_compensation_undoes_a_sensor_that_times_the_echo_with_its_own_speed(air_c: float) -> None:
+    true_m = 4.2
+    reading_m = time_of_flight(true_m, air_c) * speed_of_sound(22.5) / 2.0
+    assert compensate_range(reading_m, air_c, 22.5) == pytest.approx(true_m, rel=1e-12)
+
+
+def test_time_of_flight_is_the_makers_58_us_a_centimetre_at_22_5() -> None:
+    assert 1e6 * time_of_flight(0.01, 22.5) == pytest.approx(58.0, abs=0.05)
+
+
+def test_arrays_agree_with_numbers_and_broadcast() -> None:
+    air_c = np.array([-20.0, 0.0, 22.5, 50.0])
+    range_m = np.array([0.2, 1.0, 3.0, 7.65])
+    assert speed_of_sound(air_c) == pytest.approx([speed_of_sound(t) for t in air_c.tolist()], rel=1e-15)
+    each = zip(range_m.tolist(), air_c.tolist(), strict=True)
+    assert compensate_range(range_m, air_c, 22.5) == pytest.approx(
+        [compensate_range(r, t, 22.5) for r, t in each], rel=1e-15
+    )
+    assert compensate_range(range_m, 5.0, 22.5).shape == (4,)
+    assert compensate_range(1.0, air_c, 22.5).shape == (4,)
+    assert time_of_flight(range_m[:, None], air_c).shape == (4, 4)
+
+
+def test_an_unknown_temperature_stays_unknown() -> None:
+    assert math.isnan(compensate_range(3.0, math.nan, 22.5))
+    assert np.isnan(compensate_range(3.0, np.array([math.nan, 20.0]), 22.5)).tolist() == [True, False]
+
+
+def test_absolute_zero_and_below_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"found a temperature of -273\.15 deg C, expected one above absolute zero"):
+        speed_of_sound(-273.15)
+    with pytest.raises(ValueError, match=r"-300\.0"):
+        speed_of_sound(np.array([20.0, -300.0]))
+    with pytest.raises(ValueError, match=r"absolute zero"):
+        compensate_range(3.0, 20.0, -273.15)

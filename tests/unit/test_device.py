@@ -1,0 +1,378 @@
+"""The emulated MB1242 and the wires it hangs on, in a time that only the test moves."""
+
+import errno
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+import msp_sim.device
+from msp_range.bus.base import Bus, BusError
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, PART_INFO, RANGE_COMMAND, Fault, NotAcknowledged, PlainDevice, Timing
+
+AFTER_ANY_RANGING_S = 0.07
+FOR_EVER = float("inf")
+
+
+class Bench:
+    """A sensor before a wall that moves as the test says, and a clock that stands until the test moves it."""
+
+    def __init__(self, readings_cm: Sequence[int] = (258,), faults: Sequence[Fault] = (), seed: int = 1) -> None:
+        self.time_s = 0.0
+        self.ping_times_s: list[float] = []
+        self._readings_cm: Iterator[int] = iter(readings_cm)
+        self.sonar = MB1242(0x70, self.now, self.echo, faults=faults, chance=random.Random(seed))
+
+    def now(self) -> float:
+        return self.time_s
+
+    def echo(self, ping_time_s: float) -> int:
+        self.ping_times_s.append(ping_time_s)
+        return next(self._readings_cm)
+
+    def ping(self) -> None:
+        """Ping and let the ranging end."""
+        self.sonar.write(RANGE_COMMAND)
+        self.time_s += AFTER_ANY_RANGING_S
+
+    def word(self) -> int:
+        return int.from_bytes(self.sonar.read(2), "big")
+
+    def range(self) -> int:
+        self.ping()
+        return self.word()
+
+    def acknowledges(self) -> bool:
+        try:
+            self.sonar.read(2)
+        except NotAcknowledged:
+            return False
+        return True
+
+
+@pytest.mark.parametrize(("reading_cm", "ranging_s"), [(20, 0.02116), (300, 0.0374), (764, 0.064312), (765, 0.067)])
+def test_acknowledges_nothing_while_ranging(reading_cm: int, ranging_s: float) -> None:
+    bench = Bench([reading_cm])
+    bench.time_s = 5.0
+    bench.sonar.write(RANGE_COMMAND)
+    for time_s, ready in ((5.0, False), (5.0 + ranging_s - 1e-6, False), (5.0 + ranging_s + 1e-6, True)):
+        bench.time_s = time_s
+        assert bench.acknowledges() is ready
+    assert bench.word() == reading_cm
+
+
+def test_a_ping_while_ranging_is_not_taken() -> None:
+    bench = Bench([258])
+    bench.sonar.write(RANGE_COMMAND)
+    with pytest.raises(OSError, match="121"):
+        bench.sonar.write(RANGE_COMMAND)
+    assert bench.ping_times_s == [0.0]
+
+
+def test_part_info_then_the_last_ranging_most_significant_byte_first() -> None:
+    bench = Bench([258, 765])
+    assert bench.sonar.read(2) == PART_INFO
+    bench.ping()
+    assert [bench.sonar.read(2).hex() for _ in range(2)] == ["0102", "0102"]
+    bench.ping()
+    assert [bench.sonar.read(count).hex() for count in (0, 1, 2, 3)] == ["", "02", "02fd", "02fdff"]
+    assert bench.ping_times_s == [0.0, AFTER_ANY_RANGING_S]
+    assert bench.sonar.pings == 2
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00", b"\xaa", b"\xe0", b"\x51\x51", b"\xaa\xa5", b"\xa5\xaa\xe2"])
+def test_other_writes_are_acknowledged_and_ignored(data: bytes) -> None:
+    bench = Bench()
+    bench.sonar.write(data)
+    assert (bench.word(), bench.sonar.address, bench.ping_times_s) == (int.from_bytes(PART_INFO, "big"), 0x70, [])
+
+
+def test_a_driver_that_reads_through_the_range_register_pings_again() -> None:
+    bench = Bench([258, 300, 400])
+    bench.ping()
+    for _ in range(2):
+        bench.sonar.write(RANGE_COMMAND)
+        assert not bench.acknowledges()
+        bench.time_s += AFTER_ANY_RANGING_S
+    assert len(bench.ping_times_s) == 3
+
+
+def test_a_driver_that_reads_before_it_pings_is_a_round_old() -> None:
+    bench = Bench([100, 200, 300])
+    bench.ping()
+    seen = []
+    for _ in range(2):
+        seen.append(bench.word())
+        bench.ping()
+    assert seen == [100, 200]
+
+
+@pytest.mark.parametrize(
+    ("new_8bit", "address"),
+    [(0xE2, 0x71), (0xE3, 0x71), (0xFE, 0x7F), (2, 1), *((ignored, 0x70) for ignored in (0, 1, 80, 81, 164, 171))],
+)
+def test_address_change(new_8bit: int, address: int) -> None:
+    bench = Bench()
+    bench.sonar.write(bytes([0xAA, 0xA5, new_8bit]))
+    assert bench.sonar.address == address
+    bench.time_s = 0.1249
+    assert bench.acknowledges() is (address == 0x70)
+    bench.time_s = 0.1251
+    assert bench.sonar.read(2) == PART_INFO
+    bench.sonar.power_cycle()
+    assert bench.sonar.address == address
+
+
+def test_power_cycle_loses_the_ranging() -> None:
+    bench = Bench([258, 300])
+    assert bench.range() == 258
+    bench.sonar.write(RANGE_COMMAND)
+    bench.sonar.power_cycle()
+    assert bench.sonar.read(2) == PART_INFO
+
+
+@pytest.mark.parametrize(
+    ("kind", "reading_cm", "word"),
+    [
+        ("clock_fault", 20, 32788),
+        ("clock_fault", 765, 33533),
+        ("or_ed", 765, 255),
+        ("or_ed", 503, 247),
+        ("or_ed", 200, 200),
+        ("saturated", 765, 255),
+        ("saturated", 500, 255),
+        ("saturated", 200, 200),
+        ("lost_high_byte", 765, 253),
+        ("lost_high_byte", 503, 247),
+        ("impossible", 258, 1000),
+    ],
+)
+def test_a_corrupted_answer_is_seen_only_while_the_fault_lasts(kind: str, reading_cm: int, word: int) -> None:
+    bench = Bench([reading_cm], [Fault(kind, 1.0, 2.0)])
+    bench.ping()
+    seen = []
+    for bench.time_s in (0.5, 1.0, 1.99, 2.0):
+        seen.append(bench.word())
+    assert seen == [reading_cm, word, word, reading_cm]
+
+
+def test_faults_of_the_answer_add_up_in_their_order() -> None:
+    faults = [Fault("lost_high_byte", 0.0, FOR_EVER), Fault("clock_fault", 0.0, FOR_EVER)]
+    assert Bench([765], faults).range() == 0x80FD
+
+
+def test_the_impossible_word_is_a_choice() -> None:
+    assert Bench([258], [Fault("impossible", 0.0, FOR_EVER, word=0)]).range() == 0
+
+
+def test_silent_and_then_well_again() -> None:
+    bench = Bench([258, 300], [Fault("silent", 1.0, 2.0)])
+    assert bench.range() == 258
+    bench.time_s = 1.5
+    with pytest.raises(NotAcknowledged):
+        bench.sonar.write(RANGE_COMMAND)
+    assert not bench.acknowledges()
+    bench.time_s = 2.0
+    # Who reads only, and does not ping after a failed read, sees the old ranging for ever.
+    assert [bench.word(), bench.word(), bench.range()] == [258, 258, 300]
+
+
+def test_missed_read_happens_once_a_ranging() -> None:
+    bench = Bench([258, 300], [Fault("missed_read", 0.0, FOR_EVER)])
+    for reading_cm in (258, 300):
+        bench.ping()
+        assert [bench.acknowledges(), bench.acknowledges()] == [False, True]
+        assert bench.word() == reading_cm
+
+
+def test_a_ranging_sensor_does_not_use_up_its_missed_read() -> None:
+    bench = Bench([258], [Fault("missed_read", 0.0, FOR_EVER)])
+    bench.sonar.write(RANGE_COMMAND)
+    assert not bench.acknowledges()
+    bench.time_s = AFTER_ANY_RANGING_S
+    assert [bench.acknowledges(), bench.acknowledges()] == [False, True]
+
+
+def test_stuck_repeats_the_last_reading_and_the_world_is_asked_all_the_same() -> None:
+    bench = Bench([100, 200, 300, 400], [Fault("stuck", 0.07, 0.2)])
+    assert [bench.range() for _ in range(4)] == [100, 100, 100, 400]
+    assert len(bench.ping_times_s) == 4
+
+
+def test_stuck_from_the_start_holds_the_first_reading() -> None:
+    bench = Bench([100, 200], [Fault("stuck", 0.0, FOR_EVER)])
+    assert [bench.range() for _ in range(2)] == [100, 100]
+
+
+def test_power_cycles_at_their_times() -> None:
+    bench = Bench([258, 300], [Fault("power_cycle", 3.0, 3.0), Fault("power_cycle", 1.0, 2.0)])
+    assert bench.range() == 258
+    bench.time_s = 1.5
+    assert not bench.acknowledges()
+    bench.time_s = 2.5
+    assert bench.sonar.read(2) == PART_INFO
+    assert bench.range() == 300
+    bench.time_s = 3.5
+    assert bench.sonar.read(2) == PART_INFO
+
+
+@pytest.mark.parametrize("kind", ["clock_fault", "missed_read", "stuck", "silent"])
+def test_probability(kind: str) -> None:
+    """How often the fault shows lies within five standard deviations of its probability, and a seed repeats it."""
+    count, probability = 600, 0.3
+
+    def shows(seed: int) -> list[bool]:
+        readings_cm = [100 + i for i in range(count)]
+        bench = Bench(readings_cm, [Fault(kind, 0.0, FOR_EVER, probability)], seed)
+        shown = []
+        for reading_cm in readings_cm:
+            if kind == "silent":
+                shown.append(not bench.acknowledges())
+                continue
+            bench.sonar.write(RANGE_COMMAND)
+            bench.time_s += AFTER_ANY_RANGING_S
+            shown.append(not bench.acknowledges() if kind == "missed_read" else bench.word() != reading_cm)
+        return shown
+
+    assert abs(sum(shows(1)) / count - probability) < 5 * (probability * (1 - probability) / count) ** 0.5
+    assert shows(1) == shows(1) != shows(2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"kind": "gremlin"}, "expected one of clock_fault"),
+        ({"start_s": 3.0}, "after start_s 3.0"),
+        ({"start_s": 2.0}, "after start_s 2.0"),
+        ({"probability": 0.0}, "more than 0"),
+        ({"kind": "locked_up", "probability": 0.5}, "always happens"),
+        ({"kind": "impossible", "word": 765}, "neither a range"),
+        ({"kind": "impossible", "word": 0x8014}, "neither a range"),
+        ({"kind": "impossible", "word": 0x10000}, "16 bits"),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_refused(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Fault(**{"kind": "silent", "start_s": 1.0, "end_s": 2.0, **arguments})  # type: ignore[arg-type]
+
+
+def test_chance_has_to_be_given() -> None:
+    with pytest.raises(ValueError, match=r"random\.Random"):
+        MB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[Fault("silent", 0.0, 1.0, 0.5)])
+
+
+@pytest.mark.parametrize("reading_cm", [19, 766])
+def test_a_world_that_returns_no_reading_is_refused(reading_cm: int) -> None:
+    with pytest.raises(ValueError, match="expected 20 to 765"):
+        Bench([reading_cm]).ping()
+
+
+def test_standard_library_only() -> None:
+    """The device runs without this environment's packages and without msp_range."""
+    folder = Path(msp_sim.device.__file__).parents[1]
+    code = "import sys, msp_sim.device; print(*sorted(m for m in sys.modules if m.startswith('msp_')))"
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", code],
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["msp_sim", "msp_sim.device"]
+
+
+class Wires:
+    """Devices on one bus and a clock."""
+
+    def __init__(self, *devices: PlainDevice) -> None:
+        self.time_s = 0.0
+        self.bus: Bus = EmulatedBus(devices, lambda: self.time_s)
+
+    def errno_of_read(self, address: int) -> int | None:
+        try:
+            self.bus.read(address, 2)
+        except BusError as error:
+            return error.errno
+        return None
+
+
+def test_nobody_at_an_address() -> None:
+    bus = EmulatedBus([PlainDevice(0x70)], lambda: 0.0)
+    for verb, transfer in (("write", lambda: bus.write(0x71, b"\x51")), ("read", lambda: bus.read(0x71, 2))):
+        with pytest.raises(BusError) as raised:
+            transfer()
+        assert (raised.value.errno, raised.value.verb, raised.value.address) == (121, verb, 0x71)
+        assert not raised.value.locked_up
+
+
+def test_other_adapters_use_other_numbers() -> None:
+    with pytest.raises(BusError, match="errno 6 ENXIO"):
+        EmulatedBus([], lambda: 0.0, nack_errno=errno.ENXIO).read(0x70, 2)
+
+
+def test_a_device_that_is_not_a_sonar() -> None:
+    wires = Wires(PlainDevice(0x70, b"\x0a"))
+    wires.bus.write(0x70, RANGE_COMMAND)
+    assert wires.bus.read(0x70, 2) == b"\x0a\xff"
+    assert wires.bus.read(0x70, 0) == b""
+
+
+def test_two_sensors_at_one_address_hear_the_same_and_answer_with_the_and() -> None:
+    near, far = Bench([0x0102]), Bench([0x00F6])
+    bus = EmulatedBus([near.sonar, far.sonar], lambda: 0.0)
+    bus.write(0x70, RANGE_COMMAND)
+    near.time_s = AFTER_ANY_RANGING_S
+    assert bus.read(0x70, 2).hex() == "0102"
+    far.time_s = AFTER_ANY_RANGING_S
+    assert bus.read(0x70, 2).hex() == "0002"
+    bus.write(0x70, bytes([0xAA, 0xA5, 0xE2]))
+    assert {near.sonar.address, far.sonar.address} == {0x71}
+
+
+def test_a_moved_sensor_is_found_at_its_new_address() -> None:
+    bench = Bench()
+    bus = EmulatedBus([bench.sonar, PlainDevice(0x70)], bench.now)
+    bus.write(0x70, bytes([0xAA, 0xA5, 0xE2]))
+    bench.time_s = 0.2
+    assert bus.read(0x71, 2) == PART_INFO
+    assert bus.read(0x70, 2) == b"\xff\xff"
+
+
+def test_lock_up_stops_every_address_until_the_bus_is_reopened() -> None:
+    wires = Wires(PlainDevice(0x70), PlainDevice(0x40, faults=[Fault("locked_up", 1.0, 2.0)]))
+    reopen_at_s = (1.2, 2.5)
+    seen = []
+    for wires.time_s in (0.5, 1.0, 1.2, 2.5, 3.0):
+        before = wires.errno_of_read(0x70)
+        if wires.time_s in reopen_at_s:
+            wires.bus.reopen()
+        seen.append((before, wires.errno_of_read(0x71)))
+    timed_out, nobody = errno.ETIMEDOUT, errno.EREMOTEIO
+    assert seen == [
+        (None, nobody),
+        (timed_out, timed_out),
+        (timed_out, timed_out),
+        (timed_out, nobody),
+        (None, nobody),
+    ]
+
+
+def test_a_lock_up_that_nobody_saw_begin_still_needs_a_reopen() -> None:
+    wires = Wires(PlainDevice(0x70, faults=[Fault("locked_up", 1.0, 1.0)]))
+    wires.bus.reopen()
+    wires.time_s = 60.0
+    assert wires.errno_of_read(0x70) == errno.ETIMEDOUT
+    wires.bus.close()
+    wires.bus.close()
+    assert wires.errno_of_read(0x70) is None
+
+
+def test_timing_is_a_parameter() -> None:
+    timing = Timing(ready_s=0.001, s_per_cm=1e-4, no_echo_s=0.5)
+    assert timing.ranging_s(100) == pytest.approx(0.011)
+    assert timing.ranging_s(765) == 0.5

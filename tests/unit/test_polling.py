@@ -1,0 +1,184 @@
+"""Who pings when: order, groups, reading as soon as there is an answer, spacing, and faster pings near the ground."""
+
+import errno
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import pytest
+
+from msp_range.bus import BusError
+from msp_range.clock import VirtualClock
+from msp_range.reading import Status
+from msp_range.sensors.base import Decoded
+from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from tests.support.scripted_bus import ScriptedBus
+
+FIRST_S, DEADLINE_S = 0.021, 0.080
+READY_S = 0.0301
+"""From ping to answer unless a test says otherwise."""
+ROUND = ("a", "b", "c", "d")
+
+
+class Sonar:
+    """A sensor that answers as long after its ping as it is told, with a range that is a function of the ping."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        self.pings_s: list[float] = []
+        self.asked_s: list[float] = []
+        self.ready_s = READY_S
+        self.range_m: Callable[[float], float | None] = lambda ping_s: 3.0
+
+    def ping(self) -> None:
+        self.pings_s.append(self._clock.now())
+
+    def answer(self, since_ping_s: float) -> Decoded:
+        self.asked_s.append(self._clock.now())
+        assert since_ping_s == pytest.approx(self.asked_s[-1] - self.pings_s[-1])
+        if since_ping_s < self.ready_s:
+            raise BusError(errno.EREMOTEIO, "read", 0x70)
+        range_m = self.range_m(self.pings_s[-1])
+        return Decoded(Status.NO_ECHO if range_m is None else Status.OK, range_m, 300)
+
+
+class Bench:
+    """Sonars polled in groups, in virtual time."""
+
+    def __init__(self, groups: Sequence[str], spacing: Spacing = Spacing(), first_answer_s: float = FIRST_S) -> None:
+        # A start that is no round number: nothing may depend on the clock's zero.
+        self.clock = VirtualClock(71.3)
+        self.start_s = self.clock.now()
+        self.sonars = {name: Sonar(self.clock) for group in groups for name in group}
+        timing = Timing(first_answer_s, DEADLINE_S)
+        polled = [[PolledSensor(name, self.sonars[name], timing) for name in group] for group in groups]
+        self.poller = Poller(ScriptedBus(self.clock, ()), self.clock, RoundRobin(polled, spacing, self.start_s))
+
+    def poll(self, duration_s: float) -> list[Ranging]:
+        ended = []
+        until_s = self.clock.now() + duration_s
+        while self.poller.next_event_s < until_s - 1e-9:
+            self.clock.sleep_until(self.poller.next_event_s)
+            ended += self.poller.step()
+        return ended
+
+    def order(self) -> list[tuple[float, str]]:
+        """All pings since the start: time [s] and sensor."""
+        pings = [(time_s, name) for name, sonar in self.sonars.items() for time_s in sonar.pings_s]
+        return sorted((round(time_s - self.start_s, 6), name) for time_s, name in pings)
+
+
+def test_four_sensors_in_turn_are_two_and_a_half_hertz_each_and_ten_together() -> None:
+    bench = Bench(ROUND)
+    rangings = bench.poll(20.0)
+    assert [name for _, name in bench.order()] == list(ROUND) * 50
+    assert len(rangings) == 200
+    assert {name: len(sonar.pings_s) for name, sonar in bench.sonars.items()} == dict.fromkeys(ROUND, 50)
+    times_s = [time_s for time_s, _ in bench.order()]
+    assert all(late - early == pytest.approx(0.1) for early, late in pairwise(times_s))
+
+
+def test_a_group_pings_together_and_groups_take_turns() -> None:
+    bench = Bench(["ab", "c"])
+    bench.sonars["a"].ready_s, bench.sonars["b"].ready_s = 0.050, 0.025
+    rangings = bench.poll(0.4)
+    assert bench.order() == [(0.0, "a"), (0.0, "b"), (0.1, "c"), (0.2, "a"), (0.2, "b"), (0.3, "c")]
+    assert [each.reading.sensor for each in rangings] == ["b", "a", "c"] * 2
+
+
+@pytest.mark.parametrize("ready_s", [0.001, 0.0215, READY_S, 0.067, DEADLINE_S])
+def test_an_answer_is_read_within_two_milliseconds(ready_s: float) -> None:
+    bench = Bench("a")
+    bench.sonars["a"].ready_s = ready_s
+    (ranging,) = bench.poll(0.1)
+    asked_s = [time_s - bench.start_s for time_s in bench.sonars["a"].asked_s]
+    assert asked_s[0] == pytest.approx(FIRST_S)
+    assert ranging.answered_s - ranging.ping_s == pytest.approx(asked_s[-1])
+    assert max(ready_s, FIRST_S) - 1e-9 <= asked_s[-1] <= max(ready_s + 0.002, FIRST_S)
+
+
+def test_a_bus_that_cannot_take_silence_is_read_once_at_the_deadline() -> None:
+    bench = Bench("a", first_answer_s=DEADLINE_S)
+    (ranging,) = bench.poll(0.1)
+    assert len(bench.sonars["a"].asked_s) == 1
+    assert ranging.answered_s - bench.start_s == pytest.approx(DEADLINE_S)
+    assert ranging.reading.status is Status.OK
+
+
+def test_nobody_is_asked_after_the_deadline() -> None:
+    bench = Bench(["ab"])
+    bench.sonars["a"].ready_s = math.inf
+    good, silent = bench.poll(0.1)
+    assert good.reading.sensor == "b"
+    assert silent.reading.status is Status.NO_ANSWER
+    assert bench.sonars["a"].asked_s[-1] - bench.start_s == pytest.approx(DEADLINE_S)
+    assert (silent.ping_s, silent.reading.time_s) == (bench.start_s, bench.start_s)
+
+
+def test_nobody_pings_while_another_one_ranges() -> None:
+    bench = Bench("ab", Spacing(0.030))
+    for sonar in bench.sonars.values():
+        sonar.ready_s = 0.0600
+    bench.poll(1.0)
+    times_s = [time_s for time_s, _ in bench.order()]
+    assert all(0.0600 - 1e-9 <= late - early <= 0.0621 for early, late in pairwise(times_s))
+
+
+def test_an_interruption_does_not_make_up_for_lost_pings() -> None:
+    bench = Bench("ab")
+    bench.poll(0.2)
+    bench.clock.sleep_until(bench.start_s + 1.25)
+    bench.poll(0.35)
+    assert bench.order()[2:] == [(1.25, "a"), (1.35, "b"), (1.45, "a"), (1.55, "b")]
+
+
+def test_the_echo_came_after_half_the_time_of_flight() -> None:
+    bench = Bench("ab")
+    bench.sonars["a"].range_m = lambda ping_s: 2.0
+    bench.sonars["b"].range_m = lambda ping_s: None
+    echo, none = bench.poll(0.2)
+    assert echo.reading.time_s - echo.ping_s == pytest.approx(0.0058)
+    assert none.reading.time_s == none.ping_s
+
+
+NEAR = Spacing(0.100, near_below_m=2.0, near_interval_s=0.050)
+
+
+def test_near_the_ground_pings_come_at_least_one_and_a_half_times_as_often() -> None:
+    rates_hz = []
+    for spacing in (Spacing(0.100), NEAR):
+        bench = Bench(ROUND, spacing)
+        for sonar in bench.sonars.values():
+            sonar.range_m = lambda ping_s: 1.9
+        rates_hz.append(len(bench.poll(60.0)) / 60.0)
+    assert rates_hz[0] == pytest.approx(10.0, rel=0.01)
+    assert rates_hz[1] >= 1.5 * rates_hz[0]
+
+
+@pytest.mark.parametrize("far", [2.0, 5.0, None])
+def test_one_sensor_that_sees_nothing_near_makes_all_wait(far: float | None) -> None:
+    bench = Bench("ab", NEAR)
+    bench.sonars["a"].range_m = lambda ping_s: 1.0 if ping_s - bench.start_s < 0.5 else far
+    bench.sonars["b"].range_m = lambda ping_s: 1.0
+    bench.poll(1.0)
+    # Both have to answer before anything is known of them.
+    times_s = [time_s for time_s, _ in bench.order()]
+    assert times_s[:4] == [0.0, 0.1, 0.15, 0.2]
+    assert all(late - early == pytest.approx(0.100) for early, late in pairwise(t for t in times_s if t > 0.5))
+
+
+def test_a_sensor_that_falls_silent_makes_all_wait() -> None:
+    bench = Bench("ab", NEAR)
+    for sonar in bench.sonars.values():
+        sonar.range_m = lambda ping_s: 1.0
+    bench.poll(0.5)
+    bench.sonars["b"].ready_s = math.inf
+    bench.poll(0.5)
+    times_s = [time_s for time_s, _ in bench.order() if time_s > 0.6]
+    assert all(late - early == pytest.approx(0.100) for early, late in pairwise(times_s))
+
+
+@pytest.mark.parametrize("groups", [[], [[]]])
+def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) -> None:
+    with pytest.raises(ValueError, match="at least one sensor"):
+        RoundRobin(groups, Spacing(), 0.0)

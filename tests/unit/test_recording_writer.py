@@ -1,0 +1,323 @@
+"""The recorder: what is in the file, for every tool; what a failing disk does; nothing of wall time in it."""
+
+import json
+import math
+import os
+import resource
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import SeekingReader
+
+from msp_range.clock import VirtualClock
+from msp_range.recording import Recorder, Recording, RecordingError, writer
+from msp_range.recording.topics import SENSOR_TOPICS, TOPICS, schema_of
+
+START_S = 5000.25
+UTC_S = 1_760_000_000.5
+
+
+class ClockSetInFlight:
+    """A bridge's clock that began at START_S, on a computer whose UTC is set back in flight."""
+
+    def __init__(self) -> None:
+        self.utc_s = UTC_S
+
+    def now(self) -> float:
+        return START_S
+
+    def sleep_until(self, time_s: float) -> None:
+        raise AssertionError("a recorder never sleeps")
+
+    def utc(self) -> float:
+        utc_s, self.utc_s = self.utc_s, 0.0
+        return utc_s
+
+
+def record_flight(path: Path, seconds: int = 10) -> list[tuple[str, float, dict[str, Any]]]:
+    """A flight of two sensors at 10 readings a second in all; returns what was recorded."""
+    clock = VirtualClock()
+    recorder = Recorder(path, clock, airframe_text="vehicle: Möwe\n", metadata={"vehicle": "Möwe"})
+    written = []
+    for count in range(10 * seconds):
+        time_s = 0.1 * count + 0.03
+        clock.sleep_until(time_s)
+        sensor = ("left", "right")[count % 2]
+        ping_s = time_s - 0.03
+        messages = [
+            (f"/truth/{sensor}", ping_s, {"true_range_cm": 100.5 + count, "target": "grass"}),
+            (
+                f"/{sensor}/reading",
+                time_s,
+                {
+                    "time_s": ping_s + 0.003,
+                    "ping_s": ping_s,
+                    "read_s": time_s,
+                    "status": "ok",
+                    "raw": 100 + count,
+                    "range_m": 1.0 + count / 100,
+                    "std_m": 0.01,
+                    "suspect": False,
+                },
+            ),
+            ("/mavlink/sent", time_s, {"name": "DISTANCE_SENSOR", "hex": f"{count:04x}"}),
+        ]
+        for topic, message_s, message in messages:
+            recorder.write(topic, message_s, message)
+            written.append((topic, message_s, message))
+        recorder.flush_if_due(time_s)
+    recorder.close()
+    return written
+
+
+def test_every_message_comes_back_with_its_topic_and_time(tmp_path: Path) -> None:
+    written = record_flight(tmp_path / "flight.mcap")
+    recording = Recording(tmp_path / "flight.mcap")
+    read = list(recording)
+    assert [(each.topic, each.message) for each in read] == [(topic, message) for topic, _, message in written]
+    # The file counts whole nanoseconds.
+    assert [each.time_s for each in read] == pytest.approx([time_s for _, time_s, _ in written], abs=1e-9)
+    assert not recording.cut
+    assert recording.damaged_chunks == 0
+    assert recording.airframe_text == "vehicle: Möwe\n"
+    assert recording.metadata["vehicle"] == "Möwe"
+    assert list(recording) == read
+
+
+def test_the_mcap_package_reads_the_file_with_its_index_and_checksums(tmp_path: Path) -> None:
+    written = record_flight(tmp_path / "flight.mcap")
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        reader = SeekingReader(file, validate_crcs=True)
+        read = [
+            (channel.topic, message.log_time, json.loads(message.data))
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        assert read == [(topic, round(time_s * 1e9), message) for topic, time_s, message in written]
+        # By topic it goes through the index of messages.
+        assert [message.log_time for _, _, message in reader.iter_messages(topics=["/left/reading"])] == [
+            round(time_s * 1e9) for topic, time_s, _ in written if topic == "/left/reading"
+        ]
+        summary = reader.get_summary()
+        assert summary is not None
+        statistics = summary.statistics
+        assert statistics is not None
+        assert (statistics.message_count, statistics.channel_count) == (300, 5)
+        assert sum(statistics.channel_message_counts.values()) == 300
+        assert (statistics.message_start_time, statistics.message_end_time) == (0, round(9.93e9))
+        assert statistics.chunk_count == len(summary.chunk_indexes) == 10
+        assert [each.data for each in reader.iter_attachments()] == ["vehicle: Möwe\n".encode()]
+        assert [each.metadata["vehicle"] for each in reader.iter_metadata()] == ["Möwe"]
+
+
+def test_identical_virtual_flights_are_identical_files(tmp_path: Path) -> None:
+    record_flight(tmp_path / "one.mcap")
+    record_flight(tmp_path / "two.mcap")
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
+def test_utc_is_taken_once(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", ClockSetInFlight())
+    recorder.write("/health", START_S, {"text": "one"})
+    recorder.flush_if_due(START_S + 1)
+    recorder.write("/health", START_S + 2.5, {"text": "two"})
+    recorder.close()
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        times_ns = [message.log_time for _, _, message in SeekingReader(file).iter_messages()]
+    assert times_ns == [1_760_000_000_500_000_000, 1_760_000_003_000_000_000]
+    assert [each.time_s for each in Recording(tmp_path / "flight.mcap")] == [START_S, START_S + 2.5]
+
+
+def test_what_is_unknown_is_left_out(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    recorder.write("/fused", 1.0, {"time_s": 1.0, "range_m": None, "variance_m2": math.inf})
+    recorder.write("/mavlink/received", 2.0, {"name": "A", "fields": {"a": math.nan, "b": [math.nan, 1.5], "c": None}})
+    recorder.close()
+    assert [each.message for each in Recording(tmp_path / "flight.mcap")] == [
+        {"time_s": 1.0},
+        {"name": "A", "fields": {"b": [None, 1.5]}},
+    ]
+
+
+_SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+
+
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(messages=st.lists(st.dictionaries(st.text(), _SCALARS | st.dictionaries(st.text(), _SCALARS)), max_size=5))
+def test_any_json_comes_back(tmp_path: Path, messages: list[dict[str, Any]]) -> None:
+    path = tmp_path / "flight.mcap"
+    path.unlink(missing_ok=True)
+    recorder = Recorder(path, VirtualClock())
+    for message in messages:
+        recorder.write("/health", 1.0, message)
+    recorder.close()
+
+    def known(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {
+            key: known(each)
+            for key, each in value.items()
+            if each is not None and not (isinstance(each, float) and not math.isfinite(each))
+        }
+
+    # Below the first level an unknown value may also stay, as null.
+    assert [known(each.message) for each in Recording(path)] == [known(message) for message in messages]
+
+
+def test_an_unknown_topic_or_value_is_refused_and_leaves_the_file_whole(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    recorder.write("/health", 1.0, {"text": "one"})
+    with pytest.raises(ValueError, match=r"no topic '/left/raeding'; known: .*/<sensor>/reading"):
+        recorder.write("/left/raeding", 1.0, {})
+    with pytest.raises(TypeError, match="bytes"):
+        recorder.write("/mavlink/sent", 1.0, {"hex": b"\xfd"})
+    recorder.write("/health", 2.0, {"text": "two"})
+    recorder.close()
+    assert [each.message["text"] for each in Recording(tmp_path / "flight.mcap")] == ["one", "two"]
+
+
+@pytest.mark.parametrize(
+    "topic", [*TOPICS, "/truth/left", *(f"/left/{stage}" for stage in SENSOR_TOPICS), "/truth/reading"]
+)
+def test_schemas_are_such_that_foxglove_takes_them(topic: str) -> None:
+    """Foxglove and Lichtblick want an object with properties, each of one type that is not null."""
+    _, text = schema_of(topic)
+    schema = json.loads(text)
+    assert schema["type"] == "object"
+    assert schema["properties"]
+    for each in schema["properties"].values():
+        assert each["type"] in {"boolean", "string", "number", "integer", "object"}
+        assert each["description"]
+        assert "properties" in each or each["type"] != "object"
+
+
+def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "flight.mcap").write_bytes(b"an older flight")
+    with pytest.raises(RecordingError, match="there is a file already"):
+        Recorder(tmp_path / "flight.mcap", VirtualClock())
+    assert (tmp_path / "flight.mcap").read_bytes() == b"an older flight"
+    with pytest.raises(RecordingError, match="No such file or directory"):
+        Recorder(tmp_path / "no folder" / "flight.mcap", VirtualClock())
+
+
+@pytest.fixture
+def small_disk() -> Iterator[int]:
+    """A limit of 20000 bytes a file, which the kernel enforces as it does the end of a disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    yield 20_000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def noisy(time_s: float) -> dict[str, Any]:
+    """A message that does not compress: the digits of a chaotic map."""
+    return {"text": "".join(str(math.sin(time_s * factor))[3:] for factor in range(1, 40))}
+
+
+def test_a_full_disk_is_told_once_and_what_was_written_is_there(tmp_path: Path, small_disk: int) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    told = []
+    for second in range(1, 200):
+        for count in range(3):
+            recorder.write("/health", second + count / 3, noisy(second + count / 3))
+        try:
+            recorder.flush_if_due(second + 1)
+        except RecordingError as error:
+            told.append(str(error))
+    try:
+        recorder.close()
+    except RecordingError as error:
+        told.append(str(error))
+    assert len(told) == 1
+    assert "File too large" in told[0]
+    assert "flight.mcap" in told[0]
+    recording = Recording(tmp_path / "flight.mcap")
+    texts = [each.message for each in recording]
+    assert recording.cut
+    assert texts == [noisy(second + count / 3) for second in range(1, 200) for count in range(3)][: len(texts)]
+    assert len(texts) > small_disk / 2 / len(noisy(1.0)["text"])
+
+
+class StoppedDisk:
+    """An os.fdatasync that does not come back until it is told to."""
+
+    def __init__(self) -> None:
+        self.entered = threading.Event()
+        self.go_on = threading.Event()
+
+    def fdatasync(self, descriptor: int) -> None:
+        self.entered.set()
+        assert self.go_on.wait(20)
+
+
+@pytest.fixture
+def stopped_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[StoppedDisk]:
+    disk = StoppedDisk()
+    monkeypatch.setattr(os, "fdatasync", disk.fdatasync)
+    yield disk
+    disk.go_on.set()
+
+
+def recording_threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "recording"]
+
+
+def test_a_full_disk_is_told_in_flight(tmp_path: Path, small_disk: int) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    for count in range(100):
+        recorder.write("/health", count / 100, noisy(count))
+    recorder.flush_if_due(1.0)
+    for thread in recording_threads():
+        thread.join(20)
+    with pytest.raises(RecordingError, match="File too large"):
+        recorder.flush_if_due(2.0)
+    recorder.write("/health", 3.0, {"text": "nobody listens"})
+    recorder.flush_if_due(4.0)
+    recorder.close()
+
+
+def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    assert stopped_disk.entered.wait(20)
+    for second in range(1, 100):
+        recorder.write("/health", second, {"text": "on time"})
+        recorder.flush_if_due(second)
+    assert not stopped_disk.go_on.is_set()
+    stopped_disk.go_on.set()
+    recorder.close()
+    assert len(list(Recording(tmp_path / "flight.mcap"))) == 99
+    assert not recording_threads()
+
+
+def test_a_disk_that_has_stopped_is_told_once(
+    tmp_path: Path, stopped_disk: StoppedDisk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "BACKLOG_BYTES", 50_000)
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    assert stopped_disk.entered.wait(20)
+    told = []
+    for second in range(1, 300):
+        recorder.write("/health", second, noisy(second))
+        try:
+            recorder.flush_if_due(second)
+        except RecordingError as error:
+            told.append(str(error))
+    recorder.close()
+    assert len(told) == 1
+    assert "bytes behind" in told[0]
+
+
+def test_closing_does_not_wait_for_ever(
+    tmp_path: Path, stopped_disk: StoppedDisk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "CLOSE_TIMEOUT_S", 0.05)
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    recorder.write("/health", 1.0, {"text": "lost"})
+    with pytest.raises(RecordingError, match="bytes behind"):
+        recorder.close()
+    recorder.close()

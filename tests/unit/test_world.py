@@ -1,0 +1,354 @@
+"""What a ping meets, against formulas and brute force that share nothing with the code."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from msp_sim.surfaces import Box, Ground, Step
+from msp_sim.vehicle import Pose
+from msp_sim.world import Air, Beam, WarmLayer, World
+
+DOWN = (0.0, 0.0, 1.0)
+FORWARD = (1.0, 0.0, 0.0)
+
+
+def degrees(angle_deg: float):
+    return lambda range_m: math.radians(angle_deg)
+
+
+def narrowing(range_m: float) -> float:
+    """A beam that narrows with range as the report's: 23 deg at 0.5 m, 12.6 deg from 2 m."""
+    return math.radians(12.6 + max(2.0 - range_m, 0.0) * 7.0)
+
+
+def looking(boresight=DOWN, half_angle=narrowing, position_m=(0.0, 0.0, 0.0)) -> Beam:
+    return Beam(position_m, boresight, half_angle)
+
+
+def at(north_m=0.0, east_m=0.0, height_m=2.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0, velocity=(0.0, 0.0, 0.0)):
+    angles = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
+    return Pose(0.0, (north_m, east_m, -height_m), *angles, velocity)
+
+
+def world(air: Air | None = None, **ground) -> World:
+    return World(Ground(**ground), air or Air())
+
+
+def body_to_world(pose: Pose) -> np.ndarray:
+    return Rotation.from_euler("ZYX", [pose.yaw_rad, pose.pitch_rad, pose.roll_rad]).as_matrix()
+
+
+def test_a_tilted_vehicle_over_a_slope_measures_the_perpendicular():
+    """The plane through three of its points, found without angles, against 200 random vehicles above it."""
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        slope_deg, uphill_deg = rng.uniform(0, 20), rng.uniform(-180, 180)
+        grade = math.tan(math.radians(slope_deg))
+        rising = math.cos(math.radians(uphill_deg)), math.sin(math.radians(uphill_deg))
+        ahead = np.array([rising[0], rising[1], -grade])
+        aside = np.array([-rising[1], rising[0], 0.0])
+        normal = np.cross(ahead, aside)
+        normal /= np.linalg.norm(normal) * np.sign(normal[2])  # into the ground
+        north_m, east_m = rng.uniform(-10, 10, 2)
+        ground_m = grade * (north_m * rising[0] + east_m * rising[1])
+        pose = at(north_m, east_m, ground_m + rng.uniform(0.8, 6.0), *rng.uniform(-8, 8, 2), rng.uniform(-180, 180))
+        mounting = Rotation.from_euler(
+            "ZYX", [rng.uniform(0, 360), rng.uniform(-100, -80), 0], degrees=True
+        ).as_matrix()
+        position_m = rng.uniform(-0.3, 0.3, 3)
+        sensor = body_to_world(pose) @ position_m + pose.position_ned_m
+        axis = body_to_world(pose) @ mounting[:, 0]
+        beam = looking(tuple(mounting[:, 0]), degrees(45), tuple(position_m))
+        ping = world(slope_deg=slope_deg, uphill_deg=uphill_deg).ping(pose, beam)
+        assert ping.heard
+        assert ping.true_range_cm == pytest.approx(-100 * sensor @ normal, abs=1e-6)
+        assert ping.incidence_deg == pytest.approx(math.degrees(math.acos(axis @ normal)), abs=1e-4)
+        assert ping.slant_range_cm == pytest.approx(-100 * (sensor @ normal) / (axis @ normal), abs=1e-6)
+
+
+@pytest.mark.parametrize(("tilt_deg", "heard"), [(12.5, True), (12.7, False)])
+@pytest.mark.parametrize("turn", ["roll_deg", "pitch_deg"])
+def test_flat_ground_is_heard_up_to_the_breakaway_angle(turn, tilt_deg, heard):
+    for signed_deg in (tilt_deg, -tilt_deg):
+        ping = world().ping(at(height_m=3.0, **{turn: signed_deg}), looking())
+        assert ping.heard is heard
+        assert ping.incidence_deg == pytest.approx(tilt_deg)
+
+
+def test_the_breakaway_angle_is_the_one_at_the_range():
+    canted = looking(boresight=(math.sin(math.radians(15)), 0.0, math.cos(math.radians(15))))
+    # 12.6 deg and 7 deg more a metre below 2 m: 15 deg is reached at 1.657 m.
+    assert world().ping(at(height_m=1.65), canted).heard
+    assert not world().ping(at(height_m=1.67), canted).heard
+
+
+def test_ground_out_of_the_beam_is_not_heard_and_still_described():
+    ping = world(surface="asphalt").ping(at(height_m=2.0, pitch_deg=30), looking())
+    assert not ping.heard
+    assert ping.target == "asphalt"
+    assert ping.true_range_cm == pytest.approx(200)
+    assert ping.slant_range_cm == pytest.approx(200 / math.cos(math.radians(30)))
+    assert ping.incidence_deg == pytest.approx(30)
+
+
+def test_a_beam_into_the_sky_meets_nothing():
+    ping = world(air=Air(ground_c=18.0, lapse_c_per_m=0.0)).ping(at(), looking((0.0, 0.0, -1.0)))
+    assert ping == (False, None, None, None, None, 18.0, None, None)
+
+
+def test_range_rate_is_the_change_of_the_range():
+    ground = world(slope_deg=12, uphill_deg=70, boxes=(Box(centre_m=(3.0, 0.5), size_m=(1.0, 1.0), height_m=0.8),))
+    velocity = (0.7, -0.4, 0.3)
+    for north_m in (0.0, 2.2, 3.0):
+        pose = at(north_m, 0.5, 3.0, 3, -2, 30, velocity)
+        beam = looking(half_angle=degrees(25))
+        step_s = 1e-5
+        moved = pose._replace(position_ned_m=tuple(p + step_s * v for p, v in zip(pose[1], velocity, strict=True)))
+        now, then = ground.ping(pose, beam), ground.ping(moved, beam)
+        assert now.heard
+        assert now.target == then.target
+        assert now.range_rate_cm_s == pytest.approx((then.true_range_cm - now.true_range_cm) / step_s, abs=1e-2)
+    assert world().ping(at(velocity=(0.0, 0.0, -0.5)), looking()).range_rate_cm_s == pytest.approx(50)
+
+
+def test_surfaces_follow_the_steps():
+    steps = (
+        Step(at_m=2.0, rise_m=0.5, surface="concrete"),
+        Step(at_m=6.0, rise_m=-0.2),
+        Step(at_m=8.0, surface="gravel"),
+    )
+    ground = world(surface="grass", steps_heading_deg=90, steps=steps)
+    for east_m, height_m, surface in (
+        (0, 0.0, "grass"),
+        (4, 0.5, "concrete"),
+        (7, 0.3, "concrete"),
+        (9, 0.3, "gravel"),
+    ):
+        ping = ground.ping(at(-3.0, east_m, 3.0), looking(half_angle=degrees(5)))
+        assert ground.elevation_m(-3.0, east_m) == pytest.approx(height_m)
+        assert (ping.target, ping.true_range_cm) == (surface, pytest.approx(300 - 100 * height_m))
+
+
+def test_the_edge_of_a_step_is_heard_before_the_vehicle_is_above_it():
+    ground = world(surface="grass", steps=(Step(at_m=0.0, rise_m=0.5, surface="concrete"),))
+    beam = looking(half_angle=degrees(12))
+    reach_m = 1.5 * math.tan(math.radians(12))
+    before = ground.ping(at(-reach_m - 0.001), beam)
+    assert (before.target, before.true_range_cm) == ("grass", pytest.approx(200))
+    heard = ground.ping(at(-reach_m + 0.001), beam)
+    assert heard.target == "concrete"
+    assert heard.true_range_cm == pytest.approx(100 * math.hypot(1.5, reach_m - 0.001))
+    assert heard.slant_range_cm == heard.true_range_cm
+    assert heard.incidence_deg == pytest.approx(12, abs=0.05)
+    # Seen from above, the lower side is further than the edge until the edge has left the beam.
+    assert ground.ping(at(0.001), beam).true_range_cm == pytest.approx(150)
+
+
+def test_the_edges_and_corners_of_a_box():
+    ground = world(surface="grass", boxes=(Box(surface="crate", centre_m=(5.0, 1.0), size_m=(2.0, 1.0), height_m=0.6),))
+    beam = looking(half_angle=degrees(20))
+    over_m = 1.4
+
+    def ping(north_m, east_m):
+        return ground.ping(at(north_m, east_m), beam)
+
+    assert ping(5.9, 0.6)[:2] == (True, pytest.approx(140))
+    assert ping(6.3, 1.2).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.3))
+    assert ping(5.0, 0.3).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.2))
+    assert ping(6.3, 1.7).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.3, 0.2))
+    reach_m = over_m * math.tan(math.radians(20))
+    assert ping(6.0 + reach_m - 0.001, 1.0).target == "crate"
+    away = ping(6.0 + reach_m + 0.001, 1.0)
+    assert (away.target, away.true_range_cm, away.target_size_cm) == ("grass", pytest.approx(200), None)
+    assert ping(5.0, 1.0).target_size_cm == pytest.approx(100)
+
+
+def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone():
+    """Every centimetre of all level surfaces, turned boxes and steps, as the brute force."""
+    steps = (Step(at_m=-0.5, rise_m=0.4, surface="concrete"), Step(at_m=0.9, rise_m=-0.7, surface="gravel"))
+    boxes = (
+        Box(surface="crate", centre_m=(0.3, 0.6), size_m=(0.8, 0.5), height_m=0.5, heading_deg=25),
+        Box(surface="table", centre_m=(-1.3, -0.4), size_m=(0.6, 1.1), height_m=0.7, heading_deg=-70),
+    )
+    ground = world(surface="grass", steps_heading_deg=40, steps=steps, boxes=boxes)
+    norths, easts = np.meshgrid(np.arange(-3.0, 3.0, 0.01), np.arange(-3.0, 3.0, 0.01))
+    along = norths * math.cos(math.radians(40)) + easts * math.sin(math.radians(40))
+    heights = 0.4 * (along >= -0.5) - 0.7 * (along >= 0.9)
+    names = np.where(along >= 0.9, "gravel", np.where(along >= -0.5, "concrete", "grass"))
+    for box in boxes:
+        turned = Rotation.from_euler("z", -box.heading_deg, degrees=True).as_matrix()[:2, :2]
+        offset = np.stack([norths - box.centre_m[0], easts - box.centre_m[1]], -1) @ turned.T
+        inside = (np.abs(offset[..., 0]) <= box.size_m[0] / 2) & (np.abs(offset[..., 1]) <= box.size_m[1] / 2)
+        foot_m = heights[np.unravel_index(np.argmin(np.hypot(*np.moveaxis(offset, -1, 0))), heights.shape)]
+        heights = np.where(inside, foot_m + box.height_m, heights)
+        names = np.where(inside, box.surface, names)
+    rng = np.random.default_rng(2)
+    targets, compared = set(), 0
+    for _ in range(150):
+        north_m, east_m, height_m = *rng.uniform(-1.5, 1.5, 2), rng.uniform(1.6, 3.5)
+        distances = np.sqrt((norths - north_m) ** 2 + (easts - east_m) ** 2 + (height_m - heights) ** 2)
+        half_angles = np.radians(12.6 + np.maximum(2.0 - distances, 0.0) * 7.0)
+        in_cone = height_m - heights >= distances * np.cos(half_angles)
+        nearest = np.where(in_cone, distances, np.inf)
+        ping = ground.ping(at(north_m, east_m, height_m), looking())
+        if not in_cone.any():
+            continue
+        i = np.unravel_index(np.argmin(nearest), nearest.shape)
+        angle_rad = np.arccos((height_m - heights[i]) / distances[i])
+        own_spare_rad = narrowing(ping.true_range_cm / 100) - math.radians(ping.incidence_deg)
+        if min(half_angles[i] - angle_rad, own_spare_rad) < 0.01:
+            continue  # the grid decides whether the last centimetre is inside the cone
+        compared += 1
+        assert ping.heard
+        # Half a cell's diagonal off to the side, at 20 deg at most: 0.25 cm.
+        assert ping.true_range_cm == pytest.approx(100 * nearest[i], abs=0.3)
+        if np.partition(nearest[names != names[i]], 0)[0] > nearest[i] + 0.01:
+            assert ping.target == names[i]
+        targets.add(ping.target)
+    assert compared > 100
+    assert targets == {"grass", "concrete", "gravel", "crate", "table"}
+
+
+def test_a_tilted_sensor_hears_the_part_of_an_edge_that_is_in_its_beam():
+    """The nearest point of the edge is outside the cone, a point further along is inside: every millimetre of it."""
+    ground = world(boxes=(Box(surface="crate", centre_m=(0.0, 5.0), size_m=(6.0, 10.0), height_m=1.0),))
+    # The edge runs north at east = 0; the sensor stands 0.2 m to its west and looks 20 deg to the north.
+    pose = at(0.0, -0.2, 2.5, pitch_deg=20)
+    beam = looking()
+    axis = np.array([math.sin(math.radians(20)), 0.0, math.cos(math.radians(20))])
+    points = np.array([[north, 0.2, 1.5] for north in np.arange(-3.0, 3.0, 0.001)])
+    distances = np.linalg.norm(points, axis=1)
+    angles = np.arccos(points @ axis / distances)
+    in_cone = angles <= [narrowing(distance) for distance in distances]
+    assert not in_cone[np.argmin(distances)]
+    ping = ground.ping(pose, beam)
+    assert ping.target == "crate"
+    assert ping.true_range_cm == pytest.approx(100 * distances[in_cone].min(), abs=0.1)
+    assert not ground.ping(pose, looking(half_angle=degrees(5))).heard
+
+
+def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end():
+    wall = Box(surface="brick", centre_m=(4.0, 0.0), size_m=(0.2, 4.0), height_m=3.0)
+    ground = world(boxes=(wall,))
+    beam = looking(FORWARD, degrees(12), (0.3, 0.0, 0.0))
+    ping = ground.ping(at(1.0, velocity=(0.5, 0.0, 0.0), pitch_deg=-4), beam)
+    distance_m = 3.9 - 1.0 - 0.3 * math.cos(math.radians(4))
+    assert (ping.heard, ping.target) == (True, "brick")
+    assert ping.true_range_cm == pytest.approx(100 * distance_m)
+    assert ping.slant_range_cm == pytest.approx(100 * distance_m / math.cos(math.radians(4)))
+    assert ping.incidence_deg == pytest.approx(4)
+    assert ping.range_rate_cm_s == pytest.approx(-50)
+    assert not ground.ping(at(1.0, 3.0), beam).heard
+    assert not ground.ping(at(1.0, yaw_deg=90), beam).heard
+    assert not ground.ping(at(6.0), beam).heard
+    # Above its top and looking over it there is nothing; just above, its upper edge.
+    assert not ground.ping(at(1.0, height_m=4.0), beam).heard
+    over = ground.ping(at(1.0, height_m=3.2), beam)
+    assert over.true_range_cm == pytest.approx(100 * math.hypot(2.6, 0.2))
+
+
+def test_a_forward_sensor_sees_the_face_of_a_step_up_and_not_of_one_down():
+    ground = world(surface="grass", steps=(Step(at_m=3.0, rise_m=2.0, surface="rock"),))
+    ping = ground.ping(at(1.0, height_m=1.0), looking(FORWARD, degrees(10)))
+    assert (ping.heard, ping.target, ping.true_range_cm) == (True, "rock", pytest.approx(200))
+    back = ground.ping(at(5.0, height_m=3.0, yaw_deg=180), looking(FORWARD, degrees(10)))
+    assert not back.heard
+    other_way = world(surface="rock", steps=(Step(at_m=3.0, rise_m=-2.0, surface="grass"),))
+    ping = other_way.ping(at(4.5, height_m=-1.0, yaw_deg=180), looking(FORWARD, degrees(10)))
+    assert (ping.heard, ping.target, ping.true_range_cm) == (True, "rock", pytest.approx(150))
+
+
+@pytest.mark.parametrize("turn_deg", [37.0, 120.0, -75.0])
+def test_nothing_changes_when_everything_is_turned_together(turn_deg):
+    """A world and its vehicle turned about the vertical: an error of a sign or of a frame shows."""
+
+    def turned(north_m, east_m):
+        cosine, sine = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+        return cosine * north_m - sine * east_m, sine * north_m + cosine * east_m
+
+    def ground(by_deg, place):
+        return world(
+            slope_deg=6,
+            uphill_deg=20 + by_deg,
+            steps_heading_deg=-30 + by_deg,
+            steps=(Step(at_m=0.5, rise_m=0.4, surface="concrete"), Step(at_m=2.5, rise_m=-0.6, surface="gravel")),
+            boxes=(Box(centre_m=place(1.0, 1.0), size_m=(1.0, 0.6), height_m=0.9, heading_deg=15 + by_deg),),
+        )
+
+    straight, around = ground(0.0, lambda *place: place), ground(turn_deg, turned)
+    beam = Beam(
+        (0.2, 0.1, 0.05),
+        (math.sin(0.1), math.sin(0.05), math.sqrt(1 - math.sin(0.1) ** 2 - math.sin(0.05) ** 2)),
+        narrowing,
+    )
+    rng = np.random.default_rng(4)
+    targets = set()
+    for _ in range(300):
+        north_m, east_m, height_m = *rng.uniform(-1, 4, 2), rng.uniform(2.0, 4.0)
+        roll_deg, pitch_deg, yaw_deg = *rng.uniform(-10, 10, 2), rng.uniform(-180, 180)
+        velocity = (0.3, -0.8, 0.2)
+        before = at(north_m, east_m, height_m, roll_deg, pitch_deg, yaw_deg, velocity)
+        after = at(
+            *turned(north_m, east_m), height_m, roll_deg, pitch_deg, yaw_deg + turn_deg, (*turned(*velocity[:2]), 0.2)
+        )
+        one, other = straight.ping(before, beam), around.ping(after, beam)
+        targets.add(one.target)
+        assert (one.heard, one.target, one.target_size_cm) == (other.heard, other.target, other.target_size_cm)
+        assert one[1:6] == pytest.approx(other[1:6], abs=1e-5)
+        assert straight.height_above_ground(before) == pytest.approx(around.height_above_ground(after))
+    assert targets == {"grass", "concrete", "gravel", "box"}
+
+
+def test_ground_below_a_box_does_not_answer():
+    """Tilted so far that the top's foot is out of the beam, over the middle of a large table."""
+    ground = world(surface="grass", boxes=(Box(surface="table", centre_m=(0.0, 0.0), size_m=(9.0, 9.0), height_m=0.5),))
+    ping = ground.ping(at(height_m=3.0, roll_deg=20), looking())
+    assert (ping.heard, ping.target, ping.true_range_cm) == (False, "table", pytest.approx(250))
+    # On a slope the ground's perpendicular leans under the table, and only the level top answers.
+    ground = world(slope_deg=10, boxes=(Box(surface="table", centre_m=(0.0, 0.0), size_m=(9.0, 9.0), height_m=0.5),))
+    ping = ground.ping(at(height_m=3.0, pitch_deg=10), looking(half_angle=degrees(5)))
+    assert (ping.heard, ping.target) == (False, "table")
+
+
+def test_air_temperature_is_the_mean_along_the_path():
+    air = Air(ground_c=25.0, lapse_c_per_m=0.5, warm_layer=WarmLayer(bottom_m=0.3, top_m=1.2, warmer_by_c=6.0))
+    ground = world(air=air)
+    pose = at(height_m=4.0)
+    heights_m = (np.arange(100_000) + 0.5) * 4.0 / 100_000
+    profile_c = 25.0 - 0.5 * heights_m + 6.0 * ((heights_m >= 0.3) & (heights_m <= 1.2))
+    assert ground.ping(pose, looking()).air_temperature_c == pytest.approx(profile_c.mean(), abs=1e-3)
+    assert ground.air_temperature_c(0.5) == pytest.approx(30.75)
+    assert ground.air_temperature_c(2.0) == pytest.approx(24.0)
+
+
+def test_height_above_ground_straight_down_and_along_the_body():
+    ground = world(boxes=(Box(centre_m=(2.0, 0.0), size_m=(1.0, 1.0), height_m=0.5),))
+    level = ground.height_above_ground(at(height_m=3.0))
+    assert level == (pytest.approx(3.0), pytest.approx(3.0))
+    tilted = ground.height_above_ground(at(height_m=3.0, roll_deg=15, pitch_deg=5, yaw_deg=90))
+    assert tilted.vertical_m == pytest.approx(3.0)
+    assert tilted.down_axis_m == pytest.approx(3.0 / math.cos(math.radians(15)) / math.cos(math.radians(5)))
+    # Above the box, and leaning so that the axis passes beside it: nose down at yaw 180 looks north.
+    assert ground.height_above_ground(at(2.0, height_m=3.0)) == (pytest.approx(2.5), pytest.approx(2.5))
+    aside = ground.height_above_ground(at(2.4, height_m=3.0, pitch_deg=10))
+    assert aside == (pytest.approx(2.5), pytest.approx(3.0 / math.cos(math.radians(10))))
+    assert ground.height_above_ground(at(roll_deg=180)).down_axis_m is None
+
+
+@pytest.mark.parametrize("height_m", [0.0, 0.5])
+def test_a_vehicle_on_the_ground_or_on_a_box_has_no_height(height_m):
+    boxes = (Box(centre_m=(0.0, 0.0), size_m=(1.0, 1.0), height_m=0.5),) if height_m else ()
+    ground = world(boxes=boxes)
+    assert ground.height_above_ground(at(height_m=height_m)) == (0.0, 0.0)
+    assert ground.ping(at(height_m=height_m), looking())[:2] == (True, 0.0)
+    buried = ground.ping(at(height_m=height_m - 0.02), looking())
+    assert buried[:2] == (True, 0.0)
+
+
+def test_steps_out_of_order_and_an_upside_down_layer_are_refused():
+    with pytest.raises(ValueError, match=r"expected steps in order of at_m, but 2.0 comes after 5.0"):
+        Ground(steps=(Step(at_m=5.0), Step(at_m=2.0)))
+    with pytest.raises(ValueError, match=r"expected top_m above bottom_m, but 1.0 is not above 2.0"):
+        WarmLayer(bottom_m=2.0, top_m=1.0, warmer_by_c=3.0)
