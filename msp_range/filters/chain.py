@@ -9,9 +9,11 @@ from msp_range.reading import Reading, Status
 MEMORY_S = 1.5
 """After this long without an accepted reading the filters start anew [s]."""
 FASTEST_M_S = 5.0
-"""Range rate that the prediction of a suspect reading allows for [m/s]."""
+"""Range rate at most that the prediction of a suspect reading goes on with [m/s]."""
 SUSPECT_MARGIN_M = 0.15
-"""What it allows for besides [m]."""
+SUSPECT_MARGIN_M_S = 0.2
+"""How far from the prediction a suspect reading may be [m], and how much farther with time [m/s]: no more, or a
+vehicle that hovers over ground that it cannot hear would soon be told that it is at 255 cm."""
 
 
 class Filtered(NamedTuple):
@@ -24,14 +26,15 @@ class Filtered(NamedTuple):
 class Chain:
     """The status gate, then every filter in turn.
 
-    Only readings whose status carries a range go on. A suspect value (255) goes on only where the last output, moved
-    by at most what a vehicle can do since, contains it.
+    Only readings whose status carries a range go on. A suspect value (255) goes on only where it lies between the last
+    output and where that has moved since at the rate it had, give or take the margin.
     """
 
     def __init__(self, filters: Sequence[Filter]) -> None:
         self._filters = filters
         self._last: Estimate | None = None
         self._last_s = float("-inf")
+        self._rate_m_s = 0.0
         self._accepted_s = float("-inf")
 
     def update(self, reading: Reading) -> Filtered:
@@ -43,6 +46,7 @@ class Chain:
             return _SUSPECT
         if time_s - self._accepted_s > MEMORY_S:
             self._last = None
+            self._rate_m_s = 0.0
             for each in self._filters:
                 each.reset()
         self._accepted_s = time_s
@@ -53,14 +57,20 @@ class Chain:
             if outcome is None:
                 return _UNEXPECTED
             estimate = outcome
+        if self._last is not None and time_s > self._last_s:
+            rate_m_s = (estimate.range_m - self._last.range_m) / (time_s - self._last_s)
+            self._rate_m_s = min(max(rate_m_s, -FASTEST_M_S), FASTEST_M_S)
         self._last, self._last_s = estimate, time_s
         return Filtered(estimate)
 
     def _contains(self, time_s: float, range_m: float) -> bool:
         if self._last is None or time_s - self._last_s > MEMORY_S:
             return False
-        reach_m = SUSPECT_MARGIN_M + FASTEST_M_S * (time_s - self._last_s)
-        return abs(range_m - self._last.range_m) <= reach_m
+        elapsed_s = time_s - self._last_s
+        margin_m = SUSPECT_MARGIN_M + SUSPECT_MARGIN_M_S * elapsed_s
+        before_m = self._last.range_m
+        moved_m = before_m + self._rate_m_s * elapsed_s
+        return min(before_m, moved_m) - margin_m <= range_m <= max(before_m, moved_m) + margin_m
 
 
 _REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}

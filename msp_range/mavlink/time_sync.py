@@ -11,8 +11,10 @@ EXCHANGES_KEPT = 10
 REQUEST_INTERVAL_S = 1.0
 FIRST_REQUESTS_INTERVAL_S = 0.1
 FIRST_REQUESTS = 5
-REBOOT_BACKWARDS_S = 1.0
-"""An autopilot's clock that is this much behind where it should be has been started again [s]."""
+REBOOT_BACKWARDS_S = 5.0
+"""An autopilot's clock that is this much behind where it should be has been started again [s].
+
+Longer than SYSTEM_TIME may lie unread: on a locked-up bus every transfer blocks the loop for a second."""
 
 
 class AutopilotClock:

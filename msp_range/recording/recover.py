@@ -53,7 +53,7 @@ def _copy(recording: Recording, file: IO[bytes]) -> int:
             channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(content)
             if channel_id in channels:
                 data = content[MESSAGE_HEAD.size :]
-                writer.add_message(channels[channel_id], log_time_ns, data, log_time_ns, sequence)
+                writer.add_message(channels[channel_id], log_time_ns, data, publish_time_ns, sequence)
                 messages += 1
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(as_stream(content))

@@ -24,6 +24,8 @@ EDGE_REACH_M = 50.0
 """How far to either side the edge of a step is looked at; it has no ends [m]."""
 TOUCH_M = 1e-6
 """A point that is no deeper in a surface than this stands on it [m]."""
+MOST_STEPS = 50
+"""An edge that touches the beam's limit is followed along it for so many steps."""
 PARALLEL = 1e-12
 """Below this a quadratic is taken for linear."""
 
@@ -130,16 +132,18 @@ def edge_echo(
     t = nearest_t
     range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
     cos_half = math.cos(half_angle_rad(range_m))
-    if on_axis + t * axis_along < range_m * cos_half:
-        # The beam narrows with range: the range of one solution gives the angle of the next, and three are enough.
-        for _ in range(3):
-            ends = _cone_ends(on_axis, axis_along, square, across, cos_half)
-            inside = [end for end in ends if low_m <= end <= high_m and on_axis + end * axis_along > 0]
-            if not inside:
-                return None
-            t = min(inside, key=lambda end: abs(end - nearest_t))
-            range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
-            cos_half = math.cos(half_angle_rad(range_m))
+    for _ in range(MOST_STEPS):
+        if on_axis + t * axis_along >= (range_m - TOUCH_M) * cos_half:
+            break
+        # Outside the beam that is this wide. Its end nearest to here is further away, where the beam may be narrower
+        # still: the ends move one way only, until one is inside or there is none.
+        ends = _cone_ends(on_axis, axis_along, square, across, cos_half)
+        inside = [end for end in ends if low_m <= end <= high_m and on_axis + end * axis_along > 0]
+        if not inside:
+            return None
+        t = min(inside, key=lambda end: abs(end - nearest_t))
+        range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
+        cos_half = math.cos(half_angle_rad(range_m))
     if range_m == 0:
         return 0.0, axis, 0.0
     direction = (

@@ -92,9 +92,10 @@ def test_sensors_that_ping_together(tmp_path: Path) -> None:
             ("/b/reading", 0.03, reading(0.002, "ok", 100)),
             ("/a/reading", 0.06, reading(0.0, "ok", 600)),
             ("/a/reading", 0.16, reading(0.1, "ok", 600)),
+            ("/c/reading", 0.26, reading(0.2, "ok", 600)),
         ],
     )
-    np.testing.assert_allclose(measured_data(recording)["neighbour_lag_ms"], [2.0, np.nan, 98.0], atol=5e-4)
+    np.testing.assert_allclose(measured_data(recording)["neighbour_lag_ms"], [2.0, np.nan, 98.0, 100.0], atol=5e-4)
 
 
 @pytest.mark.parametrize("size", [0, 200])

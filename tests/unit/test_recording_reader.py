@@ -109,6 +109,7 @@ def test_what_a_dying_disk_left_behind_the_last_chunk_is_no_data(tmp_path: Path,
     recording = Recording(tmp_path / "cut.mcap")
     assert [each.message for each in recording] == messages[:count]
     assert recording.cut
+    assert all(opcode != 0 for opcode, _ in recording.records())
 
 
 def test_a_chunk_whose_end_never_reached_the_disk_is_no_data(tmp_path: Path) -> None:
@@ -134,6 +135,21 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
     assert (recording.damaged_chunks, recording.cut) == (1, False)
     assert recover(tmp_path / "damaged.mcap", tmp_path / "out.mcap") == (len(expected), 1)
     assert read_by_mcap(tmp_path / "out.mcap") == expected
+
+
+def test_a_damaged_chunk_that_still_unpacks(tmp_path: Path) -> None:
+    """Only the checksum tells a digit that has changed in a chunk that is not compressed."""
+    writer = Writer(str(tmp_path / "a.mcap"), compression=CompressionType.NONE)
+    writer.start()
+    channel = writer.register_channel("/fused", "json", 0)
+    writer.add_message(channel, 1, b'{"range_m":1.5}', 1)
+    writer.finish()
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert len(list(Recording(tmp_path / "a.mcap"))) == 1
+    (tmp_path / "a.mcap").write_bytes(data.replace(b"1.5", b"1.7"))
+    recording = Recording(tmp_path / "a.mcap")
+    assert list(recording) == []
+    assert recording.damaged_chunks == 1
 
 
 def test_a_recording_that_goes_on_is_read_up_to_now(tmp_path: Path) -> None:

@@ -1,10 +1,13 @@
 """The recorder: what is in the file, for every tool; what a failing disk does; nothing of wall time in it."""
 
+import io
 import json
 import math
 import os
 import resource
+import struct
 import threading
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,11 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
+from mcap.records import Attachment, Chunk, Footer, MessageIndex, Metadata, SummaryOffset
+from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
 from msp_range.recording import Recorder, Recording, RecordingError, writer
@@ -112,6 +119,61 @@ def test_the_mcap_package_reads_the_file_with_its_index_and_checksums(tmp_path: 
         assert statistics.chunk_count == len(summary.chunk_indexes) == 10
         assert [each.data for each in reader.iter_attachments()] == ["vehicle: Möwe\n".encode()]
         assert [each.metadata["vehicle"] for each in reader.iter_metadata()] == ["Möwe"]
+
+
+def test_every_index_and_checksum_is_right(tmp_path: Path) -> None:
+    """Each offset of the summary is followed to its record, as readers of other languages do."""
+    record_flight(tmp_path / "flight.mcap")
+    data = (tmp_path / "flight.mcap").read_bytes()
+
+    def record_at(offset: int) -> tuple[int, bytes]:
+        opcode, length = struct.unpack_from("<BQ", data, offset)
+        return opcode, data[offset + 9 : offset + 9 + length]
+
+    def stream_at(offset: int, opcode: Opcode) -> ReadDataStream:
+        assert record_at(offset)[0] == opcode
+        return ReadDataStream(io.BytesIO(record_at(offset)[1]))
+
+    footer_offset = len(data) - 8 - 20 - 9
+    footer = Footer.read(stream_at(footer_offset, Opcode.FOOTER))
+    assert zlib.crc32(data[footer.summary_start : footer_offset + 9 + 16]) == footer.summary_crc
+    offset, groups = footer.summary_offset_start, []
+    while offset < footer_offset:
+        group = SummaryOffset.read(stream_at(offset, Opcode.SUMMARY_OFFSET))
+        assert record_at(group.group_start)[0] == group.group_opcode
+        groups.append((group.group_start, group.group_length))
+        offset += 9 + len(record_at(offset)[1])
+    # The groups lie one behind the other, and fill the summary.
+    ends = [start + length for start, length in groups]
+    assert [start for start, _ in groups] + [footer.summary_offset_start] == [footer.summary_start, *ends]
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        summary = SeekingReader(file).get_summary()
+    assert summary is not None
+    for attachment in summary.attachment_indexes:
+        kept = Attachment.read(stream_at(attachment.offset, Opcode.ATTACHMENT))
+        assert (kept.name, len(kept.data)) == (attachment.name, attachment.data_size)
+        assert attachment.length == 9 + len(record_at(attachment.offset)[1])
+    for metadata in summary.metadata_indexes:
+        assert Metadata.read(stream_at(metadata.offset, Opcode.METADATA)).name == metadata.name
+        assert metadata.length == 9 + len(record_at(metadata.offset)[1])
+    indexed = 0
+    for each in summary.chunk_indexes:
+        chunk = Chunk.read(stream_at(each.chunk_start_offset, Opcode.CHUNK))
+        assert each.chunk_length == 9 + len(record_at(each.chunk_start_offset)[1])
+        content = get_chunk_data_stream(chunk)[0].read(chunk.uncompressed_size)
+        assert chunk.uncompressed_crc == zlib.crc32(content)
+        assert len(content) == each.uncompressed_size
+        assert len(chunk.data) == each.compressed_size
+        lengths = 0
+        for channel, index_offset in each.message_index_offsets.items():
+            index = MessageIndex.read(stream_at(index_offset, Opcode.MESSAGE_INDEX))
+            assert index.channel_id == channel
+            lengths += 9 + len(record_at(index_offset)[1])
+            for time_ns, message_offset in index.records:
+                assert struct.unpack_from("<BQHIQ", content, message_offset)[::2] == (Opcode.MESSAGE, channel, time_ns)
+                indexed += 1
+        assert each.message_index_length == lengths
+    assert indexed == 300
 
 
 def test_identical_virtual_flights_are_identical_files(tmp_path: Path) -> None:

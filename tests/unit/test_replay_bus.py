@@ -113,6 +113,17 @@ def test_a_csv_file_gives_pings(tmp_path: Path) -> None:
     }
 
 
+def test_a_recorded_answer_is_there_for_the_try_that_found_it(tmp_path: Path) -> None:
+    """The try ended 0.5 ms after it began, and the one before it, 2 ms earlier, found the sensor busy."""
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    message = {"time_s": 1.0087, "ping_s": 1.0, "read_s": 1.0372 + 0.0005, "status": "ok", "raw": 300, "range_m": 3.0}
+    recorder.write("/left/reading", 1.04, message)
+    recorder.close()
+    ((ping_s, word, ready_s),) = recorded_pings(tmp_path / "flight.mcap")["left"]
+    assert (ping_s, word) == (1.0, 300)
+    assert 0.0352 < ready_s < 0.0372
+
+
 def test_one_run_at_a_time(tmp_path: Path) -> None:
     header = "time_s,sensor,reading_cm,run"
     path = write_csv_text(tmp_path / "a.csv", "1,left,200,one\n2,left,201,one\n1,left,300,two\n", header)

@@ -23,6 +23,10 @@ def narrowing(range_m: float) -> float:
     return math.radians(12.6 + max(2.0 - range_m, 0.0) * 7.0)
 
 
+def narrowing_array(ranges_m):
+    return np.radians(12.6 + np.maximum(2.0 - ranges_m, 0.0) * 7.0)
+
+
 def looking(boresight=DOWN, half_angle=narrowing, position_m=(0.0, 0.0, 0.0)) -> Beam:
     return Beam(position_m, boresight, half_angle)
 
@@ -189,7 +193,7 @@ def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone():
     for _ in range(150):
         north_m, east_m, height_m = *rng.uniform(-1.5, 1.5, 2), rng.uniform(1.6, 3.5)
         distances = np.sqrt((norths - north_m) ** 2 + (easts - east_m) ** 2 + (height_m - heights) ** 2)
-        half_angles = np.radians(12.6 + np.maximum(2.0 - distances, 0.0) * 7.0)
+        half_angles = narrowing_array(distances)
         in_cone = height_m - heights >= distances * np.cos(half_angles)
         nearest = np.where(in_cone, distances, np.inf)
         ping = ground.ping(at(north_m, east_m, height_m), looking())
@@ -299,6 +303,185 @@ def test_nothing_changes_when_everything_is_turned_together(turn_deg):
         assert one[1:6] == pytest.approx(other[1:6], abs=1e-5)
         assert straight.height_above_ground(before) == pytest.approx(around.height_above_ground(after))
     assert targets == {"grass", "concrete", "gravel", "box"}
+
+
+class Polygons:
+    """A slope with a step up, a step down and two boxes, as plane polygons in space: echoes and rays without any frame
+    but the world's, by plain vectors."""
+
+    SLOPE_DEG, UPHILL_DEG, HEADING_DEG = 7.0, 65.0, -25.0
+    STEPS = (Step(at_m=-1.0, rise_m=1.2, surface="concrete"), Step(at_m=4.0, rise_m=-0.8, surface="gravel"))
+    BOXES = (
+        Box(surface="crate", centre_m=(-3.2, -0.5), size_m=(1.2, 0.7), height_m=1.1, heading_deg=20),
+        Box(surface="table", centre_m=(1.5, 1.0), size_m=(0.8, 1.6), height_m=0.7, heading_deg=-50),
+    )
+
+    def __init__(self) -> None:
+        self.faces: list[tuple[np.ndarray, np.ndarray, str]] = []  # corners, outward normal, name
+        self.edges: list[tuple[np.ndarray, np.ndarray, list[np.ndarray], str]] = []  # ends, normals beside it, name
+        along = self.unit(self.HEADING_DEG)
+        across = np.array([-along[1], along[0]])
+        far = 60.0
+        rises = np.cumsum([0.0] + [step.rise_m for step in self.STEPS])
+        names = ["grass", "concrete", "gravel"]
+        borders = [-far] + [step.at_m for step in self.STEPS] + [far]
+        strips = []
+        for first, last, rise, name in zip(borders, borders[1:], rises, names, strict=False):
+            places = [a * along + b * across for a, b in ((first, -far), (last, -far), (last, far), (first, far))]
+            strips.append(self.face([(*p, self.bare(p) + rise) for p in places], (0, 0, -1), name))
+        for step, low, high, strip, name in (
+            (self.STEPS[0], rises[0], rises[1], strips[1], "concrete"),
+            (self.STEPS[1], rises[2], rises[1], strips[1], "concrete"),
+        ):
+            ends = [step.at_m * along + side * across for side in (-far, far)]
+            outward = (*(-np.sign(step.rise_m) * along), 0.0)
+            corners = [
+                (*p, self.bare(p) + rise) for p, rise in zip((*ends, *ends[::-1]), (low, low, high, high), strict=True)
+            ]
+            self.edge(corners[2], corners[3], [strip, self.face(corners, outward, name)], name)
+        for box, rise in zip(self.BOXES, rises, strict=False):
+            self.box(box, rise)
+
+    @staticmethod
+    def unit(heading_deg):
+        return np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
+
+    def bare(self, place):
+        return math.tan(math.radians(self.SLOPE_DEG)) * (self.unit(self.UPHILL_DEG) @ place)
+
+    def face(self, corners, outward, name):
+        points = np.array([(north, east, -height) for north, east, height in corners])
+        normal = np.cross(points[1] - points[0], points[2] - points[0])
+        normal *= np.sign(normal @ outward) / np.linalg.norm(normal)
+        self.faces.append((points, normal, name))
+        return normal
+
+    def edge(self, start, end, normals, name):
+        self.edges.append((np.array([*start[:2], -start[2]]), np.array([*end[:2], -end[2]]), normals, name))
+
+    def box(self, box, rise):
+        ahead = self.unit(box.heading_deg)
+        aside = np.array([-ahead[1], ahead[0]])
+        signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        feet = [box.centre_m + a * box.size_m[0] / 2 * ahead + b * box.size_m[1] / 2 * aside for a, b in signs]
+        top_m = self.bare(np.array(box.centre_m)) + rise + box.height_m
+        up = self.face([(*p, top_m) for p in feet], (0, 0, -1), box.surface)
+        sides = []
+        for p, q in zip(feet, feet[1:] + feet[:1], strict=True):
+            corners = [(*p, self.bare(p) + rise), (*q, self.bare(q) + rise), (*q, top_m), (*p, top_m)]
+            sides.append(self.face(corners, (*((p + q) / 2 - box.centre_m), 0.0), box.surface))
+            self.edge(corners[2], corners[3], [up, sides[-1]], box.surface)
+        for i, p in enumerate(feet):
+            self.edge((*p, self.bare(p) + rise), (*p, top_m), [sides[i - 1], sides[i]], box.surface)
+
+    @staticmethod
+    def contains(points, normal, place):
+        turns = [np.cross(q - p, place - p) @ normal for p, q in zip(points, np.roll(points, -1, axis=0), strict=True)]
+        return min(turns) >= 0 or max(turns) <= 0
+
+    def covered(self, place):
+        """Whether a place on the ground is below a box: straight above it is a top."""
+        for points, normal, name in self.faces:
+            if (
+                name in ("crate", "table")
+                and normal[2] == -1
+                and self.contains(points, normal, [*place[:2], points[0, 2]])
+            ):
+                return True
+        return False
+
+    def nearest(self, sensor, axis, half_angle):
+        found = []
+        for points, normal, name in self.faces:
+            over = (sensor - points[0]) @ normal
+            foot = sensor - over * normal
+            if over > 0 and self.contains(points, normal, foot) and -normal @ axis >= np.cos(half_angle(over)):
+                on_ground = name not in ("crate", "table")
+                if not (on_ground and self.covered(foot)):
+                    found.append((over, over / (-normal @ axis), name))
+        for start, end, normals, name in self.edges:
+            if any((sensor - start) @ normal > 0 for normal in normals):
+                middle = np.clip((sensor - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+                length = np.linalg.norm(end - start)
+                shares = np.clip(middle + np.arange(-4.0, 4.0, 0.002) / length, 0, 1)
+                rays = start + shares[:, None] * (end - start) - sensor
+                ranges = np.linalg.norm(rays, axis=1)
+                half_angles = half_angle(ranges)
+                inside = rays @ axis >= ranges * np.cos(half_angles)
+                if inside.any():
+                    found.append((ranges[inside].min(), ranges[inside].min(), name))
+        return min(found, default=None)
+
+    def ray(self, sensor, axis):
+        found = []
+        for points, normal, name in self.faces:
+            if axis @ normal < 0 < (sensor - points[0]) @ normal:
+                slant = (points[0] - sensor) @ normal / (axis @ normal)
+                if self.contains(points, normal, sensor + slant * axis):
+                    found.append((slant, (sensor - points[0]) @ normal, name))
+        return min(found, default=None)
+
+
+@pytest.fixture(scope="module")
+def polygons():
+    return Polygons()
+
+
+@pytest.mark.parametrize(
+    ("boresight", "tilt_deg", "names"),
+    [
+        (DOWN, 16, {"grass", "concrete", "gravel", "crate", "table"}),
+        ((math.sin(0.3), 0.0, math.cos(0.3)), 12, {"grass", "concrete", "gravel", "crate", "table"}),
+        (FORWARD, 12, {"concrete", "crate", "table"}),
+    ],
+    ids=["down", "canted", "forward"],
+)
+def test_echoes_and_rays_are_those_of_polygons_in_space(polygons, boresight, tilt_deg, names):
+    ground = world(
+        slope_deg=polygons.SLOPE_DEG,
+        uphill_deg=polygons.UPHILL_DEG,
+        steps_heading_deg=polygons.HEADING_DEG,
+        steps=polygons.STEPS,
+        boxes=polygons.BOXES,
+    )
+    rng = np.random.default_rng(11)
+    heard_names, met_names, compared = set(), set(), 0
+    while compared < 100:
+        north_m, east_m = rng.uniform(-5, 6), rng.uniform(-3, 3)
+        over_m = rng.uniform(0.2, 1.5) if boresight is FORWARD else rng.uniform(0.8, 3.5)
+        roll_deg, pitch_deg = rng.uniform(-tilt_deg, tilt_deg, 2)
+        pose = at(
+            north_m, east_m, ground.elevation_m(north_m, east_m) + over_m, roll_deg, pitch_deg, rng.uniform(0, 360)
+        )
+        sensor, axis = np.array(pose.position_ned_m), body_to_world(pose) @ boresight
+        wider, narrower = (
+            polygons.nearest(sensor, axis, lambda ranges_m, by=by: narrowing_array(ranges_m) + by)
+            for by in (0.003, -0.003)
+        )
+        if (wider is None) != (narrower is None) or (wider and wider[2] != narrower[2]):
+            continue  # at the limit of the beam
+        compared += 1
+        expected = polygons.nearest(sensor, axis, narrowing_array)
+        ping = ground.ping(pose, looking(boresight))
+        if ping.heard and ping.true_range_cm > 400:
+            continue  # further than any sensor hears, and than the edges are sampled
+        assert ping.heard is (expected is not None)
+        if expected:
+            assert ping.true_range_cm == pytest.approx(100 * expected[0], abs=0.15)
+            assert ping.slant_range_cm == pytest.approx(100 * expected[1], abs=0.15)
+            assert ping.target == expected[2]
+            heard_names.add(ping.target)
+        met = polygons.ray(sensor, axis)
+        if met and not expected:
+            assert ping.slant_range_cm == pytest.approx(100 * met[0])
+            assert ping.true_range_cm == pytest.approx(100 * met[1])
+            assert ping.incidence_deg == pytest.approx(math.degrees(math.acos(met[1] / met[0])))
+            assert ping.target == met[2]
+            met_names.add(ping.target)
+        down = polygons.ray(sensor, body_to_world(pose)[:, 2])
+        assert ground.height_above_ground(pose).down_axis_m == pytest.approx(down[0])
+    assert heard_names == names
+    assert len(met_names) >= 3
 
 
 def test_ground_below_a_box_does_not_answer():

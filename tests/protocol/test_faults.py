@@ -1,0 +1,297 @@
+"""Every fault seen in the field, through the whole bridge: what the autopilot is told, and that it comes back.
+
+The rows are those of the MB1242's known faults. In each the vehicle is somewhere known, so that a distance that is not
+the truth can be told; a fault begins at `FROM_S` and ends at `TO_S`.
+"""
+
+import errno
+import random
+import sys
+import textwrap
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+import pytest
+from msp_sim.device import Fault, PlainDevice
+
+from msp_range.config import Airframe
+from msp_range.reading import Status
+from tests.support.bench import CONFIGS, FOUR_DOWN, FUSED_ID, START_S, Bench, airframe, one_down, sensor
+from tests.support.kernel_bus import Other, Sonar, kernel_bus
+
+FROM_S, TO_S, END_S = 5.0, 8.0, 12.0
+NAMES = "abcd"
+ROUND_S = 0.4
+FUSED_MEMORY_S = 0.65 + 0.1
+"""How long the fused stream may live on what it has: its window, and the slot of the sensor that is asked then."""
+KALMAN = [{"filter": "kalman"}]
+
+
+def all_have(kind: str, from_s: float = FROM_S, to_s: float = TO_S, **more: float) -> dict[str, list[Fault]]:
+    return {name: [Fault(kind, from_s, to_s, **more)] for name in NAMES}  # type: ignore[arg-type]
+
+
+def recovers(bench: Bench, truth_cm: int, stream: int = FUSED_ID) -> None:
+    """The truth is sent again two rounds after the end, ten times a second, and all sensors are said to be good."""
+    after = bench.distances_cm(stream, TO_S + 2 * ROUND_S, END_S)
+    assert len(after) >= (END_S - TO_S - 2 * ROUND_S) * 10 - 1
+    assert set(after) == {truth_cm}
+    assert bench.bridge.health.bad_sensors == []
+
+
+FAULTS_OF_AN_ANSWER = [
+    # 0x8000 + 20..765: the master samples while the sensor stretches the clock.
+    ("clock_fault", 500, "clock_fault", "I2C clock fault, use 50 kHz"),
+    ("clock_fault", 765, "clock_fault", "I2C clock fault, use 50 kHz"),
+    # The bytes of 1000 cm and others that no MB1242 sends.
+    ("impossible", 500, "impossible", "impossible answers"),
+    ("silent", 500, "no_answer", "no answer (errno 121)"),
+]
+
+
+@pytest.mark.parametrize(("kind", "reading_cm", "reason", "text"), FAULTS_OF_AN_ANSWER)
+def test_a_fault_of_all_sensors_is_silence_and_is_said(kind: str, reading_cm: int, reason: str, text: str) -> None:
+    def world(name: str, time_s: float) -> int:
+        return reading_cm if FROM_S <= time_s < TO_S else 500
+
+    bench = Bench(airframe(), world, faults=all_have(kind)).fly(END_S)
+    assert set(bench.distances_cm()) == {500}
+    assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
+    assert sorted(bench.said(FROM_S, TO_S)) == [f"Range {name}: {text}" for name in NAMES]
+    assert sorted(bench.said(TO_S)) == [f"Range {name}: good again" for name in NAMES]
+    assert all(set(bench.rejected(name)) == {reason} for name in NAMES)
+    assert bench.texts() == bench.said()
+    recovers(bench, 500)
+
+
+@pytest.mark.parametrize(("kind", "reading_cm", "reason", "text"), FAULTS_OF_AN_ANSWER)
+def test_a_fault_of_one_sensor_leaves_ten_fused_messages_a_second(
+    kind: str, reading_cm: int, reason: str, text: str
+) -> None:
+    bench = Bench(airframe(), 500, faults={"b": [Fault(kind, FROM_S, TO_S)]}).fly(END_S)
+    assert len(bench.distances_cm(from_s=FROM_S, to_s=TO_S)) == 30
+    assert set(bench.distances_cm()) == {500}
+    assert bench.said(FROM_S, TO_S) == [f"Range b: {text}"]
+    assert set(bench.rejected("b")) == {reason}
+    recovers(bench, 500)
+
+
+@pytest.mark.parametrize("kind", ["clock_fault", "impossible", "silent"])
+def test_a_single_stream_is_silent_while_its_sensor_is_out_of_order(kind: str) -> None:
+    bench = Bench(one_down(), 500, faults={"a": [Fault(kind, FROM_S, TO_S)]}).fly(END_S)
+    assert bench.distances_cm(1, FROM_S + 0.1, TO_S) == []
+    recovers(bench, 500, stream=1)
+
+
+def test_now_and_then_a_clock_fault_is_counted_and_never_sent() -> None:
+    faults = all_have("clock_fault", 0.0, 60.0, probability=0.2)
+    bench = Bench(airframe(), 500, faults=faults).fly(60.0)
+    counted = sum(bench.rejected(name)["clock_fault"] for name in NAMES)
+    # 600 readings, a fifth of them: 120 +- 10.
+    assert 80 < counted < 160
+    assert set(bench.distances_cm()) == {500}
+    assert len(bench.distances_cm()) == 600
+
+
+@pytest.mark.parametrize("kind", ["or_ed", "saturated"])
+@pytest.mark.parametrize("truth_cm", [310, 400, 500, 700])
+@pytest.mark.parametrize("filters", [[], KALMAN])
+def test_a_missed_echo_that_reads_255_is_not_a_distance(
+    kind: str, truth_cm: int, filters: list[dict[str, str]]
+) -> None:
+    def world(name: str, time_s: float) -> int:
+        return 765 if FROM_S <= time_s < TO_S else truth_cm
+
+    faults = all_have(kind, FROM_S, TO_S)
+    bench = Bench(airframe(filters=filters), world, faults=faults).fly(END_S)
+    assert set(bench.distances_cm()) == {truth_cm}
+    assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
+    assert all(set(bench.rejected(name)) == {"suspect"} for name in NAMES)
+    recovers(bench, truth_cm)
+
+
+def test_255_is_a_legal_height() -> None:
+    def world(name: str, time_s: float) -> int:
+        return max(350 - round(30 * time_s), 255)
+
+    bench = Bench(airframe(), world).fly(END_S)
+    assert bench.distances_cm(from_s=FROM_S)[-50:] == [255] * 50
+    assert all(bench.rejected(name) == {} for name in NAMES)
+
+
+def test_range_modulo_256_of_one_sensor_does_not_move_the_fused_stream() -> None:
+    """503 cm reads 247, which no look at the value can tell; the other sensors do."""
+    bench = Bench(airframe(), 503, faults={"c": [Fault("lost_high_byte", FROM_S, TO_S)]}).fly(END_S)
+    assert set(bench.distances_cm()) == {503}
+    assert len(bench.distances_cm(from_s=FROM_S, to_s=TO_S)) == 30
+    recovers(bench, 503)
+
+
+def test_range_modulo_256_once_is_held_back_in_a_single_stream() -> None:
+    faults = {"a": [Fault("lost_high_byte", FROM_S, FROM_S + 0.1)]}
+    bench = Bench(one_down(filters=KALMAN), 503, faults=faults).fly(END_S)
+    assert set(bench.distances_cm(1)) == {503}
+    assert bench.rejected("a") == {"unexpected": 1}
+
+
+def test_a_missed_echo_without_its_high_byte_is_held_back_once() -> None:
+    faults = {"a": [Fault("lost_high_byte", FROM_S, FROM_S + 0.1)]}
+    world = lambda name, time_s: 765 if FROM_S <= time_s < FROM_S + 0.1 else 503  # noqa: E731
+    bench = Bench(one_down(filters=KALMAN), world, faults=faults).fly(END_S)
+    assert set(bench.distances_cm(1)) == {503}
+
+
+def test_a_stuck_sensor_does_not_hold_the_fused_stream_back() -> None:
+    """Reads that answer but never change, in a climb at 1 m/s: what is seen where a read pings again."""
+
+    def climb(name: str, time_s: float) -> int:
+        return 100 + round(100 * min(max(time_s - FROM_S, 0.0), TO_S - FROM_S))
+
+    bench = Bench(airframe(), climb, faults={"d": [Fault("stuck", FROM_S, TO_S)]}).fly(TO_S)
+    for time_s, message in bench.sent()[60:]:
+        # Theil and Sen's line lags where one of its five points stands still: a quarter of a second at most.
+        assert message.current_distance == pytest.approx(climb("", time_s), abs=25)
+
+
+REGISTER_FREE = """
+import itertools
+from msp_range.bridge import Bridge
+from msp_range.bus.smbus import KernelBus
+from msp_range.clock import SystemClock
+from msp_range.config import load_airframe
+from tests.support.bench import Wire
+
+clock = SystemClock()
+airframe = load_airframe({airframe!r})
+bridge = Bridge(airframe, KernelBus(1), clock, Wire(clock))
+end_s = clock.now() + 1.3
+steps = []
+while clock.now() < end_s:
+    steps += bridge.step()
+print(*(step.ranging.reading.raw for step in steps))
+"""
+
+
+def test_no_register_is_read_and_every_answer_is_new() -> None:
+    """Through the real smbus2: one range command a ranging, and reads of two bytes that write nothing before."""
+    readings = [[210, 220, 230, 240], [310, 320, 330], [410, 420, 430], [510, 520, 530]]
+    sonars = [Sonar(0x70 + i, readings_cm) for i, readings_cm in enumerate(readings)]
+    with kernel_bus(sonars) as testbed:
+        code = textwrap.dedent(REGISTER_FREE).format(airframe=str(CONFIGS / "loopback.yaml"))
+        done = testbed.run([sys.executable, "-c", code])
+        assert done.returncode == 0, done.stderr
+        seen = [int(word) for word in done.stdout.split()]
+        assert len(seen) >= 10
+        assert seen == [readings[i % 4][i // 4] for i in range(len(seen))]
+        journal = testbed.journal()
+        assert {(each.verb, each.data) for each in journal if each.verb == "write"} == {("write", b"\x51")}
+        assert {len(each.data) for each in journal if each.verb == "read" and each.errno == 0} == {2}
+        assert len(seen) <= sum(each.verb == "write" for each in journal) <= len(seen) + 1
+
+
+@pytest.mark.parametrize("filters", [[], KALMAN])
+def test_a_sensor_that_did_not_answer_once_is_asked_again(filters: list[dict[str, str]]) -> None:
+    """Deaf from its ping on, for one ranging: the failed read of which other drivers never recover."""
+    ping_s = 4.8
+    faults = {"a": [Fault("silent", ping_s + 0.001, ping_s + 0.09)]}
+    bench = Bench(airframe(filters=filters), 300, faults=faults).fly(END_S)
+    pings_s = [time_s for time_s, name, _ in bench.pings if name == "a"]
+    assert all(late - early == pytest.approx(ROUND_S) for early, late in pairwise(pings_s))
+    statuses = [step.ranging.reading.status for step in bench.steps if step.ranging.reading.sensor == "a"]
+    assert Counter(statuses) == {Status.NO_ANSWER: 1, Status.OK: len(statuses) - 1}
+    assert set(bench.distances_cm()) == {300}
+    # Once is not yet worth a word.
+    assert bench.said() == ["Range: all 4 sensors good"]
+
+
+def test_a_missed_read_costs_two_milliseconds() -> None:
+    bench = Bench(airframe(), 300, faults=all_have("missed_read", 0.0, END_S)).fly(END_S)
+    assert {step.ranging.reading.status for step in bench.steps} == {Status.OK}
+    assert len(bench.distances_cm()) == pytest.approx(120, abs=1)
+
+
+def test_a_message_has_the_distance_and_the_time_of_its_own_echo() -> None:
+    """Every ping sees another range, in turn by four sensors: a value that is a round old would be of another ping."""
+    draw = random.Random(3)
+    directions = [sensor(name, number, 0.0, 90.0 * number) for number, name in enumerate(NAMES, start=1)]
+    bench = Bench(
+        airframe(directions, filters=[], send={"sensors": "all"}), lambda name, time_s: draw.randrange(21, 764)
+    ).fly(20.0)
+    sent = [(message.id, message.current_distance, message.time_boot_ms) for _, message in bench.sent()]
+    assert len(sent) >= 199
+    for (ping_s, name, reading_cm), (stream, distance_cm, boot_ms) in zip(bench.pings, sent, strict=False):
+        assert (stream, distance_cm) == (NAMES.index(name) + 1, reading_cm)
+        echo_ms = 1000 * (ping_s + reading_cm * 58e-6 / 2)
+        assert echo_ms - 1 - 1e-6 <= boot_ms <= echo_ms + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [(b"", "clock_fault"), (b"\x51\x51", "impossible"), (b"\x00\x00", "impossible"), (b"\x01\x02", "impossible")],
+)
+def test_another_device_at_the_address_of_a_sonar_is_no_sonar(answer: bytes, reason: str) -> None:
+    """What an SHTC3, a PCA9685 or a TCA9548A at 0x70 may say: a released line, its last byte, zeros, 258 at once."""
+    bench = Bench(airframe(), 500, absent="a", others=[PlainDevice(0x70, answer)]).fly(END_S)
+    assert set(bench.distances_cm()) == {500}
+    assert set(bench.rejected("a")) == {reason}
+    assert len(bench.said()) == 1
+    assert bench.bridge.health.bad_sensors == ["a"]
+
+
+def test_part_information_after_a_power_cycle_is_not_a_distance() -> None:
+    """300 cm in the part information's bytes, read in a ranging in the middle of which the power was gone."""
+    ping_s = 5.2
+    faults = {"b": [Fault("power_cycle", ping_s - 0.1 + 0.005, ping_s - 0.1 + 0.005), Fault("power_cycle", 6.0, TO_S)]}
+    bench = Bench(airframe(filters=[]), 500, faults=faults).fly(END_S)
+    assert set(bench.distances_cm()) == {500}
+    statuses = Counter(step.ranging.reading.status for step in bench.steps if step.ranging.reading.sensor == "b")
+    assert statuses[Status.IMPOSSIBLE] == 1
+    assert {step.corrected.range_m for step in bench.steps} <= {5.0, None}
+    assert bench.said(6.0) == ["Range b: no answer (errno 121)", "Range b: good again"]
+    recovers(bench, 500)
+
+
+@pytest.mark.parametrize("duration_s", [0.0, 3.0])
+def test_a_bus_that_locks_up_is_reopened_and_said_so(duration_s: float) -> None:
+    faults = {"a": [Fault("locked_up", FROM_S, FROM_S + duration_s)]}
+    bench = Bench(airframe(), 500, faults=faults).fly(END_S)
+    assert set(bench.distances_cm()) == {500}
+    said = bench.said(FROM_S)
+    assert said[0] == "Range: I2C bus locked up, reopening (errno 110)"
+    assert said.count("Range: I2C bus works again") == 1
+    assert bench.texts() == bench.said()
+    if duration_s:
+        assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
+        assert {f"Range {name}: good again" for name in NAMES} <= set(said)
+    else:
+        # Opening it again heals it, so one reading is lost.
+        assert sum(sum(bench.rejected(name).values()) for name in NAMES) == 1
+        assert len(said) == 2
+    recovers(bench, 500)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2])
+def test_short_readings_of_rotor_noise_do_not_move_the_fused_stream(share: float) -> None:
+    draw = random.Random(11)
+
+    def noisy(name: str, time_s: float) -> int:
+        return draw.randrange(20, 300) if draw.random() < share else 500 + round(draw.gauss(0.0, 1.5))
+
+    bench = Bench(airframe(filters=KALMAN), noisy).fly(120.0)
+    off_cm = sorted(abs(distance_cm - 500) for distance_cm in bench.distances_cm())
+    assert len(off_cm) >= 1190
+    assert off_cm[-1] < 20
+    assert off_cm[len(off_cm) // 2] <= 2
+
+
+def test_no_echo_is_above_the_maximum_and_no_fault() -> None:
+    def world(name: str, time_s: float) -> int:
+        return 765 if FROM_S <= time_s < TO_S else 500
+
+    bench = Bench(airframe(), world).fly(END_S)
+    assert set(bench.distances_cm(from_s=FROM_S + ROUND_S, to_s=TO_S)) == {766}
+    assert set(bench.distances_cm()) == {500, 766}
+    assert bench.said(FROM_S) == []
+    assert len(bench.distances_cm(from_s=FROM_S, to_s=TO_S)) == 30
+    recovers(bench, 500)

@@ -1,0 +1,447 @@
+"""The bridge's manners as a MAVLink component, in virtual time, against other components in memory."""
+
+import random
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pymavlink.dialects.v20.ardupilotmega as ardupilotmega
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msp_range import __version__
+from msp_range.clock import VirtualClock
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.link import Link
+from tests.support.mavlink_ends import Component, MemoryTransport
+
+GROUND_STATION = (255, 190)
+START_S = 1000.0
+
+
+class Bench:
+    """A link, its clock, its transport, and what it has sent."""
+
+    def __init__(self, wanted: Mapping[str, float] | None = None, component_id: int = 191) -> None:
+        self.clock = VirtualClock(START_S)
+        self.transport = MemoryTransport()
+        self.heard: list[Any] = []
+        self.link = Link(
+            self.transport,
+            self.clock,
+            component_id=component_id,
+            hear=lambda _, message: self.heard.append(message),
+            wanted=wanted,
+        )
+        self._parser = dialect.MAVLink(None)
+        self._taken = 0
+
+    def run(self, duration_s: float, each_second: Callable[[], bytes] = bytes) -> None:
+        """Let the link work; what ``each_second`` returns arrives once a second."""
+        end_s = self.clock.now() + duration_s
+        next_s = self.clock.now()
+        while self.clock.now() < end_s:
+            if self.clock.now() >= next_s:
+                self.transport.arrived += each_second()
+                next_s += 1.0
+            self.link.service()
+            self.clock.sleep_until(self.link.next_event_s)
+
+    def arrive(self, *frames: bytes) -> None:
+        """Let frames arrive and the link look at them."""
+        self.transport.arrived += b"".join(frames)
+        self.link.service()
+        self.clock.sleep_until(self.link.next_event_s)
+
+    def sent(self, *kinds: str) -> list[Any]:
+        """Messages sent since the last call, of these kinds."""
+        new, self._taken = self.transport.frames[self._taken :], len(self.transport.frames)
+        messages = [message for frame in new for message in self._parser.parse_buffer(frame)]
+        return [message for message in messages if not kinds or message.get_type() in kinds]
+
+
+def source(message: Any) -> tuple[int, int]:
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def command(number: int, param1: float, target: tuple[int, int]) -> Any:
+    return dialect.MAVLink_command_long_message(*target, number, 0, param1, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.fixture
+def met() -> Bench:
+    """A bench that knows the autopilot of system 7, and of which nothing is left to be looked at."""
+    bench = Bench()
+    bench.arrive(Component(7).heartbeat())
+    bench.sent()
+    return bench
+
+
+class TestHeartbeat:
+    def test_comes_each_second_from_the_first_moment(self, bench: Bench) -> None:
+        bench.run(10.0)
+        assert len(bench.sent("HEARTBEAT")) == 10
+
+    def test_is_an_onboard_controllers(self, bench: Bench) -> None:
+        bench.link.system_status = dialect.MAV_STATE_ACTIVE
+        bench.run(0.5)
+        (beat,) = bench.sent("HEARTBEAT")
+        assert (beat.type, beat.autopilot, beat.mavlink_version) == (18, 8, 3)
+        assert (beat.base_mode, beat.custom_mode, beat.system_status) == (0, 0, 4)
+
+    def test_is_not_sent_twice_for_a_loop_that_was_held_up(self, bench: Bench) -> None:
+        bench.run(2.5)
+        bench.sent()
+        bench.clock.sleep_until(bench.clock.now() + 30.0)
+        bench.run(1.5)
+        assert 2 <= len(bench.sent("HEARTBEAT")) <= 3
+
+    def test_stops_with_the_loop(self, bench: Bench) -> None:
+        bench.run(2.0)
+        bench.sent()
+        bench.clock.sleep_until(bench.clock.now() + 30.0)
+        assert bench.sent() == []
+
+
+class TestAddress:
+    def test_system_1_until_an_autopilot_is_heard(self, bench: Bench) -> None:
+        bench.run(2.0)
+        assert {source(message) for message in bench.sent()} == {(1, 191)}
+        assert bench.link.autopilot_system is None
+        assert not bench.link.autopilot_heard
+
+    def test_the_autopilots_system_from_then_on(self, bench: Bench) -> None:
+        bench.arrive(Component(42).heartbeat())
+        bench.sent()
+        bench.run(2.0)
+        assert {source(message) for message in bench.sent()} == {(42, 191)}
+        assert bench.link.autopilot_heard
+
+    def test_component_id_is_the_airframes(self) -> None:
+        bench = Bench(component_id=192)
+        bench.run(0.5)
+        assert {source(message) for message in bench.sent()} == {(1, 192)}
+
+    def test_an_autopilot_that_speaks_mavlink_1_is_answered_in_mavlink_2(self, bench: Bench) -> None:
+        bench.arrive(Component(5).heartbeat(mavlink1=True))
+        assert bench.link.autopilot_system == 5
+        bench.run(1.5)
+        assert {frame[0] for frame in bench.transport.frames} == {0xFD}
+
+    def test_frames_are_numbered_without_a_gap(self, met: Bench) -> None:
+        first = len(met.transport.frames)
+        met.run(200.0, Component(7).heartbeat)
+        numbers = [frame[4] for frame in met.transport.frames[first:]]
+        assert len(numbers) > 300
+        assert numbers == [(numbers[0] + i) % 256 for i in range(len(numbers))]
+
+    @pytest.mark.parametrize(
+        ("type", "autopilot", "address"),
+        [
+            (dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, GROUND_STATION),
+            (dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, (9, 1)),
+            (dialect.MAV_TYPE_GIMBAL, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, (9, 154)),
+        ],
+    )
+    def test_nobody_else_is_taken_for_an_autopilot(
+        self, bench: Bench, type: int, autopilot: int, address: tuple[int, int]
+    ) -> None:
+        bench.arrive(Component(*address).frame(dialect.MAVLink_heartbeat_message(type, autopilot, 0, 0, 4, 3)))
+        assert bench.link.autopilot_system is None
+        assert not bench.link.autopilot_heard
+
+    def test_a_second_autopilot_changes_nothing_while_the_first_is_there(self, bench: Bench) -> None:
+        first, second = Component(3), Component(4)
+        bench.run(20.0, lambda: first.heartbeat() + second.heartbeat())
+        assert bench.link.autopilot_system == 3
+
+    def test_a_second_autopilot_takes_the_place_of_one_that_has_gone(self, bench: Bench) -> None:
+        bench.arrive(Component(3).heartbeat(), Component(3).frame(dialect.MAVLink_system_time_message(0, 90_000)))
+        bench.run(20.0, Component(4).heartbeat)
+        assert bench.link.autopilot_system == 4
+        assert not bench.link.autopilot_clock.synchronised
+        assert source(bench.sent("HEARTBEAT")[-1]) == (4, 191)
+
+    def test_a_second_autopilots_time_and_messages_are_not_the_firsts(self, bench: Bench) -> None:
+        first, second = Component(3), Component(4)
+        time = dialect.MAVLink_system_time_message(0, 777_000)
+        bench.arrive(first.heartbeat())
+        bench.arrive(second.heartbeat(), second.frame(time))
+        assert not bench.link.autopilot_clock.synchronised
+        assert [message.get_srcSystem() for message in bench.heard] == [3]
+
+    def test_an_autopilot_that_has_gone_is_missed(self, met: Bench) -> None:
+        met.run(4.5)
+        assert met.link.autopilot_heard
+        met.run(1.0)
+        assert not met.link.autopilot_heard
+        assert met.link.autopilot_system == 7
+        met.arrive(Component(7).heartbeat())
+        assert met.link.autopilot_heard
+
+    def test_its_own_echo_is_passed_over(self, met: Bench) -> None:
+        """An autopilot or a router may send back what it got."""
+        myself = Component(7, 191)
+        met.arrive(
+            myself.frame(command(dialect.MAV_CMD_REQUEST_MESSAGE, 0, (7, 191))),
+            myself.frame(dialect.MAVLink_timesync_message(0, 5)),
+            myself.frame(dialect.MAVLink_ping_message(1, 2, 0, 0)),
+        )
+        assert met.sent("COMMAND_ACK", "PING", "HEARTBEAT") == []
+        assert [message for message in met.sent("TIMESYNC") if message.tc1 != 0] == []
+
+
+class TestAnswers:
+    def test_ping_of_all_is_answered_to_who_asked(self, met: Bench) -> None:
+        met.arrive(Component(*GROUND_STATION).frame(dialect.MAVLink_ping_message(123456, 9, 0, 0)))
+        (answer,) = met.sent("PING")
+        assert (answer.time_usec, answer.seq) == (123456, 9)
+        assert (answer.target_system, answer.target_component) == GROUND_STATION
+
+    def test_an_answer_to_a_ping_is_not_answered(self, met: Bench) -> None:
+        met.arrive(Component(*GROUND_STATION).frame(dialect.MAVLink_ping_message(123456, 9, 7, 191)))
+        assert met.sent("PING") == []
+
+    def test_timesync_is_answered_with_the_bridges_time(self, met: Bench) -> None:
+        met.arrive(Component(7).frame(dialect.MAVLink_timesync_message(0, 4321)))
+        (answer,) = [message for message in met.sent("TIMESYNC") if message.tc1 != 0]
+        assert answer.ts1 == 4321
+        # Served at the moment of arrival, and the clock has gone on to the next event since.
+        assert answer.tc1 * 1e-9 == pytest.approx(met.clock.now(), abs=0.006)
+
+    @pytest.mark.parametrize("system", [0, 7])
+    def test_request_for_the_heartbeat(self, met: Bench, system: int) -> None:
+        request = command(dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_HEARTBEAT, (system, 191))
+        met.arrive(Component(*GROUND_STATION).frame(request))
+        acknowledgement, beat = met.sent("COMMAND_ACK", "HEARTBEAT")
+        assert (acknowledgement.command, acknowledgement.result) == (512, dialect.MAV_RESULT_ACCEPTED)
+        assert (acknowledgement.target_system, acknowledgement.target_component) == GROUND_STATION
+        assert beat.get_type() == "HEARTBEAT"
+
+    def test_request_for_who_this_is(self, met: Bench) -> None:
+        met.arrive(Component(*GROUND_STATION).frame(command(dialect.MAV_CMD_REQUEST_MESSAGE, 396, (7, 191))))
+        acknowledgement, basic = met.sent("COMMAND_ACK", "UNKNOWN_396")
+        assert acknowledgement.result == dialect.MAV_RESULT_ACCEPTED
+        assert b"msp-range\0" in basic.data
+        assert __version__.encode() in basic.data
+
+    @pytest.mark.parametrize("message_id", [30.0, 0.5, -1.0, 1e30, float("nan"), float("inf")])
+    def test_request_for_what_it_does_not_have_is_denied(self, met: Bench, message_id: float) -> None:
+        request = command(dialect.MAV_CMD_REQUEST_MESSAGE, message_id, (7, 191))
+        met.arrive(Component(*GROUND_STATION).frame(request))
+        (acknowledgement,) = met.sent("COMMAND_ACK", "HEARTBEAT")
+        assert acknowledgement.result == dialect.MAV_RESULT_DENIED
+
+    def test_a_command_that_it_does_not_know_is_acknowledged_as_unsupported(self, met: Bench) -> None:
+        arm = command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1, (7, 191))
+        land = dialect.MAVLink_command_int_message(7, 191, 0, dialect.MAV_CMD_NAV_LAND, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        met.arrive(Component(*GROUND_STATION).frame(arm), Component(*GROUND_STATION).frame(land))
+        answers = met.sent("COMMAND_ACK")
+        assert [(answer.command, answer.result) for answer in answers] == [
+            (dialect.MAV_CMD_COMPONENT_ARM_DISARM, dialect.MAV_RESULT_UNSUPPORTED),
+            (dialect.MAV_CMD_NAV_LAND, dialect.MAV_RESULT_UNSUPPORTED),
+        ]
+
+    @pytest.mark.parametrize("target", [(0, 0), (7, 0)])
+    def test_a_command_to_all_gets_no_refusal(self, met: Bench, target: tuple[int, int]) -> None:
+        """Otherwise arming the vehicle would show 'unsupported' in a ground station."""
+        ground_station = Component(*GROUND_STATION)
+        met.arrive(ground_station.frame(command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1, target)))
+        met.arrive(ground_station.frame(command(dialect.MAV_CMD_REQUEST_MESSAGE, 148, target)))
+        assert met.sent("COMMAND_ACK") == []
+        met.arrive(ground_station.frame(command(dialect.MAV_CMD_REQUEST_MESSAGE, 396, target)))
+        assert len(met.sent("COMMAND_ACK", "UNKNOWN_396")) == 2
+
+    @pytest.mark.parametrize("target", [(7, 1), (7, 192), (8, 191), (1, 191), (8, 0)])
+    def test_a_command_to_others_is_not_its_business(self, met: Bench, target: tuple[int, int]) -> None:
+        met.arrive(Component(*GROUND_STATION).frame(command(dialect.MAV_CMD_REQUEST_MESSAGE, 0, target)))
+        met.arrive(Component(*GROUND_STATION).frame(command(dialect.MAV_CMD_NAV_LAND, 0, target)))
+        assert met.sent("COMMAND_ACK", "HEARTBEAT") == []
+
+
+class TestTime:
+    def test_asks_nobody_while_there_is_no_autopilot(self, bench: Bench) -> None:
+        bench.run(3.0)
+        assert bench.sent("TIMESYNC") == []
+
+    def test_is_the_autopilots_soon_after_it_is_heard(self, bench: Bench) -> None:
+        autopilot = Component(7)
+        boot_s = START_S - 250.0
+        bench.arrive(autopilot.heartbeat())
+        for _ in range(200):
+            requests = [message for message in bench.sent("TIMESYNC") if message.tc1 == 0]
+            now_ns = round((bench.clock.now() - boot_s) * 1e9)
+            bench.arrive(*(autopilot.frame(dialect.MAVLink_timesync_message(now_ns, each.ts1)) for each in requests))
+        echo_s = bench.clock.now()
+        # The link looks at what has come every 5 ms: the way back takes at most that, and half of it is the error.
+        assert bench.link.autopilot_clock.time_boot_ms(echo_s) == pytest.approx((echo_s - boot_s) * 1e3, abs=2.5 + 1.0)
+
+    def test_another_companion_computers_answer_is_not_the_autopilots(self, bench: Bench) -> None:
+        """mavros answers TIMESYNC too, from the same system."""
+        bench.arrive(Component(7).heartbeat())
+        bench.run(0.05)
+        request = bench.sent("TIMESYNC")[0]
+        bench.arrive(Component(7, 240).frame(dialect.MAVLink_timesync_message(10**15, request.ts1)))
+        assert not bench.link.autopilot_clock.synchronised
+        bench.arrive(Component(7).frame(dialect.MAVLink_timesync_message(50 * 10**9, request.ts1)))
+        assert bench.link.autopilot_clock.synchronised
+
+    def test_does_not_jump_when_an_autopilot_without_timesync_is_heard(self, bench: Bench) -> None:
+        bench.run(20.0)
+        before_ms = bench.link.autopilot_clock.time_boot_ms(bench.clock.now())
+        bench.arrive(Component(7).heartbeat())
+        assert bench.link.autopilot_clock.time_boot_ms(bench.clock.now()) == pytest.approx(before_ms, abs=10)
+
+    def test_system_time_of_the_autopilot_stands_in(self, met: Bench) -> None:
+        met.arrive(Component(7).frame(dialect.MAVLink_system_time_message(0, 60_000)))
+        assert met.link.autopilot_clock.time_boot_ms(met.clock.now()) == pytest.approx(60_000, abs=6)
+        met.arrive(Component(7).frame(dialect.MAVLink_system_time_message(0, 100)))
+        assert met.link.autopilot_clock.reboots == 1
+
+
+class TestWanted:
+    PRESSURE = dialect.MAVLINK_MSG_ID_SCALED_PRESSURE
+
+    def requests(self, bench: Bench) -> list[Any]:
+        asked = bench.sent("COMMAND_LONG")
+        assert all(each.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL for each in asked)
+        return asked
+
+    def test_is_not_asked_for_before_there_is_an_autopilot(self) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 2.0})
+        bench.run(10.0)
+        assert self.requests(bench) == []
+
+    def test_is_asked_of_the_autopilot_at_its_rate(self) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 2.0, "ATTITUDE": 20.0})
+        bench.run(2.0, Component(7).heartbeat)
+        asked = self.requests(bench)
+        assert [(each.target_system, each.target_component) for each in asked] == [(7, 1)] * 2
+        assert [(each.param1, each.param2) for each in asked] == [(self.PRESSURE, 500_000), (30, 50_000)]
+
+    def test_is_asked_for_again_only_while_it_does_not_come(self) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 2.0})
+        autopilot = Component(7)
+        bench.run(30.0, autopilot.heartbeat)
+        assert 5 <= len(self.requests(bench)) <= 7
+        pressure = dialect.MAVLink_scaled_pressure_message(0, 1013.0, 0.0, 2000)
+        bench.run(30.0, lambda: autopilot.heartbeat() + autopilot.frame(pressure))
+        assert self.requests(bench) == []
+        bench.run(30.0, autopilot.heartbeat)
+        assert 4 <= len(self.requests(bench)) <= 6
+
+    def test_a_message_with_a_field_called_id_is_known_when_it_comes(self) -> None:
+        bench = Bench(wanted={"HYGROMETER_SENSOR": 1.0})
+        autopilot = Component(7)
+        humidity = dialect.MAVLink_hygrometer_sensor_message(0, 2100, 4500)
+        bench.run(30.0, lambda: autopilot.heartbeat() + autopilot.frame(humidity))
+        assert len(self.requests(bench)) <= 1
+
+    def test_another_message_with_a_field_called_id_is_not_taken_for_it(self) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 2.0})
+        autopilot = Component(7)
+        other = dialect.MAVLink_hygrometer_sensor_message(self.PRESSURE, 2100, 4500)
+        bench.run(30.0, lambda: autopilot.heartbeat() + autopilot.frame(other))
+        assert len(self.requests(bench)) >= 5
+
+
+class TestSending:
+    def test_status_texts_are_cut_to_what_the_message_holds(self, met: Bench) -> None:
+        met.link.send_text(dialect.MAV_SEVERITY_WARNING, "x" * 60)
+        met.link.send_text(dialect.MAV_SEVERITY_ERROR, "21 °C")
+        long, odd = met.sent("STATUSTEXT")
+        assert (long.severity, long.text) == (4, "x" * 50)
+        assert (odd.severity, odd.text) == (3, "21 ?C")
+
+    def test_what_the_transport_dropped_is_counted_apart(self, bench: Bench) -> None:
+        bench.run(1.5)
+        bench.transport.takes = False
+        bench.run(3.0)
+        assert bench.link.sent["HEARTBEAT"] == 2
+        assert bench.link.dropped["HEARTBEAT"] == 3
+        assert bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0)) is None
+
+    def test_send_returns_the_frame(self, bench: Bench) -> None:
+        frame = bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0))
+        assert frame == bench.transport.frames[-1]
+
+    def test_close_closes_the_transport(self, bench: Bench) -> None:
+        bench.link.close()
+        assert bench.transport.closed
+
+
+class TestWhatArrives:
+    def test_messages_of_the_autopilot_are_passed_on_with_their_time(self) -> None:
+        heard: list[tuple[float, str]] = []
+        transport, clock = MemoryTransport(), VirtualClock(START_S)
+        link = Link(transport, clock, hear=lambda time_s, message: heard.append((time_s, message.get_type())))
+        autopilot = Component(7)
+        transport.arrived += autopilot.heartbeat()
+        link.service()
+        clock.sleep_until(START_S + 2.5)
+        transport.arrived += autopilot.frame(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
+        transport.arrived += Component(7, 154).frame(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
+        link.service()
+        assert heard == [(START_S, "HEARTBEAT"), (START_S + 2.5, "ATTITUDE")]
+
+    def test_a_frame_may_come_in_pieces(self, bench: Bench) -> None:
+        for byte in Component(7).heartbeat():
+            assert bench.link.autopilot_system is None
+            bench.arrive(bytes([byte]))
+        assert bench.link.autopilot_system == 7
+
+    def test_noise_before_a_heartbeat_does_not_hide_the_next_ones(self, bench: Bench) -> None:
+        noise = random.Random(1)
+        autopilot = Component(7)
+        for _ in range(50):
+            bench.arrive(noise.randbytes(noise.randrange(600)), autopilot.heartbeat())
+            # A frame has at most 280 bytes: what noise took for the start of one ends within 14 heartbeats.
+            bench.arrive(*(autopilot.heartbeat() for _ in range(14)))
+            assert bench.link.autopilot_heard
+            bench.clock.sleep_until(bench.clock.now() + 10.0)
+            assert not bench.link.autopilot_heard
+
+    def test_messages_of_ardupilots_own_dialect_do_no_harm(self, met: Bench) -> None:
+        autopilot = Component(7, dialect=ardupilotmega)
+        met.arrive(autopilot.frame(ardupilotmega.MAVLink_rangefinder_message(1.0, 2.0)), autopilot.heartbeat())
+        assert [message.get_type() for message in met.heard][-1] == "HEARTBEAT"
+
+    @given(st.lists(st.binary(max_size=400), max_size=5))
+    def test_no_bytes_stop_it(self, chunks: list[bytes]) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 1.0})
+        bench.arrive(Component(7).heartbeat())
+        for chunk in chunks:
+            bench.arrive(chunk)
+
+    @given(
+        kind=st.sampled_from(sorted(dialect.mavlink_map)),
+        payload=st.binary(min_size=255, max_size=255),
+        sender=st.sampled_from([(7, 1), GROUND_STATION, (0, 0)]),
+    )
+    def test_no_message_stops_it(self, kind: int, payload: bytes, sender: tuple[int, int]) -> None:
+        bench = Bench(wanted={"SCALED_PRESSURE": 1.0})
+        bench.arrive(Component(7).heartbeat())
+        bench.arrive(frame_of(kind, payload, sender))
+        bench.run(0.1)
+
+    @pytest.mark.parametrize("target", [(0, 0), (7, 191)])
+    @given(payload=st.binary(min_size=33, max_size=35), kind=st.sampled_from(["COMMAND_LONG", "COMMAND_INT"]))
+    def test_no_command_stops_it(self, target: tuple[int, int], payload: bytes, kind: str) -> None:
+        bench = Bench()
+        bench.arrive(Component(7).heartbeat())
+        addressed = payload[:28] + (512).to_bytes(2, "little") + bytes(target) + payload[32:]
+        bench.arrive(frame_of(getattr(dialect, f"MAVLINK_MSG_ID_{kind}"), addressed, GROUND_STATION))
+
+
+def frame_of(kind: int, payload: bytes, sender: tuple[int, int]) -> bytes:
+    """A frame with a good checksum around any payload."""
+    definition = dialect.mavlink_map[kind]
+    message = dialect.MAVLink_message(kind, definition.msgname)
+    plain = dialect.MAVLink(None, *sender)
+    whole: bytes = message._pack(plain, definition.crc_extra, payload[: definition.unpacker.size])
+    return whole
