@@ -69,7 +69,7 @@ def run(
     if no_record:
         airframe = airframe.model_copy(update={"recording": None})
         record = None
-    raise typer.Exit(service.run(airframe, airframe_file, service.make_log(log), record))
+    raise typer.Exit(service.run(airframe, service.make_log(log), record))
 
 
 def with_changes(airframe: Any, *, link: str | None = None, bus: str | None = None) -> Any:
@@ -202,6 +202,46 @@ def _address(text: str) -> int:
 
 @app.command()
 @tell_mistakes
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
+    airframe_file: Annotated[
+        Path | None,
+        typer.Option("--airframe", help="airframe file; left out: the one in the recording. A CSV file needs it"),
+    ] = None,
+    run_name: Annotated[str | None, typer.Option("--run", help="which run of a CSV file with several")] = None,
+    record: Annotated[Path | None, typer.Option(help="new recording to make (.mcap)")] = None,
+    link: Annotated[str | None, typer.Option(help="link URL to send on; left out: nowhere")] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="at the pace at which it happened")] = False,
+) -> None:
+    """Run recorded or measured readings through the bridge again, and show what it made of them."""
+    from msp_range import replay as replaying
+    from msp_range.clock import SystemClock, VirtualClock
+    from msp_range.config import load_airframe, load_airframe_from
+    from msp_range.mavlink.transport import Nowhere, open_transport
+    from msp_range.recording.pings import recorded_pings, recorded_temperatures
+    from msp_range.recording.reader import Recording, is_recording
+    from msp_range.recording.writer import Recorder
+
+    pings = recorded_pings(file, run_name)
+    if airframe_file is not None:
+        airframe = load_airframe(airframe_file)
+    elif is_recording(file):
+        airframe = load_airframe_from(Recording(file).files, file)
+    else:
+        raise ConfigError(f"{file}: a table does not say which airframe it is of; name its file with --airframe")
+    airframe = with_changes(airframe, link=link)
+    transport = Nowhere() if link is None else open_transport(link, SystemClock())
+    first_s = replaying.first_ping_s(pings)
+    clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
+    recorder = None if record is None else Recorder(record, clock, files=airframe.files)
+    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, recorded_temperatures(file, run_name))
+    if recorder is not None:
+        recorder.close()
+    replaying.show(outcome, file)
+
+
+@app.command()
+@tell_mistakes
 def recover(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the closed copy to make")],
@@ -210,7 +250,8 @@ def recover(
     from msp_range.recording.recover import recover as recover_recording
 
     kept = recover_recording(recording, out)
-    print(f"{out}: {kept} messages")
+    lost = f"; {kept.damaged_chunks} damaged parts left out" if kept.damaged_chunks else ""
+    print(f"{out}: {kept.messages} messages{lost}")
 
 
 @app.command()

@@ -6,8 +6,10 @@ tell alone, such as two sensors at one address or two streams that an autopilot 
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
@@ -21,7 +23,9 @@ from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation
 from msp_range.mavlink.transport.url import parse_url
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.sensors.addressing import ILLEGAL_8BIT
-from msp_range.yaml_file import Section, load
+from msp_range.yaml_file import ConfigError, Section, load
+
+AIRFRAME_NAME = "airframe.yaml"
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Metres = Annotated[float, Field(ge=-50, le=50)]
@@ -187,6 +191,17 @@ class Airframe(Section):
     recording: Recording | None = None
     """where flights are recorded; left out: only where the command line says so"""
 
+    _files: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    def keep_files(self, files: dict[str, str]) -> None:
+        """Note the texts that this airframe was read from."""
+        self._files = files
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Text of the airframe file, as ``airframe.yaml``, and of the model files by the names that it gives them."""
+        return self._files
+
     @model_validator(mode="after")
     def _consistent(self) -> "Airframe":
         names = [sensor.name for sensor in self.sensors]
@@ -283,7 +298,34 @@ def load_airframe(path: Path | str) -> Airframe:
     ConfigError
         The file cannot be read or used; one line a mistake.
     """
-    return load(path, Airframe)
+    path = Path(path)
+    airframe = load(path, Airframe)
+    files = {AIRFRAME_NAME: path.read_text(encoding="utf-8")}
+    for sensor in airframe.sensors:
+        files[sensor.model] = (path.parent / sensor.model).read_text(encoding="utf-8")
+    airframe.keep_files(files)
+    return airframe
+
+
+def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
+    """The airframe of the texts that an `Airframe.files` held.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or it names files outside of its own folder, or one cannot be used.
+    """
+    if AIRFRAME_NAME not in files:
+        raise ConfigError(f"{source}: holds no airframe file; name one with --airframe")
+    with TemporaryDirectory() as name:
+        folder = Path(name).resolve()
+        for each, text in files.items():
+            path = (folder / each).resolve()
+            if not path.is_relative_to(folder):
+                raise ConfigError(f"{source}: its airframe names {each}, outside of its folder; use --airframe")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        return load_airframe(folder / AIRFRAME_NAME)
 
 
 def _refuse_twice(place: str, what: str, values: list[Any]) -> None:

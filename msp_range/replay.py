@@ -4,18 +4,36 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-from collections.abc import Mapping, Sequence
+import sys
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from msp_range.bridge import polled_sensors
+from rich import box
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from msp_range.assembly import polled_sensors
+from msp_range.bridge import Bridge, Counts, Records
 from msp_range.bus.replay import RecordedPing, ReplayBus
+from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
+from msp_range.correction.temperature import FileSource, TemperatureParameters
+from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.sensors.polling import PolledSensor
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
+ROUNDING_S = 1e-6
+"""Recorded times are rounded to nanoseconds [s]."""
+LATE_S = 0.5
+"""A replay that falls behind its record by more than this says so [s]."""
 
 
 class RecordedOrder:
@@ -39,7 +57,141 @@ class RecordedOrder:
         """A record does not change with what is heard."""
 
 
-def by_address(
+class PacedClock:
+    """The record's time at the pace of the system's clock."""
+
+    def __init__(self, start_s: float) -> None:
+        self._system = SystemClock()
+        self._ahead_s = start_s - self._system.now()
+
+    def now(self) -> float:
+        """Seconds on the record's clock."""
+        return self._system.now() + self._ahead_s
+
+    def sleep_until(self, time_s: float) -> None:
+        """Sleep until ``time_s`` of the record."""
+        self._system.sleep_until(time_s - self._ahead_s)
+
+    def utc(self) -> float:
+        """The operating system's idea of UTC."""
+        return self._system.utc()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the bridge made of a record: readings, outputs and rejections by sensor, and messages by type."""
+
+    counts: Mapping[str, Counts]
+    filtered: Mapping[str, int]
+    fused: int
+    sent: Mapping[str, int]
+    duration_s: float
+    behind_s: float
+
+
+def first_ping_s(pings: Mapping[str, Sequence[RecordedPing]]) -> float:
+    """When the record begins [s]."""
+    return min(each[0].ping_s for each in pings.values())
+
+
+def replay(
+    airframe: Airframe,
+    pings: Mapping[str, Sequence[RecordedPing]],
+    source: Path,
+    clock: Clock,
+    transport: Transport,
+    recorder: Records | None = None,
+    temperatures: Sequence[tuple[float, float]] = (),
+) -> Outcome:
+    """Play the pings through a bridge of their own, to the last one.
+
+    Parameters
+    ----------
+    airframe
+        Its sensors have the names of the record's.
+    pings
+        By sensor name.
+    source
+        The file, for messages.
+    clock
+        Starts at the record's beginning.
+    transport, recorder
+        As of a bridge.
+    temperatures
+        Recorded air temperatures, (time [s], deg C) by time: they take the place of the airframe's sources, which are
+        not those of this computer now. None: the airframe's fixed temperature.
+
+    Raises
+    ------
+    RecordingError
+        The record has a sensor that the airframe has not.
+    """
+    bus = ReplayBus(_by_address(airframe, pings, source), clock)
+    order = RecordedOrder(airframe, bus)
+    replayed = airframe.model_copy(update={"temperature": _recorded_air(airframe, temperatures)})
+    times_s = [time_s for time_s, _ in temperatures]
+
+    def thermometer(source: FileSource) -> float:
+        return temperatures[max(bisect_right(times_s, clock.now() + ROUNDING_S) - 1, 0)][1]
+
+    bridge = Bridge(replayed, bus, clock, transport, recorder=recorder, schedule=order, thermometer=thermometer)
+    expected = sum(len(each) for each in pings.values())
+    start_s = clock.now()
+    filtered: Counter[str] = Counter()
+    taken = fused = 0
+    with _track(expected, f"replaying {source.name}") as advance:
+        while taken < expected:
+            steps = bridge.step()
+            taken += len(steps)
+            for step in steps:
+                filtered[step.corrected.sensor] += step.filtered.estimate is not None
+                fused += step.fused is not None
+            if steps:
+                advance(len(steps))
+    # What waits for its turn still goes out.
+    end_s = clock.now() + 0.1
+    while clock.now() < end_s:
+        bridge.step()
+    return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
+
+
+def _recorded_air(airframe: Airframe, temperatures: Sequence[tuple[float, float]]) -> TemperatureParameters:
+    fixed_c = airframe.temperature.fixed_c
+    if not temperatures:
+        return TemperatureParameters(fixed_c=fixed_c)
+    # It is read for each reading, since the flight's own source may have changed just then.
+    record = FileSource(source="file", path="recorded", scale=1.0, period_s=1e-6, max_rate_c_per_s=100, max_age_s=3600)
+    return TemperatureParameters(fixed_c=fixed_c, sources=(record,))
+
+
+@contextmanager
+def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
+    """A progress bar on a terminal; elsewhere nothing."""
+    with Progress(transient=True, disable=not sys.stderr.isatty(), console=Console(stderr=True)) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda count: progress.advance(task, count)
+
+
+def show(outcome: Outcome, source: Path) -> None:
+    """Print the outcome as a table."""
+    table = Table(title=f"{source}: {outcome.duration_s:.1f} s", box=box.SIMPLE_HEAD)
+    for heading in ("sensor", "readings", "used", "rejected, why"):
+        table.add_column(heading, justify="left" if heading in ("sensor", "rejected, why") else "right")
+    for name, counts in outcome.counts.items():
+        why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
+        table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)
+    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console.print(table)
+    sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))
+    console.print(f"fused: {outcome.fused} distances; sent: {sent}", highlight=False)
+    if outcome.behind_s > LATE_S:
+        console.print(
+            f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
+            highlight=False,
+        )
+
+
+def _by_address(
     airframe: Airframe, pings: Mapping[str, Sequence[RecordedPing]], source: Path
 ) -> dict[int, Sequence[RecordedPing]]:
     """Recorded pings by sensor name -> by the addresses of the airframe's sensors.

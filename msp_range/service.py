@@ -95,7 +95,7 @@ def stop_signals() -> Iterator[list[int]]:
             signal.signal(signum, handler)
 
 
-def open_recording(airframe: Airframe, airframe_file: Path, folder: Path | None, clock: Clock) -> Recorder | None:
+def open_recording(airframe: Airframe, folder: Path | None, clock: Clock) -> Recorder | None:
     """A recorder in ``folder``, else in the airframe's; None where neither is named.
 
     Raises
@@ -117,7 +117,7 @@ def open_recording(airframe: Airframe, airframe_file: Path, folder: Path | None,
     for number in range(1000):
         path = folder / (f"{stem}.mcap" if number == 0 else f"{stem}-{number}.mcap")
         if not path.exists():
-            return Recorder(path, clock, airframe_text=airframe_file.read_text(encoding="utf-8"))
+            return Recorder(path, clock, files=airframe.files)
     raise RecordingError(f"{folder}: holds a thousand recordings named {stem}; move them")
 
 
@@ -162,13 +162,13 @@ def _summary(bridge: Bridge) -> dict[str, object]:
     }
 
 
-def run(airframe: Airframe, airframe_file: Path, log: Log, record: Path | None) -> int:
+def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     """The service on this computer's bus and link; the exit code."""
     clock = SystemClock()
     report = reporter(log)
     recorder = None
     try:
-        recorder = open_recording(airframe, airframe_file, record, clock)
+        recorder = open_recording(airframe, record, clock)
     except RecordingError as error:
         log.error("flying without a recording", error=str(error))
     bus = KernelBus(airframe.bus)

@@ -13,7 +13,7 @@ import numpy as np
 from msp_range.reading import Status
 from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, write_csv
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import TRUTH_PREFIX
+from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
 
 _NOT_A_READING = frozenset({Status.NO_ANSWER.value, Status.PART_INFO.value})
 
@@ -40,23 +40,20 @@ def measured_data(recording: Recording) -> MeasuredData:
     rows: list[dict[str, Any]] = []
     pings_s: list[float] = []
     truth: dict[str, dict[str, Any]] = {}
-    newest: dict[str, dict[str, Any]] = {}
     for topic, _, message in recording:
-        _, _, stage = topic.rpartition("/")
         if topic.startswith(TRUTH_PREFIX):
             truth[topic.removeprefix(TRUTH_PREFIX)] = message
-        elif stage == "reading":
-            sensor = topic.removeprefix("/").removesuffix("/reading")
+        elif topic.startswith(RANGE_PREFIX):
+            sensor = topic.removeprefix(RANGE_PREFIX)
             row = {"time_s": message["time_s"], "sensor": sensor, "run": recording.path.stem}
             if message["status"] not in _NOT_A_READING:
                 row["reading_cm"] = message.get("raw")
             # A truth belongs to one ping: a ping that the sensor did not take leaves none behind.
-            rows.append(row | truth.pop(sensor, {}))
+            row |= truth.pop(sensor, {})
+            if message.get("temperature_source") != "fixed":
+                row.setdefault("air_temperature_c", message.get("temperature_c"))
+            rows.append(row)
             pings_s.append(message["ping_s"])
-            newest[sensor] = rows[-1]
-        elif stage == "corrected" and message.get("source") != "fixed":
-            row = newest.get(topic.removeprefix("/").removesuffix("/corrected"), {})
-            row.setdefault("air_temperature_c", message.get("temperature_c"))
     for row, lag_s in zip(rows, _neighbour_lags_s([row["sensor"] for row in rows], pings_s), strict=True):
         row.setdefault("neighbour_lag_ms", None if lag_s is None else round(lag_s * 1e3, 3))
     names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])

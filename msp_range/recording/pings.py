@@ -13,6 +13,7 @@ from msp_range.reading import Status
 from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
+from msp_range.recording.topics import RANGE_PREFIX
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
 from msp_range.sensors.polling import POLL_INTERVAL_S
 
@@ -44,12 +45,34 @@ def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[R
     return pings
 
 
+def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tuple[float, float]]:
+    """Air temperatures that readings were corrected with, or that a CSV file tells: (time [s], deg C), by time.
+
+    Raises
+    ------
+    RecordingError
+        As `recorded_pings`.
+    """
+    if is_recording(path):
+        return [
+            (time_s, message["temperature_c"])
+            for topic, time_s, message in Recording(path)
+            if topic.startswith(RANGE_PREFIX) and "temperature_c" in message
+        ]
+    data = _one_run(Path(path), read_csv(path), run)
+    if "air_temperature_c" not in data:
+        return []
+    known = ~np.isnan(data["air_temperature_c"])
+    pairs = zip(data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist(), strict=True)
+    return sorted(pairs)
+
+
 def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
     pings: dict[str, list[RecordedPing]] = {}
     for topic, _, message in recording:
-        sensor, _, stage = topic.removeprefix("/").rpartition("/")
-        if stage != "reading" or message["status"] == Status.PART_INFO.value:
+        if not topic.startswith(RANGE_PREFIX) or message["status"] == Status.PART_INFO.value:
             continue
+        sensor = topic.removeprefix(RANGE_PREFIX)
         word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
         # The try before the one that succeeded was one poll interval earlier and found the sensor busy.
         ready_s = max(0.0, message["read_s"] - message["ping_s"] - POLL_INTERVAL_S / 2)

@@ -19,10 +19,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata
 from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
 
-from msp_range.recording.chunks import MAGIC
 from msp_range.recording.error import RecordingError
-from msp_range.recording.writer import AIRFRAME_NAME, METADATA_NAME
+from msp_range.recording.writer import METADATA_NAME
 
 _RECORD = struct.Struct("<BQ")
 """What every record begins with: opcode, length of the content."""
@@ -54,8 +54,8 @@ class Recording:
         True where the file was not closed: the power failed, or it is still being written.
     damaged_chunks
         How many chunks the last iteration had to leave out because their checksum was wrong.
-    airframe_text
-        The airframe file that was flown; None where there is none.
+    files
+        The airframe file that was flown, as ``airframe.yaml``, and those that it names; empty where there are none.
     metadata
         What the recorder was given to name the flight.
     profile
@@ -71,12 +71,12 @@ class Recording:
         self.path = Path(path)
         self.cut = True
         self.damaged_chunks = 0
-        self.airframe_text: str | None = None
+        self.files: dict[str, str] = {}
         self.metadata: dict[str, str] = {}
         self.profile = ""
         with self._open() as file:
-            magic = file.read(len(MAGIC))
-            if not MAGIC.startswith(magic):
+            magic = file.read(len(MCAP0_MAGIC))
+            if not MCAP0_MAGIC.startswith(magic):
                 raise RecordingError(f"{self.path}: not an MCAP recording: it begins with {magic!r}")
             for opcode, length in _whole_records(file):
                 # What stands outside of the chunks has no checksum; where it is damaged, the messages still count.
@@ -126,11 +126,10 @@ class Recording:
                 self.metadata = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(as_stream(file.read(length)))
-            if attachment.name == AIRFRAME_NAME:
-                self.airframe_text = attachment.data.decode()
+            self.files[attachment.name] = attachment.data.decode()
         elif opcode == Opcode.FOOTER:
             file.seek(length, io.SEEK_CUR)
-            self.cut = file.read(len(MAGIC)) != MAGIC
+            self.cut = file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC
 
     def _unpack(self, content: bytes) -> bytes:
         try:
@@ -158,7 +157,7 @@ def is_recording(path: Path | str) -> bool:
     """
     try:
         with Path(path).open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
+            return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
 
@@ -169,7 +168,7 @@ def _whole_records(file: IO[bytes]) -> Iterator[tuple[int, int]]:
     It ends at a cut, and where the disk left zeros: no record has opcode 0.
     """
     size = os.fstat(file.fileno()).st_size
-    position = len(MAGIC)
+    position = len(MCAP0_MAGIC)
     while position + _RECORD.size <= size:
         file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))

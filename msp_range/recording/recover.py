@@ -8,9 +8,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from msp_range.recording.chunks import LIBRARY
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import MESSAGE_HEAD, Recording, as_stream
+from msp_range.recording.writer import LIBRARY
 
 
 class Recovered(NamedTuple):

@@ -1,6 +1,6 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
-Topics of a sensor are ``/<sensor>/reading``, ``/<sensor>/corrected``, ``/<sensor>/filtered`` and, from a simulator,
+Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator,
 ``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent``, ``/mavlink/received`` and ``/health``. No key is
 required: one that is absent is unknown. Every property has one plain type, because Foxglove and Lichtblick refuse
 schemas with unions and with null.
@@ -13,7 +13,6 @@ from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS
 
 _TIME_S = ("number", "time of the echo, or of the ping where there was none, on the bridge's clock [s]")
 _RANGE_M = ("number", "distance along the beam [m]")
-_VARIANCE_M2 = ("number", "variance of the error of range_m [m^2]")
 _MAVLINK = {
     "name": ("string", "name of the MAVLink message"),
     "hex": ("string", "the whole frame as it is on the link, in hexadecimal"),
@@ -22,45 +21,35 @@ _MAVLINK = {
 
 _PropertyTable = dict[str, tuple[str, str]]
 
-SENSOR_TOPICS: dict[str, tuple[str, _PropertyTable]] = {
-    "reading": (
-        "one ranging as the sensor gave it",
-        {
-            "time_s": _TIME_S,
-            "ping_s": ("number", "time of the ping on the bridge's clock [s]"),
-            "read_s": ("number", "time of the last try to read the answer on the bridge's clock [s]"),
-            "status": ("string", "what the answer means"),
-            "raw": ("integer", "the sensor's 16-bit answer; absent where there was none"),
-            "range_m": _RANGE_M,
-            "std_m": ("number", "standard deviation of range_m [m]"),
-            "suspect": ("boolean", "a legal range that is also a known fault code"),
-        },
-    ),
-    "corrected": (
-        "a range after the correction for air temperature",
-        {
-            "time_s": _TIME_S,
-            "range_m": _RANGE_M,
-            "temperature_c": ("number", "air temperature used [deg C]"),
-            "source": ("string", "where the temperature is from; fixed: the airframe file's constant"),
-        },
-    ),
-    "filtered": (
-        "what the filter chain made of a reading",
-        {
-            "time_s": _TIME_S,
-            "range_m": _RANGE_M,
-            "variance_m2": _VARIANCE_M2,
-            "rejected": ("string", "why the reading was not used; absent where it was"),
-        },
-    ),
-}
-"""Last part of ``/<sensor>/<stage>`` -> what it is, and its properties as (JSON type, description)."""
+RANGE_PREFIX = "/range/"
+_RANGE: tuple[str, _PropertyTable] = (
+    "one ranging of a sensor, and what became of it stage by stage",
+    {
+        "time_s": _TIME_S,
+        "ping_s": ("number", "time of the ping on the bridge's clock [s]"),
+        "read_s": ("number", "time of the last try to read the answer on the bridge's clock [s]"),
+        "status": ("string", "what the answer means"),
+        "raw": ("integer", "the sensor's 16-bit answer; absent where there was none"),
+        "suspect": ("boolean", "a legal range that is also a known fault code"),
+        "range_m": _RANGE_M,
+        "std_m": ("number", "standard deviation of range_m [m]"),
+        "temperature_c": ("number", "air temperature of the correction [deg C]"),
+        "temperature_source": ("string", "where it is from; fixed: the airframe file's constant"),
+        "corrected_m": ("number", "range_m after the correction for air temperature [m]"),
+        "filtered_m": ("number", "what the filter chain made of it [m]; absent where it was rejected"),
+        "variance_m2": ("number", "variance of the error of filtered_m [m^2]"),
+        "rejected": ("string", "why the reading was not used; absent where it was"),
+    },
+)
 
 TOPICS: dict[str, tuple[str, _PropertyTable]] = {
     "/fused": (
         "height from all downward sensors",
-        {"time_s": _TIME_S, "range_m": ("number", "fused distance [m]"), "variance_m2": _VARIANCE_M2},
+        {
+            "time_s": _TIME_S,
+            "range_m": ("number", "fused distance [m]"),
+            "variance_m2": ("number", "variance of its error [m^2]"),
+        },
     ),
     "/mavlink/sent": ("a MAVLink message that went out", _MAVLINK),
     "/mavlink/received": ("a MAVLink message that came in", _MAVLINK),
@@ -94,18 +83,17 @@ def schema_of(topic: str) -> tuple[str, bytes]:
 
     Examples
     --------
-    >>> schema_of("/front_left/reading")[0]
-    'msp_range.Reading'
+    >>> schema_of("/range/front_left")[0]
+    'msp_range.Range'
     """
-    _, _, stage = topic.rpartition("/")
     if topic in TOPICS:
         name, (meaning, properties) = topic.strip("/").replace("/", "_"), TOPICS[topic]
     elif topic.startswith(TRUTH_PREFIX):
         name, (meaning, properties) = "truth", _TRUTH
-    elif stage in SENSOR_TOPICS:
-        name, (meaning, properties) = stage, SENSOR_TOPICS[stage]
+    elif topic.startswith(RANGE_PREFIX):
+        name, (meaning, properties) = "range", _RANGE
     else:
-        known = [*TOPICS, TRUTH_PREFIX + "<sensor>", *(f"/<sensor>/{each}" for each in SENSOR_TOPICS)]
+        known = [*TOPICS, TRUTH_PREFIX + "<sensor>", RANGE_PREFIX + "<sensor>"]
         raise ValueError(f"no topic {topic!r}; known: {', '.join(known)}")
     schema: dict[str, Any] = {
         "title": "msp_range." + "".join(part.capitalize() for part in name.split("_")),

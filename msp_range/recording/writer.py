@@ -12,12 +12,14 @@ import json
 import math
 import os
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import IO, Any, cast
+
+from mcap.writer import CompressionType, Writer
 
 from msp_range.clock import Clock
-from msp_range.recording.chunks import ChunkWriter
 from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import schema_of
 
@@ -28,7 +30,7 @@ BACKLOG_BYTES = 64 * 2**20
 CLOSE_TIMEOUT_S = 5.0
 """How long `Recorder.close` waits for the disk."""
 METADATA_NAME = "msp_range"
-AIRFRAME_NAME = "airframe.yaml"
+LIBRARY = "msp-range"
 
 _encode = json.JSONEncoder(separators=(",", ":"), check_circular=False, allow_nan=False).encode
 
@@ -43,8 +45,8 @@ class Recorder:
     clock
         Its ``utc()`` is asked once, so that the file's times cannot jump when the computer's clock is set: a message
         at ``time_s`` gets the start's UTC plus the time on this clock since then.
-    airframe_text
-        The airframe file, kept as an attachment.
+    files
+        The airframe file as ``airframe.yaml`` and the files that it names, by their relative paths, to be kept.
     metadata
         Whatever else names the flight.
 
@@ -64,7 +66,7 @@ class Recorder:
         path: Path | str,
         clock: Clock,
         *,
-        airframe_text: str | None = None,
+        files: Mapping[str, str] | None = None,
         metadata: dict[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
@@ -78,12 +80,13 @@ class Recorder:
             raise RecordingError(f"{path}: cannot be made: {error.strerror}") from None
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._mcap: ChunkWriter | None = ChunkWriter(self._disk)
+        self._mcap: Writer | None = Writer(cast(IO[bytes], self._disk), compression=CompressionType.ZSTD)
+        self._mcap.start(library=LIBRARY)
         times = {"clock_start_s": repr(self._clock_start_s), "utc_start_ns": str(self._utc_start_ns)}
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
-        if airframe_text is not None:
-            self._mcap.add_attachment(AIRFRAME_NAME, "application/yaml", self._utc_start_ns, airframe_text.encode())
-        self._disk.flush()
+        for name, text in (files or {}).items():
+            self._mcap.add_attachment(self._utc_start_ns, self._utc_start_ns, name, "application/yaml", text.encode())
+        self._mcap.flush()  # type: ignore[no-untyped-call]
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
@@ -112,7 +115,7 @@ class Recorder:
             text = _encode(message)
         except ValueError:
             text = _encode(_known(message))
-        self._mcap.add_message(channel, log_time_ns, text.encode())
+        self._mcap.add_message(channel, log_time_ns, text.encode(), log_time_ns)
 
     def flush_if_due(self, now_s: float) -> None:
         """Each second, hand over to the disk what was recorded; call it as often as you like.
@@ -125,8 +128,7 @@ class Recorder:
         if self._mcap is None or now_s < self._flush_due_s:
             return
         self._flush_due_s = now_s + FLUSH_INTERVAL_S
-        self._mcap.finish_chunk()
-        self._disk.flush()
+        self._mcap.flush()  # type: ignore[no-untyped-call]
         if self._disk.error is not None or self._disk.backlog_bytes > BACKLOG_BYTES:
             self._mcap = None
             self._disk.give_up()
@@ -137,16 +139,16 @@ class Recorder:
         if self._mcap is None:
             return
         mcap, self._mcap = self._mcap, None
-        mcap.finish()
+        mcap.finish()  # type: ignore[no-untyped-call]
         self._disk.flush()
         if not self._disk.close(CLOSE_TIMEOUT_S):
             raise self._failure()
 
-    def _add_channel(self, mcap: ChunkWriter, topic: str) -> int:
+    def _add_channel(self, mcap: Writer, topic: str) -> int:
         name, schema = schema_of(topic)
         if name not in self._schemas:
-            self._schemas[name] = mcap.add_schema(name, schema)
-        self._channels[topic] = mcap.add_channel(topic, self._schemas[name])
+            self._schemas[name] = mcap.register_schema(name, "jsonschema", schema)
+        self._channels[topic] = mcap.register_channel(topic, "json", self._schemas[name])
         return self._channels[topic]
 
     def _failure(self) -> RecordingError:
@@ -189,6 +191,10 @@ class _Disk:
     def backlog_bytes(self) -> int:
         """What was handed over and is not written."""
         return self._given_bytes - self.written_bytes
+
+    def tell(self) -> int:
+        """Bytes written so far, as the writer counts them."""
+        return self._given_bytes
 
     def write(self, data: bytes) -> None:
         """Keep ``data`` for the next `flush`."""

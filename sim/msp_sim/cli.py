@@ -14,6 +14,8 @@ from msp_range.yaml_file import ConfigError
 
 SHOWN_EACH_S = 0.1
 """Wall time between two looks at a flight [s]."""
+LOGGED_EACH_S = 5.0
+"""The same where nobody looks: the output goes into a file [s]."""
 
 app = typer.Typer(
     name="msp-sim",
@@ -76,7 +78,12 @@ def fly(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "flight.mcap").unlink(missing_ok=True)
-        recorder = Recorder(out / "flight.mcap", clock, metadata={"scenario": scenario.name, "seed": str(seed)})
+        recorder = Recorder(
+            out / "flight.mcap",
+            clock,
+            files=scenario.airframe.files,
+            metadata={"scenario": scenario.name, "seed": str(seed)},
+        )
     simulation = Simulation(
         scenario,
         clock,
@@ -121,6 +128,111 @@ def fly(
             ("link.tlog", "link"),
         ):
             print(f"{what:>9}: {out / name}")
+
+
+@app.command()
+@tell_mistakes
+def sitl(
+    airframe_file: Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")],
+    link: Annotated[
+        str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; left out: the airframe's")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the airframe's")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    ground: Annotated[
+        Path | None,
+        typer.Option(metavar="SCENARIO.yaml", help="scenario whose ground and air it flies in; left out: flat ground"),
+    ] = None,
+    ground_clearance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="height of the vehicle's reference point above the ground when landed [m]; left out: so high that the "
+            "lowest sensor reads its minimum",
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.0, help="end after this time [s]")] = None,
+    record: Annotated[Path | None, typer.Option(help="folder for a recording of every stage of every reading")] = None,
+    out: Annotated[Path | None, typer.Option(help="folder for summary and picture")] = None,
+) -> None:
+    """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.
+
+    The vehicle's pose comes from the autopilot, over the link that DISTANCE_SENSOR goes out on. Start it while the
+    vehicle stands on the ground: that is where the heights begin. docs/sitl.md has the commands and parameters.
+    """
+    from contextlib import ExitStack
+
+    from rich.console import Console
+
+    from msp_range.cli import with_changes
+    from msp_range.clock import SystemClock
+    from msp_range.config import load_airframe
+    from msp_range.mavlink.transport import open_transport
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.service import open_recording, stop_signals
+    from msp_sim.scenario import load_scenario
+    from msp_sim.show import draw, print_table
+    from msp_sim.sitl import Sitl, status_line
+    from msp_sim.summary import summarise
+    from msp_sim.surfaces import Ground
+    from msp_sim.world import Air, World
+
+    airframe = with_changes(load_airframe(airframe_file), link=link)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    scenario = load_scenario(ground) if ground is not None else None
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    clock = SystemClock()
+    with ExitStack() as opened:
+        stopped = opened.enter_context(stop_signals())
+        recorder = None
+        if record is not None:
+            recorder = open_recording(airframe, record, clock)
+            if recorder is not None:
+                opened.callback(recorder.close)
+        transport = open_transport(airframe.link.url, clock)
+        opened.callback(transport.close)
+        simulation = Sitl(
+            airframe,
+            clock,
+            transport,
+            scenario.world() if scenario is not None else World(Ground(), Air()),
+            seed,
+            model=sensor_model,
+            clearance_m=ground_clearance,
+            start_m=scenario.flight.track.start_m if scenario is not None else (0.0, 0.0),
+            recorder=recorder,
+            report=lambda severity, text: console.print(f"{severity.name.lower()}: {text}", highlight=False),
+        )
+        status = opened.enter_context(console.status("")) if console.is_terminal else None
+        next_look_s = 0.0
+        while not stopped and (duration is None or simulation.now_s() < duration):
+            simulation.step()
+            if simulation.now_s() < next_look_s:
+                continue
+            if status is not None:
+                next_look_s = simulation.now_s() + SHOWN_EACH_S
+                status.update(status_line(simulation))
+            else:
+                next_look_s = simulation.now_s() + LOGGED_EACH_S
+                console.print(status_line(simulation), highlight=False, soft_wrap=True)
+    flight = simulation.finish()
+    summary = summarise(flight, airframe.vehicle, seed)
+    summary["poses"] = dict(simulation.vehicle.heard)
+    print_table(console, summary)
+    poses = ", ".join(f"{count} poses in {name}" for name, count in simulation.vehicle.heard.items())
+    print(f"link: {airframe.link.url}; {poses or 'no pose was heard'}")
+    if out is not None:
+        (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        draw(flight, out / "flight.png", f"{airframe.vehicle} on its autopilot's simulator, seed {seed}")
+        print(f"  picture: {out / 'flight.png'}\n  numbers: {out / 'summary.json'}")
+    if recorder is not None:
+        print(f"recording: {recorder.path}")
 
 
 @app.command()

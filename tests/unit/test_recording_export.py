@@ -17,6 +17,10 @@ def reading(ping_s: float, status: str, raw: int | None) -> dict[str, Any]:
     return {"time_s": echo_s, "ping_s": ping_s, "read_s": ping_s + 0.05, "status": status, "raw": raw}
 
 
+def warm(source: str) -> dict[str, Any]:
+    return {"temperature_c": 15.5, "temperature_source": source}
+
+
 def recorded(path: Path, messages: list[tuple[str, float, dict[str, Any]]]) -> Recording:
     recorder = Recorder(path, VirtualClock())
     for topic, time_s, message in messages:
@@ -29,14 +33,12 @@ def test_one_row_is_one_ping_with_the_sensors_own_word(tmp_path: Path) -> None:
     recorded(
         tmp_path / "flight7.mcap",
         [
-            ("/left/reading", 0.05, reading(0.0, "ok", 400)),
-            ("/left/corrected", 0.05, {"range_m": 4.1, "temperature_c": 15.5, "source": "SCALED_PRESSURE.temperature"}),
-            ("/right/reading", 0.15, reading(0.1, "no_echo", 765)),
-            ("/right/corrected", 0.15, {"temperature_c": 20.0, "source": "fixed"}),
+            ("/range/left", 0.05, reading(0.0, "ok", 400) | warm("SCALED_PRESSURE.temperature")),
+            ("/range/right", 0.15, reading(0.1, "no_echo", 765) | warm("fixed")),
             ("/fused", 0.15, {"range_m": 4.0}),
-            ("/left/reading", 0.25, reading(0.2, "no_answer", None)),
-            ("/right/reading", 0.35, reading(0.3, "clock_fault", 0x8000 + 400)),
-            ("/right/reading", 0.45, reading(0.4, "part_info", 300)),
+            ("/range/left", 0.25, reading(0.2, "no_answer", None)),
+            ("/range/right", 0.35, reading(0.3, "clock_fault", 0x8000 + 400)),
+            ("/range/right", 0.45, reading(0.4, "part_info", 300)),
         ],
     )
     assert export(tmp_path / "flight7.mcap", tmp_path / "flight7.csv") == 5
@@ -67,13 +69,12 @@ def test_the_truth_of_a_ping_goes_to_its_reading_and_to_no_other(tmp_path: Path)
         [
             ("/truth/left", 0.0, {"true_range_cm": 399.5, "air_temperature_c": 10.0, "target": "grass", "wind_m_s": 3}),
             ("/truth/right", 0.0, {"true_range_cm": 200.5, "neighbour_lag_ms": 7.0}),
-            ("/left/reading", 0.05, reading(0.0, "ok", 400)),
-            ("/left/corrected", 0.05, {"temperature_c": 15.5, "source": "file"}),
-            ("/right/reading", 0.05, reading(0.0, "ok", 200)),
-            ("/left/reading", 0.15, reading(0.1, "no_answer", None)),
+            ("/range/left", 0.05, reading(0.0, "ok", 400) | warm("file")),
+            ("/range/right", 0.05, reading(0.0, "ok", 200)),
+            ("/range/left", 0.15, reading(0.1, "no_answer", None)),
             ("/truth/left", 0.2, {"true_range_cm": 1.0}),
             ("/truth/left", 0.3, {"true_range_cm": 410.5}),
-            ("/left/reading", 0.35, reading(0.3, "ok", 411)),
+            ("/range/left", 0.35, reading(0.3, "ok", 411)),
         ],
     )
     data = measured_data(recording)
@@ -89,10 +90,10 @@ def test_sensors_that_ping_together(tmp_path: Path) -> None:
     recording = recorded(
         tmp_path / "flight.mcap",
         [
-            ("/b/reading", 0.03, reading(0.002, "ok", 100)),
-            ("/a/reading", 0.06, reading(0.0, "ok", 600)),
-            ("/a/reading", 0.16, reading(0.1, "ok", 600)),
-            ("/c/reading", 0.26, reading(0.2, "ok", 600)),
+            ("/range/b", 0.03, reading(0.002, "ok", 100)),
+            ("/range/a", 0.06, reading(0.0, "ok", 600)),
+            ("/range/a", 0.16, reading(0.1, "ok", 600)),
+            ("/range/c", 0.26, reading(0.2, "ok", 600)),
         ],
     )
     np.testing.assert_allclose(measured_data(recording)["neighbour_lag_ms"], [2.0, np.nan, 98.0, 100.0], atol=5e-4)
@@ -100,7 +101,7 @@ def test_sensors_that_ping_together(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 200])
 def test_a_recording_without_readings_gives_a_header(tmp_path: Path, size: int) -> None:
-    recorded(tmp_path / "whole.mcap", [("/left/reading", 0.05, reading(0.0, "ok", 400))])
+    recorded(tmp_path / "whole.mcap", [("/range/left", 0.05, reading(0.0, "ok", 400))])
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "whole.mcap").read_bytes()[:size])
     assert export(tmp_path / "cut.mcap", tmp_path / "cut.csv") == 0
     assert len(read_csv(tmp_path / "cut.csv")) == 0

@@ -18,7 +18,7 @@ from msp_range.recording.recover import recover
 
 def record(path: Path, seconds: int = 6) -> list[dict[str, Any]]:
     """A message every 0.1 s and a chunk every second; returns the messages."""
-    recorder = Recorder(path, VirtualClock(), airframe_text="vehicle: quad\n", metadata={"vehicle": "quad"})
+    recorder = Recorder(path, VirtualClock(), files={"airframe.yaml": "vehicle: quad\n"}, metadata={"vehicle": "quad"})
     messages = []
     for count in range(10 * seconds):
         message = {"time_s": count / 10, "range_m": 1 + count / 7}
@@ -82,7 +82,7 @@ def test_recovering_keeps_times_attachment_and_metadata(tmp_path: Path) -> None:
     assert list(out) == list(whole)
     assert out.metadata == whole.metadata
     assert out.metadata["vehicle"] == "quad"
-    assert out.airframe_text == "vehicle: quad\n"
+    assert out.files == {"airframe.yaml": "vehicle: quad\n"}
     with (tmp_path / "out.mcap").open("rb") as file:
         reader = SeekingReader(file)
         schemas = [schema for schema, _, _ in reader.iter_messages()]
@@ -153,7 +153,7 @@ def test_a_damaged_chunk_that_still_unpacks(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_goes_on_is_read_up_to_now(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock(), airframe_text="vehicle: quad\n")
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock(), files={"airframe.yaml": "vehicle: quad\n"})
     recorder.write("/fused", 0.5, {"range_m": 1.0})
     assert list(Recording(tmp_path / "flight.mcap")) == []
     recorder.close()

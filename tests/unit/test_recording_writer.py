@@ -23,7 +23,7 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
 from msp_range.recording import Recorder, Recording, RecordingError, writer
-from msp_range.recording.topics import SENSOR_TOPICS, TOPICS, schema_of
+from msp_range.recording.topics import TOPICS, schema_of
 
 START_S = 5000.25
 UTC_S = 1_760_000_000.5
@@ -49,7 +49,7 @@ class ClockSetInFlight:
 def record_flight(path: Path, seconds: int = 10) -> list[tuple[str, float, dict[str, Any]]]:
     """A flight of two sensors at 10 readings a second in all; returns what was recorded."""
     clock = VirtualClock()
-    recorder = Recorder(path, clock, airframe_text="vehicle: Möwe\n", metadata={"vehicle": "Möwe"})
+    recorder = Recorder(path, clock, files={"airframe.yaml": "vehicle: Möwe\n"}, metadata={"vehicle": "Möwe"})
     written = []
     for count in range(10 * seconds):
         time_s = 0.1 * count + 0.03
@@ -59,7 +59,7 @@ def record_flight(path: Path, seconds: int = 10) -> list[tuple[str, float, dict[
         messages = [
             (f"/truth/{sensor}", ping_s, {"true_range_cm": 100.5 + count, "target": "grass"}),
             (
-                f"/{sensor}/reading",
+                f"/range/{sensor}",
                 time_s,
                 {
                     "time_s": ping_s + 0.003,
@@ -91,7 +91,7 @@ def test_every_message_comes_back_with_its_topic_and_time(tmp_path: Path) -> Non
     assert [each.time_s for each in read] == pytest.approx([time_s for _, time_s, _ in written], abs=1e-9)
     assert not recording.cut
     assert recording.damaged_chunks == 0
-    assert recording.airframe_text == "vehicle: Möwe\n"
+    assert recording.files == {"airframe.yaml": "vehicle: Möwe\n"}
     assert recording.metadata["vehicle"] == "Möwe"
     assert list(recording) == read
 
@@ -106,8 +106,8 @@ def test_the_mcap_package_reads_the_file_with_its_index_and_checksums(tmp_path: 
         ]
         assert read == [(topic, round(time_s * 1e9), message) for topic, time_s, message in written]
         # By topic it goes through the index of messages.
-        assert [message.log_time for _, _, message in reader.iter_messages(topics=["/left/reading"])] == [
-            round(time_s * 1e9) for topic, time_s, _ in written if topic == "/left/reading"
+        assert [message.log_time for _, _, message in reader.iter_messages(topics=["/range/left"])] == [
+            round(time_s * 1e9) for topic, time_s, _ in written if topic == "/range/left"
         ]
         summary = reader.get_summary()
         assert summary is not None
@@ -234,8 +234,8 @@ def test_any_json_comes_back(tmp_path: Path, messages: list[dict[str, Any]]) -> 
 def test_an_unknown_topic_or_value_is_refused_and_leaves_the_file_whole(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     recorder.write("/health", 1.0, {"text": "one"})
-    with pytest.raises(ValueError, match=r"no topic '/left/raeding'; known: .*/<sensor>/reading"):
-        recorder.write("/left/raeding", 1.0, {})
+    with pytest.raises(ValueError, match=r"no topic '/ragne/left'; known: .*/range/<sensor>"):
+        recorder.write("/ragne/left", 1.0, {})
     with pytest.raises(TypeError, match="bytes"):
         recorder.write("/mavlink/sent", 1.0, {"hex": b"\xfd"})
     recorder.write("/health", 2.0, {"text": "two"})
@@ -243,9 +243,7 @@ def test_an_unknown_topic_or_value_is_refused_and_leaves_the_file_whole(tmp_path
     assert [each.message["text"] for each in Recording(tmp_path / "flight.mcap")] == ["one", "two"]
 
 
-@pytest.mark.parametrize(
-    "topic", [*TOPICS, "/truth/left", *(f"/left/{stage}" for stage in SENSOR_TOPICS), "/truth/reading"]
-)
+@pytest.mark.parametrize("topic", [*TOPICS, "/truth/left", "/range/left", "/truth/reading"])
 def test_schemas_are_such_that_foxglove_takes_them(topic: str) -> None:
     """Foxglove and Lichtblick want an object with properties, each of one type that is not null."""
     _, text = schema_of(topic)

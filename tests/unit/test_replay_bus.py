@@ -117,7 +117,7 @@ def test_a_recorded_answer_is_there_for_the_try_that_found_it(tmp_path: Path) ->
     """The try ended 0.5 ms after it began, and the one before it, 2 ms earlier, found the sensor busy."""
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     message = {"time_s": 1.0087, "ping_s": 1.0, "read_s": 1.0372 + 0.0005, "status": "ok", "raw": 300, "range_m": 3.0}
-    recorder.write("/left/reading", 1.04, message)
+    recorder.write("/range/left", 1.04, message)
     recorder.close()
     ((ping_s, word, ready_s),) = recorded_pings(tmp_path / "flight.mcap")["left"]
     assert (ping_s, word) == (1.0, 300)
@@ -224,7 +224,7 @@ def record(path: Path, rangings: list[Ranging]) -> None:
             "std_m": reading.std_m,
             "suspect": reading.suspect,
         }
-        recorder.write(f"/{reading.sensor}/reading", each.answered_s, message)
+        recorder.write(f"/range/{reading.sensor}", each.answered_s, message)
     recorder.close()
 
 

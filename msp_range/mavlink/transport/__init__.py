@@ -7,13 +7,22 @@ come back by themselves after a loss (`base.Reconnecting`) and drop a frame rath
 from collections.abc import Callable
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import Transport, TransportStats
+from msp_range.mavlink.transport.base import Nowhere, Transport, TransportStats
 from msp_range.mavlink.transport.serial import Serial
 from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
 
-__all__ = ["NetworkUrl", "SerialUrl", "Transport", "TransportStats", "TransportUrl", "open_transport", "parse_url"]
+__all__ = [
+    "NetworkUrl",
+    "Nowhere",
+    "SerialUrl",
+    "Transport",
+    "TransportStats",
+    "TransportUrl",
+    "open_transport",
+    "parse_url",
+]
 
 _NETWORK: dict[str, Callable[[NetworkUrl, Clock], Transport]] = {
     "udpin": UdpIn,

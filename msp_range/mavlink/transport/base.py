@@ -67,6 +67,29 @@ class Transport(Protocol):
         ...
 
 
+class Nowhere:
+    """A transport that takes every frame and brings none: for a bridge that nobody listens to."""
+
+    description = "nowhere"
+    last_error = None
+    connected = True
+
+    def __init__(self) -> None:
+        self.stats = TransportStats()
+
+    def send(self, frame: bytes) -> bool:
+        """Count the frame."""
+        self.stats.sent_frames += 1
+        return True
+
+    def receive(self) -> bytes:
+        """Nothing."""
+        return b""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
 class Reconnecting(ABC):
     """Opens at once, 0.5 s after a failure, twice as long after each further one, at most 5 s apart.
 

@@ -1,0 +1,396 @@
+"""A flight in a real autopilot's simulator: the pose comes over the link, the emulated sensors see the ground below it.
+
+Messages of the autopilot enter `HeardVehicle`, poses leave; `Sitl` puts emulated sensors around them and lets the real
+bridge answer on the same link, so that the autopilot flies on what the bridge tells it.
+
+Two kinds of message say where the vehicle is. The simulator's own truth: SIM_STATE (ArduPilot, libraries/SITL/SITL.cpp)
+or HIL_STATE_QUATERNION (PX4's SIH, modules/mavlink/streams/HIL_STATE_QUATERNION.hpp). Or the autopilot's estimate:
+ATTITUDE with LOCAL_POSITION_NED. Truth is taken where it comes, and once it has come the estimate is not: sensors that
+see the estimate confirm its errors to the estimator that made them.
+
+All of these count heights from a place of their own, so the vehicle is taken to stand on the ground, at the start,
+where the first one is heard: begin before take-off.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from numpy.random import SeedSequence
+
+from msp_range.acoustics.air import speed_of_sound
+from msp_range.bridge import Bridge, Records, Step
+from msp_range.clock import Clock
+from msp_range.config import Airframe
+from msp_range.correction.temperature import FileSource
+from msp_range.geometry import Vector
+from msp_range.health import Report, Severity
+from msp_range.mavlink.transport import Transport
+from msp_range.reading import Status
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.device import NotAcknowledged
+from msp_sim.flight import LEVEL_M, Flight, Track, emulated_bus
+from msp_sim.vehicle import Angles, Pose
+from msp_sim.world import Ping, World
+
+POSE_STALE_S = 1.0
+"""A pose that is older than this says nothing about where the vehicle is [s]."""
+POSE_RATE_HZ = 25.0
+"""Asked of the autopilot: at 5 m/s the vehicle moves 0.2 m between two poses, nearly all of which its speed tells."""
+TRUTH = ("SIM_STATE", "HIL_STATE_QUATERNION")
+ESTIMATE = ("ATTITUDE", "LOCAL_POSITION_NED")
+WANTED: Mapping[str, float] = dict.fromkeys((*TRUTH, *ESTIMATE), POSE_RATE_HZ)
+"""Messages to ask the autopilot for: name -> rate [Hz]. None knows all of them; it refuses the others."""
+EARTH_RADIUS_M = 6_371_000.0
+
+
+class HeardVehicle:
+    """Where the vehicle is, by its autopilot.
+
+    Parameters
+    ----------
+    elevation_m
+        Height of the surface at a north and east [m] over the world's origin [m].
+    clearance_m
+        How high the body frame's origin stands over the surface when the vehicle has landed [m]. It is never taken to
+        be lower than this.
+    start_m
+        North and east of the place where the first pose is heard [m].
+
+    Attributes
+    ----------
+    source : str or None
+        The message that the last pose came in; LOCAL_POSITION_NED stands for the estimate.
+    heard : Counter
+        Poses by that message.
+
+    Examples
+    --------
+    >>> vehicle = HeardVehicle(lambda north_m, east_m: 0.0, 0.25)
+    >>> vehicle.pose(0.0).position_ned_m
+    (0.0, 0.0, -0.25)
+    """
+
+    def __init__(
+        self,
+        elevation_m: Callable[[float, float], float],
+        clearance_m: float,
+        start_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.source: str | None = None
+        self.heard: Counter[str] = Counter()
+        self._elevation_m = elevation_m
+        self._clearance_m = clearance_m
+        north_m, east_m = start_m
+        # As low as the ground lets it be.
+        self._last = Pose(0.0, (north_m, east_m, math.inf), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+        self._origin_m: Vector = (0.0, 0.0, 0.0)
+        self._cos_latitude: float | None = None
+        self._angles: tuple[float, Angles] | None = None
+
+    def hear(self, now_s: float, message: Any) -> None:
+        """Take a message of the autopilot that came at ``now_s``; one that is no pose is passed over."""
+        kind = message.get_type()
+        if kind == "SIM_STATE":
+            place = self._global_place(message.lat_int, message.lon_int, message.alt)
+            velocity = (message.vn, message.ve, message.vd)
+            self._take(kind, now_s, place, Angles(message.roll, message.pitch, message.yaw), velocity)
+        elif kind == "HIL_STATE_QUATERNION":
+            # PX4 sends zeros until its simulator has found its place.
+            if message.lat or message.lon:
+                place = self._global_place(message.lat, message.lon, message.alt / 1e3)
+                velocity = (message.vx / 100, message.vy / 100, message.vz / 100)
+                self._take(kind, now_s, place, euler_angles(*message.attitude_quaternion), velocity)
+        elif kind == "ATTITUDE":
+            self._angles = now_s, Angles(message.roll, message.pitch, message.yaw)
+        elif kind == "LOCAL_POSITION_NED" and self.source not in TRUTH and self._angles is not None:
+            angles_s, angles = self._angles
+            if now_s - angles_s <= POSE_STALE_S:
+                place = (message.x, message.y, message.z)
+                self._take(kind, now_s, place, angles, (message.vx, message.vy, message.vz))
+
+    def pose(self, time_s: float) -> Pose:
+        """The vehicle at ``time_s``, moved on at its last speed; standing at the start before it has been heard."""
+        last = self._last
+        elapsed_s = time_s - last.time_s
+        north_m, east_m, down_m = (
+            place_m + speed_m_s * elapsed_s
+            for place_m, speed_m_s in zip(last.position_ned_m, last.velocity_ned_m_s, strict=True)
+        )
+        standing_m = -self._elevation_m(north_m, east_m) - self._clearance_m
+        return last._replace(time_s=time_s, position_ned_m=(north_m, east_m, min(down_m, standing_m)))
+
+    def is_lost(self, time_s: float) -> bool:
+        """Whether it has been heard, but not lately."""
+        return self.source is not None and time_s - self._last.time_s > POSE_STALE_S
+
+    def age_s(self, time_s: float) -> float | None:
+        """Time since the last pose [s]; None before the first."""
+        return None if self.source is None else time_s - self._last.time_s
+
+    def _global_place(self, latitude_1e7: int, longitude_1e7: int, altitude_m: float) -> Vector:
+        """North, east and down of 0 N 0 E at sea level, as far as the neighbourhood of the first place is flat [m].
+
+        ArduPilot before 4.1 leaves the integers 0: it then flies above its starting place only.
+        """
+        latitude_rad, longitude_rad = math.radians(latitude_1e7 / 1e7), math.radians(longitude_1e7 / 1e7)
+        if self._cos_latitude is None:
+            self._cos_latitude = math.cos(latitude_rad)
+        return EARTH_RADIUS_M * latitude_rad, EARTH_RADIUS_M * longitude_rad * self._cos_latitude, -altitude_m
+
+    def _take(self, source: str, now_s: float, place: Vector, angles: Angles, velocity: Vector) -> None:
+        if source != self.source:
+            # Another message counts from another place: the vehicle has not moved.
+            here = self.pose(now_s).position_ned_m
+            self._origin_m = (place[0] - here[0], place[1] - here[1], place[2] - here[2])
+            self.source = source
+        origin = self._origin_m
+        position = (place[0] - origin[0], place[1] - origin[1], place[2] - origin[2])
+        self._last = Pose(now_s, position, *angles, velocity)
+        self.heard[source] += 1
+
+
+def euler_angles(w: float, x: float, y: float, z: float) -> Angles:
+    """Euler angles, intrinsic z-y'-x'', of the rotation from body to world.
+
+    Examples
+    --------
+    >>> half = math.radians(30.0) / 2
+    >>> [f"{math.degrees(angle):.1f}" for angle in euler_angles(math.cos(half), 0.0, math.sin(half), 0.0)]
+    ['0.0', '30.0', '0.0']
+    """
+    return Angles(
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+
+
+def landed_clearance_m(airframe: Airframe) -> float:
+    """The clearance with which the lowest sensor stands its shortest reading above the ground [m]."""
+    return max(sensor.position_m[2] + sensor.sensor_model.minimum_cm / 100 for sensor in airframe.sensors)
+
+
+class FlightLog:
+    """What each reading of a flight became, beside the truth.
+
+    Parameters
+    ----------
+    airframe, models
+        The vehicle, and what its sensors read by, by name.
+    world, pose
+        What is there, and where the vehicle is at a time of the flight [s].
+    start_s
+        When the flight began [s on the bridge's clock].
+    recorder
+        Keeps the truth.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        models: Mapping[str, SensorModel],
+        world: World,
+        pose: Callable[[float], Pose],
+        start_s: float,
+        recorder: Records | None,
+    ) -> None:
+        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
+        self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
+        self._downward = airframe.downward
+        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._world = world
+        self._pose = pose
+        self._start_s = start_s
+        self._recorder = recorder
+        self._truths: dict[str, Ping] = {}
+
+    def keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
+        """Note what a ping met, at a time of the flight [s]."""
+        self._truths[sensor] = ping
+        if self._recorder is not None:
+            unsaid = ("heard", "slant_range_cm")
+            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
+            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
+
+    def take(self, step: Step) -> None:
+        """Note what a reading became."""
+        reading = step.ranging.reading
+        time_s = reading.time_s - self._start_s
+        track = self.flight.tracks[reading.sensor]
+        track.time_s.append(time_s)
+        track.truth_m.append(self._truth_m(reading.sensor))
+        track.raw_m.append(reading.range_m)
+        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
+        at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
+        track.why.append(step.filtered.rejected or at_minimum)
+        if step.fused is not None:
+            below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
+            fused = self.flight.fused
+            fused.time_s.append(time_s)
+            fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
+            fused.filtered_m.append(step.fused.range_m)
+            fused.why.append(None if below_m is not None and self._is_level(below_m) else "edge")
+
+    def note(self, time_s: float, severity: Severity, text: str) -> None:
+        """Note a change of health, at a time of the flight [s]."""
+        self.flight.texts.append((time_s, severity.name.lower(), text))
+
+    def finish(self, duration_s: float, bridge: Bridge) -> None:
+        """Complete `flight` with what the bridge has counted."""
+        self.flight.duration_s = duration_s
+        self.flight.rejected = {name: counts.rejected for name, counts in bridge.counts().items()}
+        self.flight.sent = dict(bridge.link.sent)
+        self.flight.dropped = dict(bridge.link.dropped)
+
+    def _truth_m(self, sensor: str) -> float | None:
+        """The range at the time of the last echo."""
+        ping = self._truths.get(sensor)
+        if ping is None or not ping.heard:
+            return None
+        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
+        if range_cm is None:
+            return None
+        range_m = range_cm / 100
+        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
+
+    def _is_level(self, below_m: float) -> bool:
+        """Whether the downward sensors and the vehicle's middle are over the same ground, give or take a bit."""
+        for sensor in self._downward:
+            ping = self._truths.get(sensor.name)
+            if ping is None or ping.slant_range_cm is None:
+                continue
+            down_m = ping.slant_range_cm / 100 * math.cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
+            if abs(down_m - below_m) > LEVEL_M:
+                return False
+        return True
+
+
+class Sitl:
+    """The real bridge on emulated sensors below a vehicle that its autopilot simulates.
+
+    A sensor whose vehicle is lost does not answer: a distance would be made up.
+
+    Parameters
+    ----------
+    airframe
+        The vehicle.
+    clock
+        In real time, as the autopilot's.
+    transport
+        The link to the autopilot.
+    world
+        What is there.
+    seed
+        Of all chance.
+    model
+        What the sensors read by, for all of them; None: each sensor's own model file.
+    clearance_m
+        How high the vehicle's reference point stands above the ground when landed [m]; None: so high that the lowest
+        sensor reads its minimum.
+    start_m
+        North and east of the place in the world where the first pose is heard [m].
+    recorder
+        Keeps every stage of every reading and the truth.
+    report
+        Called with (severity, text) at every change of health.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        clock: Clock,
+        transport: Transport,
+        world: World,
+        seed: int,
+        *,
+        model: SensorModel | None = None,
+        clearance_m: float | None = None,
+        start_m: tuple[float, float] = (0.0, 0.0),
+        recorder: Records | None = None,
+        report: Report | None = None,
+    ) -> None:
+        if clearance_m is None:
+            clearance_m = landed_clearance_m(airframe)
+        self._clock = clock
+        self._start_s = clock.now()
+        self._world = world
+        self._report = report
+        self.vehicle = HeardVehicle(world.elevation_m, clearance_m, start_m)
+        models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
+        self._log = FlightLog(airframe, models, world, self.vehicle.pose, self._start_s, recorder)
+        self.flight = self._log.flight
+        bus = emulated_bus(
+            airframe, models, world, self._known_pose, self.now_s, SeedSequence(seed), self._log.keep_truth, {}
+        )
+        self._bridge = Bridge(
+            airframe,
+            bus,
+            clock,
+            transport,
+            recorder=recorder,
+            report=self._note,
+            hear=lambda now_s, message: self.vehicle.hear(now_s - self._start_s, message),
+            wanted=WANTED,
+            thermometer=self._thermometer,
+        )
+
+    def now_s(self) -> float:
+        """Time since the beginning [s]."""
+        return self._clock.now() - self._start_s
+
+    def height_m(self) -> float:
+        """Vertical distance from the vehicle's reference point to what is below it now [m]."""
+        return self._world.height_above_ground(self.vehicle.pose(self.now_s())).vertical_m
+
+    def autopilot_heard(self) -> bool:
+        """True while heartbeats of an autopilot come."""
+        return self._bridge.link.autopilot_heard
+
+    def step(self) -> list[Step]:
+        """One step of the bridge."""
+        steps = self._bridge.step()
+        for step in steps:
+            self._log.take(step)
+        return steps
+
+    def finish(self) -> Flight:
+        """What the flight left behind."""
+        self._log.finish(self.now_s(), self._bridge)
+        return self.flight
+
+    def _known_pose(self, time_s: float) -> Pose:
+        if self.vehicle.is_lost(time_s):
+            raise NotAcknowledged
+        return self.vehicle.pose(time_s)
+
+    def _thermometer(self, source: FileSource) -> float:
+        """The air about the vehicle, in place of this computer's own files."""
+        height_m = -self.vehicle.pose(self.now_s()).position_ned_m[2]
+        return self._world.air_temperature_c(height_m) / source.scale
+
+    def _note(self, severity: Severity, text: str) -> None:
+        self._log.note(self.now_s(), severity, text)
+        if self._report is not None:
+            self._report(severity, text)
+
+
+def status_line(sitl: Sitl) -> str:
+    """What happens now, in one line: time, pose and its source, height, fused distance, every sensor's last answer."""
+    now_s = sitl.now_s()
+    age_s = sitl.vehicle.age_s(now_s)
+    if age_s is None:
+        pose = "no pose yet" if sitl.autopilot_heard() else "no autopilot yet"
+    elif sitl.vehicle.is_lost(now_s):
+        pose = f"{sitl.vehicle.source} lost for {age_s:.0f} s"
+    else:
+        pose = f"{sitl.vehicle.source}, height {sitl.height_m():.2f} m"
+    fused = sitl.flight.fused
+    is_new = bool(fused.time_s) and now_s - fused.time_s[-1] < POSE_STALE_S
+    said = [f"fused {fused.filtered_m[-1]:.2f} m" if is_new else "fused -"]
+    for name, track in sitl.flight.tracks.items():
+        if track.time_s:
+            filtered_m = track.filtered_m[-1]
+            said.append(f"{name} {track.why[-1] if filtered_m is None else f'{filtered_m:.2f}'}")
+    return f"{now_s:6.1f} s  {pose}  {', '.join(said)}"
