@@ -1,7 +1,6 @@
 """DISTANCE_SENSOR: every field against MAVLink's definition, packed and taken apart by hand."""
 
 import math
-import struct
 from typing import Any
 
 import pytest
@@ -11,56 +10,33 @@ from hypothesis import strategies as st
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot, Stream, distance_sensor, make_stream, no_echo
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90, Orientation
+from tests.support.mavlink_ends import read_distance_sensor
 
 NO_QUATERNION = (0.0, 0.0, 0.0, 0.0)
 DOWNWARD = make_stream(10, Orientation(DOWN, NO_QUATERNION), 765, "ardupilot")
 
-# common.xml, DISTANCE_SENSOR (132): the largest fields first, then the extensions in their order.
-WIRE = struct.Struct("<IHHHBBBBff4fB")
-WIRE_NAMES = [
-    "time_boot_ms",
-    "min_distance",
-    "max_distance",
-    "current_distance",
-    "type",
-    "id",
-    "orientation",
-    "covariance",
-    "horizontal_fov",
-    "vertical_fov",
-    "w",
-    "x",
-    "y",
-    "z",
-    "signal_quality",
-]
 
-
-def fields(message: Any) -> dict[str, float]:
+def fields(message: Any) -> dict[str, Any]:
     """What the message's frame holds, read without pymavlink."""
-    frame = message.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=191))
-    length = frame[1]
-    assert frame[0] == 0xFD
-    assert int.from_bytes(frame[7:10], "little") == 132
-    payload = frame[10 : 10 + length].ljust(WIRE.size, b"\0")
-    return dict(zip(WIRE_NAMES, WIRE.unpack(payload), strict=True))
+    read = read_distance_sensor(message.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=191)))
+    assert read is not None
+    return read
 
 
-def current_cm(range_m: float, stream: Stream = DOWNWARD) -> float:
+def current_cm(range_m: float, stream: Stream = DOWNWARD) -> int:
     return fields(distance_sensor(stream, 0, range_m, 0.0004, 0.4, 80))["current_distance"]
 
 
-def covariance(variance_m2: float) -> float:
+def covariance(variance_m2: float) -> int:
     return fields(distance_sensor(DOWNWARD, 0, 3.0, variance_m2, 0.4, 80))["covariance"]
 
 
-def quality(asked: int) -> float:
+def quality(asked: int) -> int:
     return fields(distance_sensor(DOWNWARD, 0, 3.0, 0.0004, 0.4, asked))["signal_quality"]
 
 
 def test_every_field_of_a_distance() -> None:
-    quaternion = (0.5, -0.5, 0.5, -0.5)
-    stream = make_stream(7, Orientation(CUSTOM, quaternion), 765, "ardupilot")
+    stream = make_stream(7, Orientation(CUSTOM, (0.5, -0.5, 0.5, -0.5)), 765, "ardupilot")
     message = distance_sensor(stream, 123456, 3.0149, 0.00035, 0.25, 83)
     assert fields(message) == {
         "time_boot_ms": 123456,
@@ -73,10 +49,7 @@ def test_every_field_of_a_distance() -> None:
         "covariance": 4,  # 3.5 cm^2, rounded up
         "horizontal_fov": 0.25,
         "vertical_fov": 0.25,
-        "w": 0.5,
-        "x": -0.5,
-        "y": 0.5,
-        "z": -0.5,
+        "quaternion": [0.5, -0.5, 0.5, -0.5],
         "signal_quality": 83,
     }
 

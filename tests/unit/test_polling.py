@@ -17,6 +17,7 @@ from tests.support.scripted_bus import ScriptedBus
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""
+SAFE = Spacing(0.100)
 ROUND = ("a", "b", "c", "d")
 
 
@@ -45,7 +46,7 @@ class Sonar:
 class Bench:
     """Sonars polled in groups, in virtual time."""
 
-    def __init__(self, groups: Sequence[str], spacing: Spacing = Spacing(), first_answer_s: float = FIRST_S) -> None:
+    def __init__(self, groups: Sequence[str], spacing: Spacing = SAFE, first_answer_s: float = FIRST_S) -> None:
         # A start that is no round number: nothing may depend on the clock's zero.
         self.clock = VirtualClock(71.3)
         self.start_s = self.clock.now()
@@ -147,7 +148,7 @@ NEAR = Spacing(0.100, near_below_m=2.0, near_interval_s=0.050)
 
 def test_near_the_ground_pings_come_at_least_one_and_a_half_times_as_often() -> None:
     rates_hz = []
-    for spacing in (Spacing(0.100), NEAR):
+    for spacing in (SAFE, NEAR):
         bench = Bench(ROUND, spacing)
         for sonar in bench.sonars.values():
             sonar.range_m = lambda ping_s: 1.9
@@ -182,4 +183,4 @@ def test_a_sensor_that_falls_silent_makes_all_wait() -> None:
 @pytest.mark.parametrize("groups", [[], [[]]])
 def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) -> None:
     with pytest.raises(ValueError, match="at least one sensor"):
-        RoundRobin(groups, Spacing(), 0.0)
+        RoundRobin(groups, SAFE, 0.0)

@@ -166,8 +166,9 @@ def test_the_random_profile_stops_in_time_and_stays_within_its_levels():
     assert heights_m.max() <= 3.6
 
 
-def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one():
-    short, long = (fly(RandomLevels(kind="random", duration_s=duration_s), seed=2) for duration_s in (20.3, 40))
+@pytest.mark.parametrize("seed", range(6))
+def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one(seed):
+    short, long = (fly(RandomLevels(kind="random", duration_s=duration_s), seed=seed) for duration_s in (20.3, 40))
     for time_s in np.arange(0.0, 20.3, 0.05):
         assert short.at(time_s) == pytest.approx(long.at(time_s))
 

@@ -1,0 +1,177 @@
+"""Whole flights of the real bridge: the same for the same seed, right against the truth, and in real time too."""
+
+import json
+import math
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from pymavlink.dialects.v20 import common
+from typer.testing import CliRunner
+
+from msp_range.clock import SystemClock, VirtualClock
+from msp_sim.cli import app
+from msp_sim.flight import Flight, Simulation
+from msp_sim.scenario import load_scenario
+from msp_sim.summary import summarise
+
+SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
+
+
+def fly(name: str, seed: int = 1) -> tuple[Flight, Simulation]:
+    simulation = Simulation(load_scenario(SCENARIOS / name), VirtualClock(), seed)
+    for _ in simulation.fly():
+        pass
+    return simulation.flight, simulation
+
+
+def run(*args: object) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in args], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def demo() -> tuple[Flight, Simulation]:
+    return fly("demo.yaml")
+
+
+def test_every_scenario_flies_to_its_end() -> None:
+    for path in sorted(SCENARIOS.glob("*.yaml")):
+        flight, _ = fly(path.name)
+        assert flight.duration_s >= load_scenario(path).duration_s
+        assert all(track.time_s for track in flight.tracks.values()), path.name
+
+
+def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two", "other")]
+    for folder, seed in zip(folders, (5, 5, 6), strict=True):
+        run("fly", SCENARIOS / "sinusoid.yaml", "--seed", seed, "--out", folder)
+    summaries = [json.loads((folder / "summary.json").read_text()) for folder in folders]
+    for summary in summaries:
+        assert summary.pop("wall")["seconds"] > 0
+    assert summaries[0] == summaries[1]
+    assert summaries[0]["link"]["sha256"] != summaries[2]["link"]["sha256"]
+    for name in ("flight.mcap", "link.tlog"):
+        one, two, other = ((folder / name).read_bytes() for folder in folders)
+        assert one == two
+        assert one != other
+
+
+def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) -> None:
+    """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
+    flight, _ = demo
+    summary = summarise(flight, "demo", 1)["fused"]
+    assert summary["rate_hz"] == pytest.approx(10.0, rel=0.01)
+    assert summary["error"]["p95_cm"] < 5.0
+    assert abs(summary["error"]["bias_cm"]) < 1.0
+    assert summary["over_edges"] < 0.4 * summary["estimates"]
+
+
+def test_filters_take_away_the_wild_readings(demo: tuple[Flight, Simulation]) -> None:
+    for sensor in summarise(demo[0], "demo", 1)["sensors"].values():
+        assert sensor["error_before"]["rms_cm"] > 20, "one reading in fifty is wild"
+        assert sensor["error_after"]["rms_cm"] < 8
+        assert sensor["rejected"]["unexpected"] > 0
+
+
+def test_what_the_autopilot_receives(demo: tuple[Flight, Simulation]) -> None:
+    """Every field of the fused stream, as an autopilot reads it; its time is the autopilot's clock and the echo's."""
+    flight, simulation = demo
+    received = [(time_s, message) for time_s, message in simulation.received if message.get_type() == "DISTANCE_SENSOR"]
+    assert len(received) == len(flight.fused.time_s)
+    messages = [message for _, message in received]
+    assert {message.orientation for message in messages} == {common.MAV_SENSOR_ROTATION_PITCH_270}
+    assert {message.type for message in messages} == {common.MAV_DISTANCE_SENSOR_ULTRASOUND}
+    assert {(message.min_distance, message.max_distance, message.id) for message in messages} == {(19, 765, 10)}
+    assert all(message.get_srcSystem() == 1 and message.get_srcComponent() == 191 for message in messages)
+    assert all(2 <= message.signal_quality <= 100 for message in messages)
+    assert all(1 <= message.covariance <= 254 for message in messages)
+    # 12.6 deg of half angle from 2 m on, 23.4 below 50 cm.
+    fields_deg = {round(math.degrees(message.horizontal_fov), 1) for message in messages}
+    assert (min(fields_deg), max(fields_deg)) == (25.2, 46.8)
+    # The autopilot had been on for 42.5 s; a reading is at most 45 ms of ranging and polling old when it is sent.
+    late_ms = [1e3 * (time_s + 42.5) - message.time_boot_ms for time_s, message in received[20:]]
+    assert min(late_ms) > 15
+    assert max(late_ms) < 75
+
+
+def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
+    """The bridge speaks before it hears one, and its times follow the autopilot's new clock."""
+    text = (SCENARIOS / "hover.yaml").read_text().replace("../", f"{SCENARIOS.parent}/")
+    path = tmp_path / "reboot.yaml"
+    path.write_text(text + "\nautopilot: {heard_from_s: 5, reboots_at_s: [15]}\n")
+    simulation = Simulation(load_scenario(path), VirtualClock(), 1)
+    for _ in simulation.fly():
+        pass
+    times = [(t, m.time_boot_ms) for t, m in simulation.received if m.get_type() == "DISTANCE_SENSOR"]
+    before = [1e3 * (t + 42.5) - boot_ms for t, boot_ms in times if 7 < t < 15]
+    after = [1e3 * (t - 15) - boot_ms for t, boot_ms in times if t > 20]
+    assert before
+    assert after
+    assert max(before + after) < 75
+    assert min(before + after) > 0
+
+
+def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
+    output = run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
+    assert "times real time" in output
+    assert (tmp_path / "f" / "flight.png").read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "f" / "flight.mcap").open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert {"/range/front_left", "/truth/front_left", "/fused", "/mavlink/sent"} <= topics
+    frames = (tmp_path / "f" / "link.tlog").read_bytes()
+    parser = common.MAVLink(None)
+    names = []
+    while frames:
+        length = 12 + frames[9]
+        names += [message.get_type() for message in parser.parse_buffer(frames[8 : 8 + length])]
+        frames = frames[8 + length :]
+    assert names.count("HEARTBEAT") >= 30
+
+
+def test_another_model_flies(tmp_path: Path) -> None:
+    """A sensor model without outliers, with little noise: nothing is rejected."""
+    model = (SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text()
+    model = model.replace(
+        "{hit: 0.96, unexpected: 0.01, max: 0.02, random: 0.01}", "{hit: 1.0, unexpected: 0.0, max: 0.0, random: 0.0}"
+    ).replace("sigma_cm: 1.9445", "sigma_cm: 0.3")
+    (tmp_path / "quiet.yaml").write_text(model)
+    run("fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")
+    summary = json.loads((tmp_path / "f" / "summary.json").read_text())
+    for sensor in summary["sensors"].values():
+        assert sensor["rejected"] == {}
+        assert sensor["error_before"]["rms_cm"] < 1.5
+
+
+@pytest.mark.real_time
+def test_a_flight_in_real_time(tmp_path: Path) -> None:
+    """Ten seconds on the system's clock, with a listener on a real link: 10 Hz, and the truth."""
+    short = tmp_path / "short.yaml"
+    altitude = "[{kind: hold, duration_s: 1}, {kind: climb, to_m: 1.5}, {kind: hold, duration_s: 4}]"
+    short.write_text(
+        f"name: short\nairframe: {SCENARIOS.parent}/quad_pallet.yaml\nduration_s: 10\n"
+        f"flight: {{altitude: {altitude}}}\n"
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.setblocking(False)
+        url = f"udpout:127.0.0.1:{listener.getsockname()[1]}"
+        started_s = SystemClock().now()
+        run("fly", short, "--realtime", "--link", url, "--out", tmp_path / "f")
+        assert SystemClock().now() - started_s >= 10
+        heard: list[Any] = []
+        parser = common.MAVLink(None)
+        try:
+            while True:
+                heard += parser.parse_buffer(listener.recv(4096)) or []
+        except BlockingIOError:
+            pass
+    distances = [m for m in heard if m.get_type() == "DISTANCE_SENSOR" and m.get_srcComponent() == 191]
+    heartbeats = {(m.get_srcSystem(), m.get_srcComponent()) for m in heard if m.get_type() == "HEARTBEAT"}
+    assert heartbeats == {(1, 1), (1, 191)}
+    assert len(distances) >= 95
+    summary = json.loads((tmp_path / "f" / "summary.json").read_text())
+    assert summary["fused"]["error"]["p95_cm"] < 6

@@ -1,0 +1,151 @@
+"""Recorded flights and measured data through the bridge again."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from msp_range.cli import app
+from msp_range.recording.csv_form import read_csv, write_csv
+from msp_range.recording.reader import Recording
+from msp_sim.cli import app as sim_app
+from tests.support.data import measured_data
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def run(*args: object) -> Result:
+    return CliRunner().invoke(app, [str(each) for each in args], catch_exceptions=False)
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flight")
+    args = ["fly", str(CONFIGS / "scenarios" / "faults.yaml"), "--out", str(folder)]
+    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    return folder / "flight.mcap"
+
+
+def ranges(path: Path) -> list[tuple[str, object]]:
+    keys = ("time_s", "status", "raw", "range_m", "corrected_m", "filtered_m", "variance_m2", "rejected")
+    return [
+        (topic, [message.get(key) for key in keys])
+        for topic, _, message in Recording(path)
+        if topic.startswith("/range/")
+    ]
+
+
+def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
+    """Every stage of every reading, faults and all, down to the last digit, from the recording alone."""
+    again = tmp_path / "again.mcap"
+    result = run("replay", flight, "--record", again)
+    assert result.exit_code == 0, result.output
+    assert "front_left" in result.output
+    assert ranges(again) == ranges(flight)
+
+
+def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
+    assert run("replay", cut, "--record", tmp_path / "again.mcap").exit_code == 0
+    whole = ranges(flight)
+    part = ranges(tmp_path / "again.mcap")
+    assert 0.2 * len(whole) < len(part) < 0.8 * len(whole)
+    assert part == whole[: len(part)]
+    assert run("export", cut, tmp_path / "cut.csv").exit_code == 0
+    assert len(read_csv(tmp_path / "cut.csv")) == len(part)
+    assert run("recover", cut, tmp_path / "closed.mcap").exit_code == 0
+    assert ranges(tmp_path / "closed.mcap") == part
+
+
+def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) -> None:
+    """A table has no early answers and no fixed temperature; everything else is the same."""
+    assert run("export", flight, tmp_path / "flight.csv").exit_code == 0
+    args = ["--airframe", CONFIGS / "loopback.yaml", "--record", tmp_path / "again.mcap"]
+    result = run("replay", tmp_path / "flight.csv", *args)
+    assert result.exit_code == 0, result.output
+    statuses = [columns[1] for _, columns in ranges(flight) if columns[1] not in ("impossible", "part_info")]
+    replayed = [columns[1] for _, columns in ranges(tmp_path / "again.mcap")]
+    assert len(replayed) == pytest.approx(len(statuses), rel=0.02)
+    assert replayed.count("ok") >= statuses.count("ok")
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["missing.mcap"], "cannot be read"),
+        (["table.csv"], "--airframe"),
+        (["table.csv", "--airframe", str(CONFIGS / "canted_pallet.yaml")], "readings of front_left"),
+    ],
+)
+def test_mistakes_are_told_in_a_line(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: Sequence[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("export", flight, "table.csv")
+    result = run("replay", *args)
+    assert result.exit_code == 3
+    assert said in result.output
+    assert "Traceback" not in result.output
+
+
+def test_measured_readings_of_a_maxsonar_go_through_the_whole_bridge(tmp_path: Path) -> None:
+    """A MaxBotix MB1433 on a robot before a wall (enmt482): what comes out is nearer the truth than what went in.
+
+    The sensor's no-echo code of 5 m becomes ours; what it clamps at 30 cm stays a range. The reference is the robot's
+    own, and the sensor reads some centimetres from it, so errors are compared about their median.
+    """
+    columns_used = {1: "time", 2: "range", 9: "sonar2"}
+    table = np.loadtxt(
+        measured_data("enmt482/calibration.csv"),
+        delimiter=",",
+        skiprows=1,
+        usecols=list(columns_used),
+        dtype=[(name, float) for name in columns_used.values()],
+    )
+    reading_cm = np.where(table["sonar2"] >= 4.9995, 765.0, np.round(table["sonar2"] * 100))
+    columns = {
+        "time_s": table["time"],
+        "sensor": np.full(len(table), "sonar2"),
+        "reading_cm": reading_cm,
+        "true_range_cm": table["range"] * 100,
+    }
+    write_csv(tmp_path / "enmt482.csv", columns)
+    airframe = tmp_path / "robot.yaml"
+    airframe.write_text(
+        f"""vehicle: robot
+sensors:
+  - name: sonar2
+    id: 1
+    address: 0x70
+    model: {CONFIGS}/sensors/mb1242.yaml
+    position_m: [0, 0, 0]
+    rotation_deg: {{pitch: 0}}
+link: {{url: "udpout:127.0.0.1:14550"}}
+send: {{sensors: all}}
+"""
+    )
+    again = tmp_path / "again.mcap"
+    result = run("replay", tmp_path / "enmt482.csv", "--airframe", airframe, "--record", again)
+    assert result.exit_code == 0, result.output
+    messages = [message for topic, _, message in Recording(again) if topic == "/range/sonar2"]
+    assert len(messages) == len(table)
+    truth_m = np.interp([message["time_s"] for message in messages], table["time"], table["range"])
+    raw_m = np.array([message.get("range_m", np.nan) for message in messages])
+    filtered_m = np.array([message.get("filtered_m", np.nan) for message in messages])
+    # No code became a distance: not on the way in, and not on the way out.
+    assert np.isnan(raw_m[table["sonar2"] >= 4.9995]).all()
+    assert np.isnan(filtered_m[np.isnan(raw_m)]).all()
+    # Nearer than 30 cm the sensor reads anything; from there on the filters take wild readings away, and add nothing.
+    reach = truth_m > 0.35
+    used = reach & ~np.isnan(filtered_m)
+    assert used.sum() > 0.9 * reach.sum()
+    raw_error = np.abs(raw_m - truth_m)
+    filtered_error = np.abs(filtered_m - truth_m)[used]
+    assert np.percentile(filtered_error, 99.5) < np.nanpercentile(raw_error[reach], 99.5)
+    assert np.median(filtered_error) <= 1.2 * np.nanmedian(raw_error[reach])
+    sent = json.dumps([message for topic, _, message in Recording(again) if topic == "/mavlink/sent"])
+    assert sent.count("DISTANCE_SENSOR") > 0.8 * len(table)

@@ -1,0 +1,319 @@
+"""From the bus to DISTANCE_SENSOR: when messages go out, and every field of them."""
+
+import json
+import math
+from collections import Counter
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common
+from scipy.spatial.transform import Rotation
+
+from msp_range.acoustics.air import speed_of_sound
+from msp_range.config import load_airframe
+from msp_range.recording.error import RecordingError
+from msp_range.recording.topics import schema_of
+from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, Bench, airframe, one_down, sensor
+
+NAMES = "abcd"
+HEARTBEAT = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+AROUND = [sensor(name, number, 0.0, 90.0 * (number - 1)) for number, name in enumerate(NAMES, start=1)]
+READY_S = 0.020
+"""From ping to answer, besides the time of flight: as the device and the shipped sensor model have it."""
+
+
+def last(bench: Bench, stream: int = FUSED_ID) -> Any:
+    return [message for _, message in bench.sent() if message.id == stream][-1]
+
+
+def test_the_fused_message_goes_out_on_each_reading() -> None:
+    bench = Bench(airframe(), 300).fly(19.95)
+    times_s = [time_s for time_s, _ in bench.sent()]
+    answered_s = [ping_s + READY_S + 300 * 58e-6 for ping_s, _, _ in bench.pings]
+    assert len(times_s) == 200
+    # The sensor is asked every 2 ms.
+    assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(times_s, answered_s, strict=True))
+
+
+@pytest.mark.parametrize(("dead", "rate_hz"), [("b", 10.0), ("bd", 10.0), ("abd", 2.5)])
+def test_the_fused_message_goes_out_on_each_turn_while_two_sensors_work(dead: str, rate_hz: float) -> None:
+    """The last one alone speaks for itself only: nobody else saw that the ground is still there."""
+    bench = Bench(airframe(), 300, absent=dead).fly(20.0)
+    assert set(bench.distances_cm()) == {300}
+    assert len(bench.distances_cm(from_s=4.0)) == pytest.approx(16.0 * rate_hz, abs=1)
+    assert last(bench).signal_quality == round(100 * (4 - len(dead)) / 4)
+
+
+def test_without_sensors_nothing_goes_out() -> None:
+    bench = Bench(airframe(), 300, absent=NAMES).fly(9.95)
+    assert bench.sent() == []
+    assert len(bench.steps) == 100
+
+
+@pytest.mark.parametrize(
+    ("silent", "dead", "tells"),
+    [("a", "", 300), ("ab", "", 300), ("abc", "", 766), ("abcd", "", 766), ("ab", "c", 766), ("a", "bcd", 766)],
+)
+def test_no_echo_of_most_sensors_that_work_is_above_the_maximum(silent: str, dead: str, tells: int) -> None:
+    bench = Bench(airframe(), lambda name, time_s: 765 if name in silent else 300, absent=dead).fly(10.0)
+    assert set(bench.distances_cm(from_s=2.0)) == {tells}
+    assert len(bench.distances_cm(from_s=2.0)) == pytest.approx(80, abs=1)
+    if tells > 765:
+        message = last(bench)
+        assert (message.signal_quality, message.covariance) == (1, 255)
+        assert math.degrees(message.horizontal_fov) == pytest.approx(25.2, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "pitch_deg", "tells"), [("ardupilot", 0, 766), ("px4", 0, 765), ("px4", -90, 766)]
+)
+def test_no_echo_as_each_autopilot_understands_it(autopilot: str, pitch_deg: float, tells: int) -> None:
+    link = {"url": "udpout:127.0.0.1:14550", "autopilot": autopilot}
+    vehicle = airframe([sensor("a", 1, pitch_deg)], link=link, send={"sensors": ["a"]})
+    bench = Bench(vehicle, 765).fly(2.0)
+    assert set(bench.distances_cm(1)) == {tells}
+    assert last(bench, 1).max_distance == 765
+    assert bench.bridge.health.bad_sensors == []
+
+
+@pytest.mark.parametrize("to", ["a", FUSED_ID])
+@pytest.mark.parametrize(
+    ("reading_cm", "view_deg"),
+    [(20, 46.8), (50, 46.8), (75, 41.4), (100, 36.0), (150, 28.8), (200, 25.2), (300, 25.2), (764, 25.2)],
+)
+def test_the_field_of_view_is_twice_the_breakaway_angle_at_the_range(reading_cm: int, view_deg: float, to: Any) -> None:
+    send = {"sensors": ["a"]} if to == "a" else {"fused": {"id": FUSED_ID}}
+    message = last(Bench(one_down(send=send), reading_cm).fly(2.0), 1 if to == "a" else FUSED_ID)
+    assert message.current_distance == reading_cm
+    assert math.degrees(message.horizontal_fov) == pytest.approx(view_deg, abs=1e-3)
+    assert message.vertical_fov == message.horizontal_fov
+
+
+SIGMA2_CM2 = 1.9445**2 + 1 / 12
+"""Of one reading: the sensor model's, and the rounding to whole centimetres."""
+
+
+@pytest.mark.parametrize(
+    ("filters", "covariance"),
+    [
+        ([], SIGMA2_CM2),
+        ([{"filter": "moving_average", "window": 2}], SIGMA2_CM2 / 2),
+        ([{"filter": "median", "window": 3}], SIGMA2_CM2 * math.pi / 2 / 3),
+        ([{"filter": "kalman", "measurement_variance_cm2": 400, "acceleration_std_m_s2": 100}], 254),
+    ],
+)
+def test_the_covariance_is_the_filters_own_rounded_up(filters: list[dict[str, Any]], covariance: float) -> None:
+    assert last(Bench(one_down(filters=filters), 300).fly(4.0), 1).covariance == math.ceil(covariance)
+
+
+def test_the_covariance_of_canted_sensors_covers_slant_and_nearest_point() -> None:
+    canted = [sensor(name, number, -60.0, 90.0 * number) for number, name in enumerate(NAMES, start=1)]
+    fused = {"id": FUSED_ID, "sensors": list(NAMES)}
+    message = last(Bench(airframe(canted, filters=[], send={"fused": fused}), 150).fly(4.0))
+    slant_cm = 150 * math.cos(math.radians(30))
+    assert message.current_distance == round((150 + slant_cm) / 2)
+    assert message.covariance == math.ceil(((150 - slant_cm) / 2) ** 2 + SIGMA2_CM2 * 4 / 5)
+
+
+def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
+    """At 2 s a sensor of ten readings a second loses three in a row; ten readings later that is forgotten."""
+    bench = Bench(one_down(), lambda name, time_s: 765 if 2.0 <= time_s < 2.25 else 300).fly(5.0)
+    quality = {round(time_s, 1): message.signal_quality for time_s, message in bench.sent()}
+    assert (quality[1.9], quality[2.1], quality[2.3], quality[2.9], quality[3.3]) == (100, 1, 70, 70, 100)
+
+
+def test_every_field_of_a_fused_message() -> None:
+    bench = Bench(airframe(), 300).fly(4.0)
+    assert bench.wire.frames[-1][1][0] == common.PROTOCOL_MARKER_V2
+    time_s, message = bench.sent()[-1]
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 191)
+    assert (message.min_distance, message.max_distance, message.current_distance) == (19, 765, 300)
+    assert (message.type, message.id, message.orientation) == (common.MAV_DISTANCE_SENSOR_ULTRASOUND, FUSED_ID, 25)
+    assert list(message.quaternion) == [0, 0, 0, 0]
+    assert 1 <= message.covariance <= 4
+    assert message.signal_quality == 100
+    # Half of the flight to 3 m, 8.7 ms; the answer is read up to 2 ms after it is there at 37.4 ms.
+    assert 1000 * (time_s - 0.0374 - 0.002 + 0.0087) - 1 <= message.time_boot_ms <= 1000 * (time_s - 0.0374 + 0.0087)
+
+
+def test_every_field_of_single_messages() -> None:
+    """Right is YAW_90 (2), left YAW_270 (6); between the axes it is CUSTOM with the mounting's quaternion."""
+    content = [*AROUND, sensor("e", 5, -60.0, 30.0), sensor("f", 6, -45.0), sensor("g", 7, -85.0, 40.0)]
+    bench = Bench(airframe(content, send={"sensors": "all"}), 300).fly(4.0)
+    messages = {message.id: message for _, message in bench.sent()}
+    assert {stream: message.orientation for stream, message in messages.items()} == {
+        1: 0, 2: 2, 3: 4, 4: 6, 5: common.MAV_SENSOR_ROTATION_CUSTOM, 6: 39, 7: 25,
+    }  # fmt: skip
+    for stream, message in messages.items():
+        x, y, z, w = Rotation.from_euler("ZYX", [30, -60, 0], degrees=True).as_quat()
+        assert list(message.quaternion) == pytest.approx([w, x, y, z] if stream == 5 else [0, 0, 0, 0], abs=1e-6)
+        assert (message.type, message.min_distance, message.max_distance) == (1, 19, 765)
+        assert message.current_distance == 300
+
+
+@pytest.mark.parametrize("reading_cm", [20, 21, 764])
+def test_what_the_sensor_reports_lies_between_the_messages_bounds(reading_cm: int) -> None:
+    """Cold air makes the nearest reading shorter and warm air the farthest one longer than the sensor can report."""
+    for fixed_c in (-20.0, CALIBRATED_C, 50.0):
+        message = last(Bench(one_down(temperature={"fixed_c": fixed_c}), reading_cm).fly(2.0), 1)
+        assert message.min_distance < message.current_distance <= message.max_distance
+
+
+@pytest.mark.parametrize("air_c", [0.0, 15.0, 40.0])
+def test_a_range_is_corrected_for_the_air(air_c: float) -> None:
+    bench = Bench(one_down(temperature={"fixed_c": air_c}), 600).fly(2.0)
+    expected_cm = 600 * speed_of_sound(air_c) / speed_of_sound(CALIBRATED_C)
+    assert last(bench, 1).current_distance == round(expected_cm)
+    assert abs(expected_cm - 600) > 6
+
+
+def test_the_fused_distance_starts_at_the_reference_point() -> None:
+    content = [each | {"position_m": [0, 0, 0.30]} for each in FOUR_DOWN]
+    bench = Bench(airframe(content, send={"fused": {"id": FUSED_ID, "reference_down_m": 0.05}}), 300).fly(2.0)
+    assert set(bench.distances_cm()) == {325}
+
+
+def test_messages_of_single_streams_are_twenty_milliseconds_apart_and_none_is_lost() -> None:
+    vehicle = airframe(AROUND, polling={"groups": [list(NAMES)]}, send={"sensors": "all"})
+    bench = Bench(vehicle, 300).fly(10.0)
+    times_s = [time_s for time_s, _ in bench.sent()]
+    assert all(late - early >= 0.020 - 1e-9 for early, late in pairwise(times_s))
+    assert set(Counter(message.id for _, message in bench.sent()).values()) <= {99, 100, 101}
+
+
+def test_the_fused_message_does_not_wait_and_single_ones_wait_for_it() -> None:
+    vehicle = airframe(
+        [*FOUR_DOWN[:3], sensor("front", 4) | {"rotation_deg": {"pitch": 0}}],
+        polling={"groups": [["a", "front"], ["b"], ["c"]]},
+        send={"fused": {"id": FUSED_ID}, "sensors": ["front"]},
+    )
+    bench = Bench(vehicle, lambda name, time_s: 400 if name == "front" else 300).fly(8.95)
+    sent = [(time_s, message.id) for time_s, message in bench.sent()]
+    fused_s = [time_s for time_s, stream in sent if stream == FUSED_ID]
+    answered_s = [ping_s + READY_S + 300 * 58e-6 for ping_s, name, _ in bench.pings if name != "front"]
+    assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(fused_s, answered_s, strict=True))
+    for (before_s, _), (time_s, stream) in pairwise(sent):
+        if stream == 4:
+            assert time_s - before_s >= 0.020 - 1e-9
+    assert Counter(stream for _, stream in sent) == {FUSED_ID: 90, 4: 30}
+
+
+@pytest.mark.parametrize(("reading_cm", "rate_hz"), [(150, 20.0), (250, 10.0)])
+def test_near_the_ground_the_loopback_airframe_pings_faster(reading_cm: int, rate_hz: float) -> None:
+    bench = Bench(load_airframe(CONFIGS / "loopback.yaml"), reading_cm).fly(10.0)
+    assert len([time_s for time_s, _, _ in bench.pings if time_s >= 5.0]) == pytest.approx(5.0 * rate_hz, abs=1)
+
+
+def test_polling_as_the_airframe_says() -> None:
+    polling = {"groups": [["a", "c"], ["d", "b"]], "ping_interval_s": 0.15, "adaptive": False}
+    bench = Bench(airframe(polling=polling), 300).fly(2.9)
+    assert [(round(time_s, 6), name) for time_s, name, _ in bench.pings[:6]] == [
+        (0.0, "a"), (0.0, "c"), (0.15, "d"), (0.15, "b"), (0.3, "a"), (0.3, "c"),
+    ]  # fmt: skip
+    # Not adaptive: read at the sensor model's deadline of 80 ms.
+    assert {round(step.ranging.answered_s - step.ranging.ping_s, 6) for step in bench.steps} == {0.080}
+
+
+def test_the_time_is_the_autopilots_once_it_is_known() -> None:
+    bench = Bench(airframe(), 300).fly(2.0)
+    bench.hear(HEARTBEAT, common.MAVLink_system_time_message(0, 3_600_000))
+    bench.fly(2.5)
+    time_s, message = bench.sent()[-1]
+    echo_s = time_s - 0.0374 + 0.0087
+    assert message.time_boot_ms == pytest.approx(3_600_000 + 1000 * (echo_s - 2.0), abs=8)
+
+
+def statuses(bench: Bench, from_s: float) -> list[int]:
+    return [message.system_status for time_s, message in bench.sent("HEARTBEAT") if time_s >= from_s]
+
+
+def test_the_heartbeat_tells_of_the_sensors() -> None:
+    good = Bench(airframe(), 300).fly(5.0)
+    assert statuses(good, 0.0)[:2] == [common.MAV_STATE_BOOT] * 2
+    assert set(statuses(good, 2.0)) == {common.MAV_STATE_ACTIVE}
+    bad = Bench(airframe(), 300, absent="c").fly(5.0)
+    assert set(statuses(bad, 2.0)) == {common.MAV_STATE_CRITICAL}
+
+
+def test_an_autopilot_that_comes_late_is_told_what_is_wrong() -> None:
+    bench = Bench(airframe(), 300, absent="c").fly(5.0)
+    assert bench.texts() == ["Range c: no answer (errno 121)"]
+    bench.hear(HEARTBEAT)
+    bench.fly(9.0)
+    assert bench.texts() == ["Range c: no answer (errno 121)"] * 2
+    assert len(bench.said()) == 1
+
+
+def test_an_air_temperature_that_does_not_come_is_said_and_that_it_is_back() -> None:
+    temperature = {"fixed_c": 20.0, "sources": [{"source": "mavlink", "message": "SCALED_PRESSURE"}]}
+    bench = Bench(airframe(temperature=temperature), 600)
+    bench.hear(HEARTBEAT)
+    bench.fly(8.0)
+    assert "Range: no air temperature, using 20 C" in bench.texts()
+    asked = [(message.command, message.param1, message.param2) for _, message in bench.sent("COMMAND_LONG")]
+    assert asked[0] == (common.MAV_CMD_SET_MESSAGE_INTERVAL, common.MAVLINK_MSG_ID_SCALED_PRESSURE, 1e6)
+    before_cm = last(bench).current_distance
+    bench.hear(HEARTBEAT, common.MAVLink_scaled_pressure_message(0, 1000, 0, 3500))
+    bench.fly(12.0)
+    assert bench.said()[-1] == "Range: air temp is back"
+    # 15 deg C are 2.5 % of the range.
+    assert last(bench).current_distance - before_cm == pytest.approx(600 * 0.0252, abs=1)
+
+
+def test_every_text_fits_a_statustext() -> None:
+    for text in Bench(airframe(), 300, absent=NAMES).fly(10.0).texts():
+        assert len(text) <= 50
+
+
+class Paper:
+    """A recorder whose disk fills up."""
+
+    def __init__(self, full_s: float) -> None:
+        self.full_s = full_s
+        self.topics: Counter[str] = Counter()
+        self.last: dict[str, dict[str, Any]] = {}
+
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        self.topics[topic] += 1
+        self.last[topic] = message
+
+    def flush_if_due(self, now_s: float) -> None:
+        if now_s > self.full_s:
+            raise RecordingError("no space left on device")
+
+
+def test_every_stage_of_every_reading_is_recorded() -> None:
+    paper = Paper(math.inf)
+    vehicle = airframe(temperature={"fixed_c": 0.0})
+    bench = Bench(vehicle, lambda name, time_s: 765 if name == "b" else 300, recorder=paper).fly(9.95)
+    assert [paper.topics[f"/range/{name}"] for name in NAMES] == [25] * 4
+    good, silent = paper.last["/range/a"], paper.last["/range/b"]
+    assert (good["status"], good["raw"], good["range_m"], good["temperature_c"]) == ("ok", 300, 3.0, 0.0)
+    air_m = 3.0 * speed_of_sound(0.0) / speed_of_sound(CALIBRATED_C)
+    assert (good["corrected_m"], good["filtered_m"]) == (pytest.approx(air_m), pytest.approx(air_m))
+    assert good["ping_s"] < good["time_s"] < good["read_s"]
+    assert (silent["status"], silent["rejected"], silent["raw"]) == ("no_echo", "no_echo", 765)
+    assert not {"range_m", "corrected_m", "filtered_m"} & silent.keys()
+    assert paper.last["/fused"]["range_m"] == pytest.approx(air_m)
+    sent = [frame.hex() for _, frame in bench.wire.frames]
+    assert paper.last["/mavlink/sent"]["hex"] in sent
+    assert paper.topics["/mavlink/sent"] == len(bench.sent())
+    for topic, message in paper.last.items():
+        assert message.keys() <= json.loads(schema_of(topic)[1])["properties"].keys()
+
+
+def test_a_full_disk_stops_the_recording_and_not_the_bridge() -> None:
+    paper = Paper(55.0)
+    bench = Bench(airframe(), 300, recorder=paper).fly(10.0)
+    assert "Range: recording stopped, disk trouble" in bench.texts()
+    assert "no space left on device" in bench.said()
+    assert len(bench.distances_cm()) == 100
+    assert paper.topics["/range/a"] < 15
+
+
+def test_counts_of_readings_and_of_the_rejected() -> None:
+    bench = Bench(airframe(), lambda name, time_s: 765 if name == "b" and time_s < 4 else 300, absent="d").fly(10.0)
+    counts = bench.bridge.counts()
+    assert {name: counts[name].readings for name in NAMES} == dict.fromkeys(NAMES, 25)
+    assert [counts[name].rejected for name in NAMES] == [{}, {"no_echo": 10}, {}, {"no_answer": 25}]

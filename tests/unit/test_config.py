@@ -1,0 +1,360 @@
+"""Airframe files: the shipped ones, and what a person is told of a mistake: file, place, found, expected, nearest."""
+
+import copy
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from msp_sim.scenario import load_scenario
+
+from msp_range.config import Airframe, load_airframe
+from msp_range.mavlink.orientation import CUSTOM, DOWN
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.yaml_file import ConfigError, Section
+from tests.support.bench import CONFIGS
+
+AIRFRAMES = sorted(CONFIGS.glob("*.yaml"))
+SENSORS = sorted(CONFIGS.glob("sensors/*.yaml"))
+SCENARIOS = sorted(CONFIGS.glob("scenarios/*.yaml"))
+MODEL = str(CONFIGS / "sensors" / "mb1242.yaml")
+QUAD: dict[str, Any] = yaml.safe_load((CONFIGS / "quad_pallet.yaml").read_text(encoding="utf-8"))
+for _sensor in QUAD["sensors"]:
+    _sensor["model"] = MODEL
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def named(paths: list[Path]) -> Any:
+    return pytest.mark.parametrize("path", paths, ids=lambda path: path.stem)
+
+
+def write(folder: Path, change: Change) -> Path:
+    """The quad pallet's file with a change made to its content."""
+    content = copy.deepcopy(QUAD)
+    change(content)
+    path = folder / "airframe.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def mistakes(folder: Path, change: Change) -> list[str]:
+    """The lines of the error, without the file's name in front."""
+    path = write(folder, change)
+    with pytest.raises(ConfigError) as error:
+        load_airframe(path)
+    lines = str(error.value).split("\n")
+    assert all(str(path) in line for line in lines)
+    return [line.removeprefix(f"{path}: ") for line in lines]
+
+
+@named(AIRFRAMES)
+def test_every_airframe_loads(path: Path) -> None:
+    vehicle = load_airframe(path)
+    assert vehicle.sensors
+    assert {sensor.sensor_model.name for sensor in vehicle.sensors} == {"MB1242"}
+
+
+@named(SENSORS)
+def test_every_sensor_model_loads(path: Path) -> None:
+    load_sensor_model(path)
+
+
+@named(SCENARIOS)
+def test_every_scenario_loads(path: Path) -> None:
+    load_scenario(path)
+
+
+def test_there_is_an_airframe_of_each_kind() -> None:
+    sets = {path.stem: sorted(sensor.orientation.name for sensor in load_airframe(path).sensors) for path in AIRFRAMES}
+    assert {"quad_pallet", "canted_pallet", "forward_and_down", "loopback", "proximity"} <= set(sets)
+    assert sets["quad_pallet"] == ["down"] * 4
+    assert sets["forward_and_down"] == ["down"] * 3 + ["forward"]
+    assert sets["proximity"] == ["forward", "left", "rear", "right"]
+    canted = load_airframe(CONFIGS / "canted_pallet.yaml")
+    assert [math.degrees(sensor.tilt_from_down_rad) for sensor in canted.sensors] == pytest.approx([10] * 4)
+
+
+def test_what_is_left_out() -> None:
+    content = {key: QUAD[key] for key in ("vehicle", "sensors", "link", "send")}
+    vehicle = Airframe.model_validate(content)
+    assert (vehicle.bus, vehicle.temperature.fixed_c, vehicle.recording) == (1, 20.0, None)
+    assert (vehicle.polling.groups, vehicle.polling.near, vehicle.polling.adaptive) == (None, None, True)
+    assert [each.filter for each in vehicle.filters] == ["kalman"]
+    assert [sensor.name for sensor in vehicle.downward] == [sensor["name"] for sensor in QUAD["sensors"]]
+    assert vehicle.sent_names == []
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        # An unknown key, wherever it is.
+        (lambda c: c.update(sensor=[]), "sensor: unknown key. Did you mean 'sensors'? Known keys here: bus, filters, "),
+        (lambda c: c["sensors"][2].update(adress=1), "sensors[2].adress: unknown key. Did you mean 'address'?"),
+        (lambda c: c["sensors"][0]["rotation_deg"].update(pich=1), "sensors[0].rotation_deg.pich: unknown key. Did"),
+        (lambda c: c["filters"][0].update(modle=1), "filters[0].modle: unknown key. Did you mean 'model'? Known keys"),
+        (lambda c: c["temperature"]["sources"][0].update(paht=1), "temperature.sources[0].paht: unknown key. Did you"),
+        (lambda c: c.update(qqq=1), "qqq: unknown key. Known keys here: "),
+        # A missing one.
+        (lambda c: c.pop("link"), "link: this key is missing; expected the connection to the autopilot"),
+        (lambda c: c["sensors"][1].pop("address"), "sensors[1].address: this key is missing; expected 7-bit I2C"),
+        (
+            lambda c: c["filters"][0].pop("filter"),
+            "filters[0].filter: this key is missing; expected one of moving_aver",
+        ),
+        (lambda c: c["sensors"][0].update(position_m=[0, 0]), "sensors[0].position_m[2]: this value is missing"),
+        # A wrong type.
+        (lambda c: c.update(vehicle=7), "vehicle: found 7; expected a valid string"),
+        (lambda c: c.update(bus=1.5), "bus: found 1.5; expected a valid integer, got a number with a fractional part"),
+        (lambda c: c.update(bus=None), "bus: found nothing; expected a valid integer or a valid string"),
+        (lambda c: c.update(sensors="four"), "sensors: found 'four'; expected a list"),
+        (lambda c: c.update(polling=[]), "polling: found []; expected a mapping with the keys adaptive, groups, near"),
+        (lambda c: c.update(filters=["kalman"]), "filters[0]: found 'kalman'; expected a mapping with the keys"),
+        (lambda c: c["sensors"][3].update(position_m=[0, 0, "x"]), "sensors[3].position_m[2]: found 'x'; expected a v"),
+        (lambda c: c["send"].update(sensors="none"), "send.sensors: found 'none'; expected a list or 'all'"),
+        (lambda c: c["send"].update(sensors=["Front"]), "send.sensors[0]: found 'Front'; expected text that matches"),
+        # An impossible value.
+        (lambda c: c["sensors"][0].update(address=0x78), "sensors[0].address: found 120; expected less than or equal"),
+        (
+            lambda c: c["sensors"][0].update(address=0x28),
+            "sensors[0].address: found 40; an MB1242 cannot have the addr",
+        ),
+        (lambda c: c["sensors"][0].update(id=0), "sensors[0].id: found 0; expected greater than or equal to 1"),
+        (
+            lambda c: c["polling"].update(ping_interval_s=math.nan),
+            "polling.ping_interval_s: found nan; expected a finite",
+        ),
+        (
+            lambda c: c["filters"][0].update(model="const"),
+            "filters[0].model: found 'const'; expected 'constant' or 'con",
+        ),
+        (
+            lambda c: c["link"].update(autopilot="ardupilto"),
+            "link.autopilot: found 'ardupilto'; expected 'ardupilot' or",
+        ),
+        (lambda c: c["link"].update(component_id=1), "link.component_id: found 1; expected greater than or equal to 2"),
+        (
+            lambda c: c["link"].update(url="udp:1.2.3.4:5"),
+            "link.url: found 'udp:1.2.3.4:5'; link 'udp:1.2.3.4:5': found",
+        ),
+        (
+            lambda c: c["filters"][0].update(filter="kalmn"),
+            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman. Did you mean 'kalman'?",
+        ),
+        (
+            lambda c: c["temperature"]["sources"][0].update(source="files"),
+            "temperature.sources[0].source: found 'files'; expected one of file, mavlink. Did you mean 'file'?",
+        ),
+        (
+            lambda c: c["temperature"].update(sources=[{"source": "mavlink", "message": "RAW_IMU"}]),
+            "temperature.sources[0]: no air temperature in RAW_IMU.temperature; known: SCALED_PRESSURE.temperature, ",
+        ),
+        # What only several keys together tell.
+        (lambda c: c["sensors"][1].update(address=0x70), "sensors: address 0x70 is given more than once; each needs"),
+        (lambda c: c["sensors"][1].update(id=1), "sensors and send.fused: id 1 is given more than once"),
+        (lambda c: c["send"]["fused"].update(id=3), "sensors and send.fused: id 3 is given more than once"),
+        (lambda c: c["sensors"][1].update(name="front_left"), "sensors: name front_left is given more than once"),
+        (
+            lambda c: c["send"].update(sensors=["nose"]),
+            "send.sensors: no sensor is named 'nose'; the sensors are front",
+        ),
+        (lambda c: c["send"]["fused"].update(sensors=["nose"]), "send.fused.sensors: no sensor is named 'nose'"),
+        (lambda c: c.update(send={}), "send: nothing would be sent; give fused, sensors or both"),
+        (lambda c: c["polling"].update(groups=[["front_left"]]), "polling.groups: every sensor in one group, no group"),
+        (lambda c: c["polling"].update(groups=[["nose"]]), "polling.groups: no sensor is named 'nose'"),
+        (
+            lambda c: c["polling"].update(groups=[[each["name"] for each in c["sensors"]], ["front_left"]]),
+            "polling.groups: sensor front_left is given more than once",
+        ),
+        (
+            lambda c: c["polling"].update(groups=[[each["name"] for each in c["sensors"]], []]),
+            "polling.groups: every sensor in one group, no group empty",
+        ),
+        (
+            lambda c: [each["rotation_deg"].update(pitch=0) for each in c["sensors"]],
+            "send.fused: no sensor looks down (pitch -90 does)",
+        ),
+        (
+            lambda c: (
+                c["sensors"][0]["rotation_deg"].update(pitch=-40),
+                c["send"]["fused"].update(sensors=["front_left"]),
+            ),
+            "send.fused.sensors: front_left looks 50 deg away from straight down; at most 45",
+        ),
+    ],
+)
+def test_a_mistake_is_explained(tmp_path: Path, change: Change, expected: str) -> None:
+    (line,) = mistakes(tmp_path, change)
+    assert line.startswith(expected)
+
+
+def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
+        content["vehcile"] = content.pop("vehicle")
+        content["sensors"][3]["address"] = 500
+
+    lines = mistakes(tmp_path, change)
+    assert [line.split(":")[0] for line in sorted(lines)] == ["sensors[3].address", "vehcile", "vehicle"]
+
+
+def test_a_mistake_in_a_file_that_is_named_is_told_with_both_places(tmp_path: Path) -> None:
+    (line,) = mistakes(tmp_path, lambda c: c["sensors"][2].update(model="mb1242.yaml"))
+    assert line.startswith(f"{tmp_path / 'mb1242.yaml'}: no such file (named in ")
+    assert line.endswith("airframe.yaml: sensors[2])")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("vehicle: a\nbus: 1\nvehicle: b\n", "airframe.yaml:3:1: not valid YAML: the key 'vehicle' is given twice"),
+        ("send:\n  fused: {id: 1, id: 2}\n", "airframe.yaml:2:18: not valid YAML: the key 'id' is given twice"),
+        ("vehicle: [a\n", "airframe.yaml:2:1: not valid YAML: "),
+        ("- vehicle\n", "airframe.yaml: found ['vehicle'], expected a mapping with the keys vehicle, bus, sensors"),
+        ("", "airframe.yaml: found nothing, expected a mapping with the keys vehicle, bus, sensors"),
+        ("vehicle: \xff\n", "airframe.yaml: cannot be read: "),
+    ],
+)
+def test_a_file_that_is_not_a_mapping_of_keys_given_once(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "airframe.yaml"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ConfigError) as error:
+        load_airframe(path)
+    assert str(error.value).startswith(str(tmp_path / expected))
+
+
+def test_a_file_that_is_not_there_and_the_one_that_was_meant(tmp_path: Path) -> None:
+    write(tmp_path, lambda content: None)
+    with pytest.raises(ConfigError, match=r"airfrane\.yaml: no such file \(beside it there is airframe\.yaml\)"):
+        load_airframe(tmp_path / "airfrane.yaml")
+
+
+def sends(autopilot: str, pitches_deg: list[float], **send: Any) -> Change:
+    """Sensors that look down at these pitches, all to the front, and what they send to an autopilot."""
+
+    def change(content: dict[str, Any]) -> None:
+        content["sensors"] = content["sensors"][: len(pitches_deg)]
+        for each, pitch_deg in zip(content["sensors"], pitches_deg, strict=True):
+            each["rotation_deg"] = {"pitch": pitch_deg}
+        content["link"]["autopilot"] = autopilot
+        content["send"] = send
+
+    return change
+
+
+FUSED = {"id": 10}
+# Within 12.6 deg of an orientation's axis a sensor has that orientation: -85 is 'down', -70 is CUSTOM.
+POSSIBLE = [
+    sends("ardupilot", [-90, -90], fused=FUSED),
+    sends("ardupilot", [-90, 0], fused=FUSED, sensors=["front_right"]),
+    sends("ardupilot", [-90, 0, -45, 90], sensors="all"),
+    # Two CUSTOM ones: no autopilot takes them for one stream.
+    sends("ardupilot", [-70, -20], fused=FUSED, sensors="all"),
+    sends("px4", [-90, -90], sensors="all"),
+    sends("px4", [-90, -70], sensors="all"),
+    sends("px4", [-70], fused=FUSED),
+    sends("px4", [0], sensors="all"),
+]
+IMPOSSIBLE = [
+    (
+        sends("ardupilot", [-90, -90], sensors="all"),
+        "send: the streams front_left, front_right all have orientation 25",
+    ),
+    (
+        sends("ardupilot", [-90, -85], sensors="all"),
+        "send: the streams front_left, front_right all have orientation 25",
+    ),
+    (sends("ardupilot", [-90], fused=FUSED, sensors="all"), "send: the streams front_left, fused all have orientation"),
+    (
+        sends("ardupilot", [0, 5], sensors="all"),
+        "send: the streams front_left, front_right all have orientation 0 (for",
+    ),
+    (
+        sends("px4", [-70], sensors="all"),
+        "send: front_left look down at an angle, and PX4 takes a height from orientat",
+    ),
+]
+
+
+@pytest.mark.parametrize("change", POSSIBLE)
+def test_streams_that_the_autopilot_can_tell_apart(tmp_path: Path, change: Change) -> None:
+    load_airframe(write(tmp_path, change))
+
+
+@pytest.mark.parametrize(("change", "expected"), IMPOSSIBLE)
+def test_streams_that_it_would_mix_up_or_not_take(tmp_path: Path, change: Change, expected: str) -> None:
+    (line,) = mistakes(tmp_path, change)
+    assert line.startswith(expected)
+
+
+def test_the_narrowest_beam_decides_what_orientation_a_sensor_has(tmp_path: Path) -> None:
+    for pitch_deg, value in [(-90 + 12.5, DOWN), (-90 + 12.7, CUSTOM)]:
+        vehicle = load_airframe(write(tmp_path, sends("px4", [pitch_deg], fused=FUSED)))
+        assert vehicle.sensors[0].orientation.value == value
+
+
+def accepts(schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str) -> list[str]:
+    """What a JSON Schema says against a value; of the standard as much as pydantic writes for these files."""
+    if "$ref" in schema:
+        schema = whole["$defs"][schema["$ref"].removeprefix("#/$defs/")]
+    options = schema.get("anyOf") or schema.get("oneOf")
+    if options:
+        answers = [accepts(option, value, whole, at) for option in options]
+        return [] if [] in answers else min(answers, key=len)
+    if "const" in schema or "enum" in schema:
+        allowed = schema.get("enum", [schema.get("const")])
+        return [] if value in allowed else [f"{at}: {value} not in {allowed}"]
+    kinds: dict[str, Any] = {
+        "object": dict, "array": list, "string": str, "integer": int, "number": int | float, "boolean": bool,
+        "null": type(None),
+    }  # fmt: skip
+    if not isinstance(value, kinds[schema["type"]]):
+        return [f"{at}: {value!r} is not {schema['type']}"]
+    if isinstance(value, dict) and schema.get("additionalProperties") is not True:
+        properties = schema["properties"]
+        said = [f"{at}.{key}: unknown" for key in value.keys() - properties.keys()]
+        said += [f"{at}.{key}: missing" for key in set(schema.get("required", ())) - value.keys()]
+        for key in value.keys() & properties.keys():
+            said += accepts(properties[key], value[key], whole, f"{at}.{key}")
+        return said
+    if isinstance(value, list):
+        items = schema.get("prefixItems") or [schema.get("items", {})] * len(value)
+        return [line for item, each in zip(items, value, strict=True) for line in accepts(item, each, whole, f"{at}[]")]
+    if isinstance(value, int | float) and not schema.get("minimum", -math.inf) <= value <= schema.get(
+        "maximum", math.inf
+    ):
+        return [f"{at}: {value} out of bounds"]
+    return []
+
+
+@pytest.mark.parametrize(
+    ("section", "path"),
+    [(Airframe, path) for path in AIRFRAMES] + [(SensorModel, path) for path in SENSORS],
+    ids=lambda each: each.stem if isinstance(each, Path) else each.__name__,
+)
+def test_the_json_schema_accepts_the_shipped_files_and_describes_every_key(section: type[Section], path: Path) -> None:
+    schema = section.model_json_schema()
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert accepts(schema, content, schema, path.stem) == []
+    for each in [schema, *schema["$defs"].values()]:
+        if each["type"] == "object":
+            assert each["additionalProperties"] is False
+            assert [key for key, about in each["properties"].items() if not about.get("description")] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c.update(vehicl="x"), "quad.vehicl: unknown"),
+        (lambda c: c["sensors"][0].pop("id"), "quad.sensors[].id: missing"),
+        (lambda c: c["sensors"][0].update(address=900), "quad.sensors[].address: 900 out of bounds"),
+        (lambda c: c["filters"][0].update(filter="kalmn"), "quad.filters[].filter: kalmn not in"),
+    ],
+)
+def test_the_json_schema_refuses_mistakes(change: Change, said: str) -> None:
+    content = copy.deepcopy(QUAD)
+    change(content)
+    schema = Airframe.model_json_schema()
+    (line,) = [line for line in accepts(schema, content, schema, "quad") if said.split(":")[0] in line]
+    assert line.startswith(said)
