@@ -134,7 +134,7 @@ send: {{sensors: all}}
     messages = [message for topic, _, message in Recording(again) if topic == "/range/sonar2"]
     assert len(messages) == len(table)
     truth_m = np.interp([message["time_s"] for message in messages], table["time"], table["range"])
-    raw_m = np.array([message.get("range_m", np.nan) for message in messages])
+    raw_m = np.array([message.get("corrected_m", np.nan) for message in messages])
     filtered_m = np.array([message.get("filtered_m", np.nan) for message in messages])
     # No code became a distance: not on the way in, and not on the way out.
     assert np.isnan(raw_m[table["sonar2"] >= 4.9995]).all()

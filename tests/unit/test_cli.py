@@ -1,0 +1,96 @@
+"""The commands as a person uses them: help that teaches, mistakes told in a line, exit codes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from msp_range.cli import app
+from msp_range.config import Airframe
+from msp_sim.cli import app as sim_app
+from msp_sim.scenario import Scenario
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command: str) -> None:
+    assert command in CliRunner().invoke(app, ["--help"]).output
+    result = CliRunner().invoke(app, [command, "--help"])
+    assert result.exit_code == 0
+    assert len(result.output.splitlines()) > 6
+
+
+@pytest.mark.parametrize("command", ["fly", "sample", "sitl"])
+def test_every_simulator_command_explains_itself(command: str) -> None:
+    assert command in CliRunner().invoke(sim_app, ["--help"]).output
+    assert CliRunner().invoke(sim_app, [command, "--help"]).exit_code == 0
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_check_shows_what_would_fly(path: Path) -> None:
+    result = CliRunner().invoke(app, ["check", str(path)])
+    assert result.exit_code == 0, result.output
+    assert "0x70" in result.output
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["check", "configs/quad_palet.yaml"], "beside it there is quad_pallet.yaml"),
+        (["run", "configs/quad_pallet.yaml", "--link", "udp:1"], "--link:"),
+        (["scan", "--bus", "/nonexistent/i2c-9"], "No such file"),
+        (["address", "0x70", "0x28"], "ignores the address 0x28"),
+        (["address", "0x70", "seventy"], "expected a 7-bit address"),
+        (["export", "README.md", "out.csv"], "not an MCAP recording"),
+        (["recover", "missing.mcap", "out.mcap"], "cannot be read"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_3(args: list[str], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(CONFIGS.parent)
+    result = CliRunner().invoke(app, args, catch_exceptions=False)
+    assert result.exit_code == 3
+    assert said in result.output
+    assert "Traceback" not in result.output
+    assert len(result.output.strip().splitlines()) == 1
+
+
+def test_a_wrong_command_line_is_exit_code_2() -> None:
+    assert CliRunner().invoke(app, ["run"]).exit_code == 2
+    assert CliRunner().invoke(app, ["rnu", "x.yaml"]).exit_code == 2
+
+
+def test_the_schema_describes_every_key() -> None:
+    schema = json.loads(CliRunner().invoke(app, ["schema"]).output)
+    assert set(schema["properties"]) == set(Airframe.model_fields)
+    assert all("description" in each for each in schema["properties"].values())
+    assert schema["$defs"]["Sensor"]["additionalProperties"] is False
+    assert "breakaway" in json.loads(CliRunner().invoke(app, ["schema", "sensor"]).output)["properties"]
+    assert Scenario.model_json_schema()["properties"]
+
+
+def test_help_is_quick_and_needs_no_laboratory() -> None:
+    """`msp-range --help` loads nothing heavy: on a small computer that would be seconds of waiting."""
+    heavy = ("scipy", "filterpy", "pymavlink", "matplotlib")
+    code = f"import sys, msp_range.cli; print([name for name in {heavy} if name in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_sample_draws_from_the_model(tmp_path: Path) -> None:
+    (tmp_path / "where.csv").write_text("true_range_cm,target\n" + "300,grass\n" * 500 + ",grass\n" * 5)
+    args = ["sample", str(CONFIGS / "sensors/mb1242.yaml"), "--contexts", str(tmp_path / "where.csv"), "--seed", "3"]
+    outcomes = []
+    for name in ("one.csv", "two.csv"):
+        result = CliRunner().invoke(sim_app, [*args, "--out", str(tmp_path / name)], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        outcomes.append((tmp_path / name).read_text())
+    assert outcomes[0] == outcomes[1]
+    rows = [line.split(",") for line in outcomes[0].splitlines()]
+    readings = [float(row[rows[0].index("reading_cm")]) for row in rows[1:]]
+    assert sum(abs(reading - 300) <= 8 for reading in readings[:500]) > 450
+    assert sum(reading in (765, 255) for reading in readings[500:]) >= 4
