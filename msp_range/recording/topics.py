@@ -1,7 +1,7 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator,
-``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent``, ``/mavlink/received`` and ``/health``. No key is
+``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent`` and ``/health``. No key is
 required: one that is absent is unknown. Every property has one plain type, because Foxglove and Lichtblick refuse
 schemas with unions and with null.
 """
@@ -16,7 +16,6 @@ _RANGE_M = ("number", "distance along the beam [m]")
 _MAVLINK = {
     "name": ("string", "name of the MAVLink message"),
     "hex": ("string", "the whole frame as it is on the link, in hexadecimal"),
-    "fields": ("object", "the message's fields, in MAVLink's units"),
 }
 
 _PropertyTable = dict[str, tuple[str, str]]
@@ -52,7 +51,6 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
         },
     ),
     "/mavlink/sent": ("a MAVLink message that went out", _MAVLINK),
-    "/mavlink/received": ("a MAVLink message that came in", _MAVLINK),
     "/health": (
         "a change of health",
         {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},
@@ -105,6 +103,4 @@ def schema_of(topic: str) -> tuple[str, bytes]:
 
 
 def _property(json_type: str, meaning: str) -> dict[str, Any]:
-    # Foxglove looks for the properties of every object, even where they are free.
-    free: dict[str, Any] = {"properties": {}} if json_type == "object" else {}
-    return {"type": json_type, "description": meaning, **free}
+    return {"type": json_type, "description": meaning}

@@ -160,17 +160,13 @@ class Recorder:
         )
 
 
-def _known(message: Any) -> Any:
-    """The message without what is unknown; in a list, null keeps its place."""
-    if isinstance(message, dict):
-        return {key: _known(value) for key, value in message.items() if _is_known(value)}
-    if isinstance(message, list | tuple):
-        return [_known(value) if _is_known(value) else None for value in message]
-    return message
-
-
-def _is_known(value: Any) -> bool:
-    return value is not None and not (isinstance(value, float) and not math.isfinite(value))
+def _known(message: dict[str, Any]) -> dict[str, Any]:
+    """The message without what is unknown."""
+    return {
+        key: value
+        for key, value in message.items()
+        if value is not None and not (isinstance(value, float) and not math.isfinite(value))
+    }
 
 
 class _Disk:

@@ -11,7 +11,6 @@ from msp_range.reading import Status
 from msp_range.sensors.base import Decoded
 
 COMMAND_RANGE = b"\x51"
-DEFAULT_ADDRESS = 0x70
 ANSWER_BYTES = 2
 MINIMUM_CM = 20
 """Objects nearer than this read this."""

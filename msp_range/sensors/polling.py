@@ -165,7 +165,6 @@ class Poller:
         self._group_ping_s = clock.now()
         self._next_ping_s, self._next_group = schedule.turn(self._group_ping_s)
         self._reopened_s = float("-inf")
-        self.bus_reopened = 0
 
     @property
     def next_event_s(self) -> float:
@@ -239,8 +238,6 @@ class Poller:
                 self._bus.reopen()
             except BusError as reopen_error:
                 error = reopen_error
-            else:
-                self.bus_reopened += 1
         reading = Reading(ping_s, sensor.name, Status.NO_ANSWER)
         self._schedule.hear(reading)
         return Ranging(reading, ping_s, now_s, error)

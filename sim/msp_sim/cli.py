@@ -104,9 +104,12 @@ def fly(
             shown.take(steps)
             if steps and speed is not None:
                 system.sleep_until(started_s + simulation.now_s() / speed)
-            if steps and console.is_terminal and system.now() >= next_look_s:
-                next_look_s = system.now() + SHOWN_EACH_S
-                live.refresh()
+            if console.is_terminal:
+                if system.now() >= next_look_s:
+                    next_look_s = system.now() + SHOWN_EACH_S
+                    live.refresh()
+            elif steps and (line := shown.line()) is not None:
+                print(line)
         if console.is_terminal:
             live.refresh()
     wall_s = system.now() - started_s

@@ -14,6 +14,10 @@ from msp_sim.flight import Flight, Simulation
 BAR_CELLS = 44
 
 
+LINE_EACH_S = 10.0
+"""Flown time between two lines where there is no terminal to draw on [s]."""
+
+
 class Live:
     """What happens now: height, the last answer of every sensor, the newest texts."""
 
@@ -23,6 +27,7 @@ class Live:
         self._last: dict[str, str] = {}
         self._fused_m: float | None = None
         self._highest_m = 1.0
+        self._next_line_s = 0.0
 
     def take(self, steps: list[Step]) -> None:
         """Note what the bridge did."""
@@ -33,6 +38,16 @@ class Live:
             self._last[reading.sensor] = shown
             if step.fused is not None:
                 self._fused_m = step.fused.range_m
+
+    def line(self) -> str | None:
+        """What happens now in a line, now and then; None in between."""
+        now_s = self._simulation.now_s()
+        if now_s < self._next_line_s:
+            return None
+        self._next_line_s = now_s + LINE_EACH_S
+        fused = "no estimate" if self._fused_m is None else f"{self._fused_m:.2f} m"
+        sensors = ", ".join(f"{name} {shown}" for name, shown in self._last.items())
+        return f"{now_s:6.1f} s: true height {self._simulation.height_m():.2f} m, fused {fused}; {sensors}"
 
     def __rich__(self) -> RenderableType:
         now_s = self._simulation.now_s()
@@ -60,11 +75,11 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     table = Table(
         title=f"{summary['scenario']}, {summary['duration_s']:.0f} s flown, seed {summary['seed']}", box=box.SIMPLE_HEAD
     )
-    table.add_column("sensor")
+    table.add_column("sensor", no_wrap=True)
     table.add_column("readings", justify="right")
     table.add_column("rejected, why")
-    for heading in ("before: rms cm", "95 % cm", "after: rms cm", "95 % cm"):
-        table.add_column(heading, justify="right")
+    for heading in ("rms before", "95 % before", "rms after", "95 % after"):
+        table.add_column(f"{heading} [cm]".replace("[", r"\["), justify="right", max_width=8)
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]
         total = sum(rejected.values())

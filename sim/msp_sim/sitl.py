@@ -198,17 +198,23 @@ class FlightLog:
     ) -> None:
         self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
         self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
-        self._downward = airframe.downward
+        self._downward = {sensor.name: sensor for sensor in airframe.downward}
         self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
         self._world = world
         self._pose = pose
         self._start_s = start_s
         self._recorder = recorder
         self._truths: dict[str, Ping] = {}
+        self._steps_m: dict[str, float] = {}
 
     def keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
         """Note what a ping met, at a time of the flight [s]."""
         self._truths[sensor] = ping
+        below_m = self._world.height_above_ground(self._pose(ping_s)).down_axis_m
+        if sensor in self._downward and ping.slant_range_cm is not None and below_m is not None:
+            mounted = self._downward[sensor]
+            down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
+            self._steps_m[sensor] = down_m - below_m
         if self._recorder is not None:
             unsaid = ("heard", "slant_range_cm")
             truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
@@ -231,7 +237,8 @@ class FlightLog:
             fused.time_s.append(time_s)
             fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
             fused.filtered_m.append(step.fused.range_m)
-            fused.why.append(None if below_m is not None and self._is_level(below_m) else "edge")
+            level = all(abs(step_m) <= LEVEL_M for step_m in self._steps_m.values())
+            fused.why.append(None if below_m is not None and level else "edge")
 
     def note(self, time_s: float, severity: Severity, text: str) -> None:
         """Note a change of health, at a time of the flight [s]."""
@@ -254,17 +261,6 @@ class FlightLog:
             return None
         range_m = range_cm / 100
         return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
-
-    def _is_level(self, below_m: float) -> bool:
-        """Whether the downward sensors and the vehicle's middle are over the same ground, give or take a bit."""
-        for sensor in self._downward:
-            ping = self._truths.get(sensor.name)
-            if ping is None or ping.slant_range_cm is None:
-                continue
-            down_m = ping.slant_range_cm / 100 * math.cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
-            if abs(down_m - below_m) > LEVEL_M:
-                return False
-        return True
 
 
 class Sitl:
