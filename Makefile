@@ -48,5 +48,9 @@ compile: .venv/.installed
 	$(BIN)/python -m pip install --quiet --compile --editable '.[sim,test]'
 	@touch $@
 
+# MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.
+mavproxy: .venv/.installed-test
+	@$(BIN)/python tests/peers/mavproxy_env.py
+
 clean:
 	rm -rf .venv .venv-mavproxy build flights

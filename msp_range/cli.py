@@ -1,10 +1,12 @@
 """msp-range: the commands of what flies."""
 
 import json
+import signal
 import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, Literal, ParamSpec
 
 import typer
@@ -62,6 +64,9 @@ def run(
     Exit codes: 0 stopped by SIGTERM or SIGINT, 1 a mistake in the program, 2 a wrong command line, 3 a file that
     cannot be used. Sensors, bus or link that do not work are reported to the pilot and tried again, for ever.
     """
+    # The imports take a second or two, and a service that is stopped meanwhile has ended well too.
+    for signum in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(signum, _leave)
     from msp_range import service
     from msp_range.config import load_airframe
 
@@ -70,6 +75,10 @@ def run(
         airframe = airframe.model_copy(update={"recording": None})
         record = None
     raise typer.Exit(service.run(airframe, service.make_log(log), record))
+
+
+def _leave(signum: int, frame: FrameType | None) -> None:
+    raise SystemExit(0)
 
 
 def with_changes(airframe: Any, *, link: str | None = None, bus: str | None = None) -> Any:

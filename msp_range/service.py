@@ -147,18 +147,22 @@ def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
                 write("link", url=transport.description, connected=connected, error=trouble)
             if now_s >= next_summary_s:
                 next_summary_s += SUMMARY_INTERVAL_S
-                log.info("still flying", **_summary(bridge))
-    log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge))
+                log.info("still flying", **_summary(bridge, transport))
+    log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
     notifier.tell("STOPPING=1")
     return EXIT_OK
 
 
-def _summary(bridge: Bridge) -> dict[str, object]:
+def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
+    counts = bridge.counts()
     return {
-        "readings": {name: counts.readings for name, counts in bridge.counts().items()},
-        "rejected": {name: counts.rejected for name, counts in bridge.counts().items() if counts.rejected},
-        "sent": dict(bridge.link.sent),
-        "dropped": dict(bridge.link.dropped),
+        "readings": {name: each.readings for name, each in counts.items()},
+        "rejected": {name: each.rejected for name, each in counts.items() if each.rejected},
+        "frames": {
+            "sent": transport.stats.sent_frames,
+            "dropped": transport.stats.dropped_frames,
+            "reconnects": transport.stats.reconnects,
+        },
     }
 
 

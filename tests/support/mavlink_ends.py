@@ -1,5 +1,6 @@
-"""The other ends of a link in one process: a transport in memory, and components that speak on it."""
+"""The other ends of a link in one process: a transport in memory, components that speak on it, and a reader."""
 
+import struct
 from typing import Any
 
 from msp_range.mavlink.dialect import dialect
@@ -52,3 +53,52 @@ class Component:
             d.MAV_TYPE_QUADROTOR, d.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, d.MAV_STATE_STANDBY, 3
         )
         return self.frame(beat, mavlink1=mavlink1)
+
+
+# common.xml, DISTANCE_SENSOR: the largest fields first, then the extensions in their order.
+_DISTANCE_SENSOR_ID, _DISTANCE_SENSOR_CRC_EXTRA = 132, 85
+_DISTANCE_SENSOR = struct.Struct("<IHHHBBBBff4fB")
+
+
+def read_distance_sensor(frame: bytes) -> dict[str, Any] | None:
+    """The fields of a MAVLink 2 DISTANCE_SENSOR frame, read by hand; None for any other frame.
+
+    A float is the double of the same value as the single that is on the wire.
+    """
+    assert frame[0] == 0xFD
+    if int.from_bytes(frame[7:10], "little") != _DISTANCE_SENSOR_ID:
+        return None
+    payload_end = 10 + frame[1]
+    checksum = crc_x25(frame[1:payload_end] + bytes([_DISTANCE_SENSOR_CRC_EXTRA]))
+    assert frame[payload_end:] == checksum.to_bytes(2, "little")
+    values = _DISTANCE_SENSOR.unpack(frame[10:payload_end].ljust(_DISTANCE_SENSOR.size, b"\0"))
+    names = (
+        "time_boot_ms",
+        "min_distance",
+        "max_distance",
+        "current_distance",
+        "type",
+        "id",
+        "orientation",
+        "covariance",
+        "horizontal_fov",
+        "vertical_fov",
+    )
+    first = dict(zip(names, values, strict=False))
+    return {**first, "quaternion": list(values[10:14]), "signal_quality": values[14]}
+
+
+def crc_x25(covered: bytes) -> int:
+    """MAVLink's checksum: CRC-16/MCRF4XX, bit by bit.
+
+    Examples
+    --------
+    >>> hex(crc_x25(b"123456789"))
+    '0x6f91'
+    """
+    crc = 0xFFFF
+    for byte in covered:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0x8408 if crc & 1 else 0)
+    return crc
