@@ -28,11 +28,11 @@ class KalmanParameters(Section):
     """constant (F = 1, as in the report) or constant_velocity"""
     process_variance_cm2: float = Field(1.0, gt=0, le=1e6)
     """constant model: Q, variance added at each reading [cm^2]"""
-    acceleration_std_m_s2: float = Field(1.0, gt=0, le=100)
+    acceleration_std_m_s2: float = Field(1.5, gt=0, le=100)
     """constant_velocity model: standard deviation of the acceleration between readings [m/s^2]"""
     measurement_variance_cm2: float | None = Field(None, gt=0, le=1e6)
     """R [cm^2]; left out: the sensor model's"""
-    gate_sigmas: float | None = Field(4.0, gt=0)
+    gate_sigmas: float | None = Field(3.5, gt=0)
     """readings farther from the prediction than this many standard deviations wait for a second one; null: none do"""
 
     def make(self) -> "Kalman":

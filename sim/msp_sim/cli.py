@@ -214,8 +214,13 @@ def sitl(
         )
         status = opened.enter_context(console.status("")) if console.is_terminal else None
         next_look_s = 0.0
+        source: str | None = None
         while not stopped and (duration is None or simulation.now_s() < duration):
             simulation.step()
+            if simulation.vehicle.source != source:
+                where = "where it was" if source else "standing on the ground"
+                source = simulation.vehicle.source
+                console.print(f"pose from {source}: the vehicle is {where}", highlight=False)
             if simulation.now_s() < next_look_s:
                 continue
             if status is not None:

@@ -7,7 +7,7 @@ link. What comes out is what each reading became beside the truth, for the table
 import hashlib
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -156,6 +156,97 @@ class Flight:
     duration_s: float = 0.0
 
 
+class FlightLog:
+    """What each reading of a flight became, beside the truth.
+
+    Parameters
+    ----------
+    airframe, models
+        The vehicle, and what its sensors read by, by name.
+    world, pose
+        What is there, and where the vehicle is at a time of the flight [s].
+    start_s
+        When the flight began [s on the bridge's clock].
+    recorder
+        Keeps the truth.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        models: Mapping[str, SensorModel],
+        world: World,
+        pose: Callable[[float], Pose],
+        start_s: float,
+        recorder: Records | None,
+    ) -> None:
+        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
+        self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
+        self._downward = {sensor.name: sensor for sensor in airframe.downward}
+        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._world = world
+        self._pose = pose
+        self._start_s = start_s
+        self._recorder = recorder
+        self._truths: dict[str, Ping] = {}
+        self._steps_m: dict[str, float] = {}
+
+    def keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
+        """Note what a ping met, at a time of the flight [s]."""
+        self._truths[sensor] = ping
+        below_m = self._world.height_above_ground(self._pose(ping_s)).down_axis_m
+        if sensor in self._downward and ping.slant_range_cm is not None and below_m is not None:
+            mounted = self._downward[sensor]
+            down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
+            self._steps_m[sensor] = down_m - below_m
+        if self._recorder is not None:
+            unsaid = ("heard", "slant_range_cm")
+            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
+            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
+
+    def take(self, step: Step) -> None:
+        """Note what a reading became."""
+        reading = step.ranging.reading
+        time_s = reading.time_s - self._start_s
+        track = self.flight.tracks[reading.sensor]
+        track.time_s.append(time_s)
+        track.truth_m.append(self._truth_m(reading.sensor))
+        track.raw_m.append(reading.range_m)
+        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
+        at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
+        track.why.append(step.filtered.rejected or at_minimum)
+        if step.fused is not None:
+            below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
+            fused = self.flight.fused
+            fused.time_s.append(time_s)
+            fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
+            fused.filtered_m.append(step.fused.range_m)
+            level = all(abs(step_m) <= LEVEL_M for step_m in self._steps_m.values())
+            fused.why.append(None if below_m is not None and level else "edge")
+
+    def note(self, time_s: float, severity: Severity, text: str) -> None:
+        """Note a change of health, at a time of the flight [s]."""
+        self.flight.texts.append((time_s, severity.name.lower(), text))
+
+    def finish(self, duration_s: float, bridge: Bridge) -> None:
+        """Complete `flight` with what the bridge has counted."""
+        self.flight.duration_s = duration_s
+        self.flight.rejected = {name: counts.rejected for name, counts in bridge.counts().items()}
+        self.flight.sent = dict(bridge.link.sent)
+        self.flight.dropped = dict(bridge.link.dropped)
+
+    def _truth_m(self, sensor: str) -> float | None:
+        """The range at the time of the last echo."""
+        ping = self._truths.get(sensor)
+        if ping is None or not ping.heard:
+            return None
+        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
+        if range_cm is None:
+            return None
+        range_m = range_cm / 100
+        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
+
+
 class _Keeping:
     """A transport that keeps a copy of what is sent: its hash, and its frames in a telemetry log.
 
@@ -232,24 +323,20 @@ class Simulation:
         self._duration_s = scenario.duration_s
         self._world = scenario.world()
         self._vehicle = scenario.vehicle(self._world, default_rng(for_vehicle))
-        self._recorder = recorder
-        self._truths: dict[str, tuple[float, Ping]] = {}
-        self._slant = {
-            sensor.name: (model or sensor.sensor_model).oblique_reading == "slant" for sensor in airframe.sensors
-        }
-        self._downward = airframe.downward
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
+        self._log = FlightLog(airframe, models, self._world, self._vehicle.pose, self._start_s, recorder)
+        self.flight = self._log.flight
         faults: dict[str, list[Fault]] = {}
         for planned in scenario.faults:
             faults.setdefault(planned.sensor, []).append(planned.on_device())
         bus = emulated_bus(
             airframe,
-            {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors},
+            models,
             self._world,
             self._vehicle.pose,
             self.now_s,
             for_sensors,
-            self._keep_truth,
+            self._log.keep_truth,
             faults,
         )
         plan = scenario.autopilot
@@ -263,14 +350,13 @@ class Simulation:
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
         self._transport = _Keeping(transport, clock, tlog)
-        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
         self._bridge = Bridge(
             airframe,
             bus,
             clock,
             self._transport,
             recorder=recorder,
-            report=self._note,
+            report=lambda severity, text: self._log.note(self.now_s(), severity, text),
             thermometer=self._thermometer,
         )
 
@@ -292,70 +378,18 @@ class Simulation:
             while self.now_s() < self._duration_s:
                 steps = self._bridge.step()
                 for step in steps:
-                    self._take(step)
+                    self._log.take(step)
                 yield steps
         finally:
             self._finish()
-
-    def _take(self, step: Step) -> None:
-        reading = step.ranging.reading
-        time_s = reading.time_s - self._start_s
-        _, ping = self._truths.get(reading.sensor, (0.0, None))
-        truth_m = self._truth_m(reading.sensor, ping)
-        track = self.flight.tracks[reading.sensor]
-        track.time_s.append(time_s)
-        track.truth_m.append(truth_m)
-        track.raw_m.append(reading.range_m)
-        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
-        why = step.filtered.rejected or (reading.status.value if reading.status is Status.AT_MINIMUM else None)
-        track.why.append(why)
-        if step.fused is not None:
-            below = self._world.height_above_ground(self._vehicle.pose(time_s)).down_axis_m
-            self.flight.fused.time_s.append(time_s)
-            self.flight.fused.truth_m.append(None if below is None else below - self._reference_down_m)
-            self.flight.fused.filtered_m.append(step.fused.range_m)
-            self.flight.fused.why.append(None if below is not None and self._is_level(below) else "edge")
-
-    def _is_level(self, below_m: float) -> bool:
-        """Whether the downward sensors and the vehicle's middle are over the same ground, give or take a bit."""
-        for sensor in self._downward:
-            _, ping = self._truths.get(sensor.name, (0.0, None))
-            if ping is None or ping.slant_range_cm is None:
-                continue
-            down_m = ping.slant_range_cm / 100 * math.cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
-            if abs(down_m - below_m) > LEVEL_M:
-                return False
-        return True
-
-    def _truth_m(self, sensor: str, ping: Ping | None) -> float | None:
-        """The range at the time of the echo."""
-        if ping is None or not ping.heard:
-            return None
-        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
-        if range_cm is None:
-            return None
-        range_m = range_cm / 100
-        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
-
-    def _keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
-        self._truths[sensor] = (ping_s, ping)
-        if self._recorder is not None:
-            truth = {key: value for key, value in ping._asdict().items() if value is not None and key in _TRUTH}
-            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
 
     def _thermometer(self, source: FileSource) -> float:
         """The air about the vehicle, in place of this computer's own files."""
         return self._world.air_temperature_c(-self.pose().position_ned_m[2]) / source.scale
 
-    def _note(self, severity: Severity, text: str) -> None:
-        self.flight.texts.append((self.now_s(), severity.name.lower(), text))
-
     def _finish(self) -> None:
+        self._log.finish(self.now_s(), self._bridge)
         flight = self.flight
-        flight.duration_s = self.now_s()
-        flight.rejected = {name: counts.rejected for name, counts in self._bridge.counts().items()}
-        flight.sent = dict(self._bridge.link.sent)
-        flight.dropped = dict(self._bridge.link.dropped)
         for _, message in self._autopilot.received:
             name = message.get_type()
             flight.autopilot_received[name] = flight.autopilot_received.get(name, 0) + 1
@@ -366,8 +400,3 @@ class Simulation:
     def received(self) -> list[tuple[float, Any]]:
         """What the autopilot has received: time of the flight [s], message."""
         return self._autopilot.received
-
-
-_TRUTH = frozenset(
-    {"true_range_cm", "incidence_deg", "range_rate_cm_s", "air_temperature_c", "target", "target_size_cm"}
-)

@@ -19,7 +19,6 @@ from typing import Any
 
 from numpy.random import SeedSequence
 
-from msp_range.acoustics.air import speed_of_sound
 from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.config import Airframe
@@ -27,12 +26,11 @@ from msp_range.correction.temperature import FileSource
 from msp_range.geometry import Vector
 from msp_range.health import Report, Severity
 from msp_range.mavlink.transport import Transport
-from msp_range.reading import Status
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device import NotAcknowledged
-from msp_sim.flight import LEVEL_M, Flight, Track, emulated_bus
+from msp_sim.flight import Flight, FlightLog, emulated_bus
 from msp_sim.vehicle import Angles, Pose
-from msp_sim.world import Ping, World
+from msp_sim.world import World
 
 POSE_STALE_S = 1.0
 """A pose that is older than this says nothing about where the vehicle is [s]."""
@@ -170,97 +168,6 @@ def euler_angles(w: float, x: float, y: float, z: float) -> Angles:
 def landed_clearance_m(airframe: Airframe) -> float:
     """The clearance with which the lowest sensor stands its shortest reading above the ground [m]."""
     return max(sensor.position_m[2] + sensor.sensor_model.minimum_cm / 100 for sensor in airframe.sensors)
-
-
-class FlightLog:
-    """What each reading of a flight became, beside the truth.
-
-    Parameters
-    ----------
-    airframe, models
-        The vehicle, and what its sensors read by, by name.
-    world, pose
-        What is there, and where the vehicle is at a time of the flight [s].
-    start_s
-        When the flight began [s on the bridge's clock].
-    recorder
-        Keeps the truth.
-    """
-
-    def __init__(
-        self,
-        airframe: Airframe,
-        models: Mapping[str, SensorModel],
-        world: World,
-        pose: Callable[[float], Pose],
-        start_s: float,
-        recorder: Records | None,
-    ) -> None:
-        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
-        self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
-        self._downward = {sensor.name: sensor for sensor in airframe.downward}
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
-        self._world = world
-        self._pose = pose
-        self._start_s = start_s
-        self._recorder = recorder
-        self._truths: dict[str, Ping] = {}
-        self._steps_m: dict[str, float] = {}
-
-    def keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
-        """Note what a ping met, at a time of the flight [s]."""
-        self._truths[sensor] = ping
-        below_m = self._world.height_above_ground(self._pose(ping_s)).down_axis_m
-        if sensor in self._downward and ping.slant_range_cm is not None and below_m is not None:
-            mounted = self._downward[sensor]
-            down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
-            self._steps_m[sensor] = down_m - below_m
-        if self._recorder is not None:
-            unsaid = ("heard", "slant_range_cm")
-            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
-            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
-
-    def take(self, step: Step) -> None:
-        """Note what a reading became."""
-        reading = step.ranging.reading
-        time_s = reading.time_s - self._start_s
-        track = self.flight.tracks[reading.sensor]
-        track.time_s.append(time_s)
-        track.truth_m.append(self._truth_m(reading.sensor))
-        track.raw_m.append(reading.range_m)
-        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
-        at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
-        track.why.append(step.filtered.rejected or at_minimum)
-        if step.fused is not None:
-            below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
-            fused = self.flight.fused
-            fused.time_s.append(time_s)
-            fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
-            fused.filtered_m.append(step.fused.range_m)
-            level = all(abs(step_m) <= LEVEL_M for step_m in self._steps_m.values())
-            fused.why.append(None if below_m is not None and level else "edge")
-
-    def note(self, time_s: float, severity: Severity, text: str) -> None:
-        """Note a change of health, at a time of the flight [s]."""
-        self.flight.texts.append((time_s, severity.name.lower(), text))
-
-    def finish(self, duration_s: float, bridge: Bridge) -> None:
-        """Complete `flight` with what the bridge has counted."""
-        self.flight.duration_s = duration_s
-        self.flight.rejected = {name: counts.rejected for name, counts in bridge.counts().items()}
-        self.flight.sent = dict(bridge.link.sent)
-        self.flight.dropped = dict(bridge.link.dropped)
-
-    def _truth_m(self, sensor: str) -> float | None:
-        """The range at the time of the last echo."""
-        ping = self._truths.get(sensor)
-        if ping is None or not ping.heard:
-            return None
-        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
-        if range_cm is None:
-            return None
-        range_m = range_cm / 100
-        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
 
 
 class Sitl:

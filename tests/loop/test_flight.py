@@ -73,7 +73,8 @@ def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) ->
 def test_filters_take_away_the_wild_readings(demo: tuple[Flight, Simulation]) -> None:
     for sensor in summarise(demo[0], "demo", 1)["sensors"].values():
         assert sensor["error_before"]["rms_cm"] > 20, "one reading in fifty is wild"
-        assert sensor["error_after"]["rms_cm"] < 8
+        assert sensor["error_after"]["rms_cm"] < 0.5 * sensor["error_before"]["rms_cm"]
+        assert sensor["error_after"]["p95_cm"] < 6
         assert sensor["rejected"]["unexpected"] > 0
 
 

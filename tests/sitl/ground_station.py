@@ -1,0 +1,183 @@
+"""What the tests against real autopilots share: a ground station that commands and keeps what it hears, `msp-sim sitl`
+as a process beside it, and the error of one series against another."""
+
+import contextlib
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+AUTOPILOT, BRIDGE = 1, 191
+"""Component ids."""
+
+Found = TypeVar("Found")
+
+
+def connected_tcp(port: int, timeout_s: float = 20.0) -> socket.socket:
+    """A connection to a program that may still be starting."""
+    deadline_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            return socket.create_connection(("127.0.0.1", port))
+        except ConnectionRefusedError:
+            assert time.monotonic() < deadline_s, f"nobody listens at TCP port {port}"
+            time.sleep(0.1)
+
+
+def connected_udp(port: int, timeout_s: float = 20.0) -> socket.socket:
+    """A socket at ``port`` that answers the first who sends to it."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind(("127.0.0.1", port))
+    udp.settimeout(timeout_s)
+    _, peer = udp.recvfrom(2048)
+    udp.connect(peer)
+    return udp
+
+
+class GroundStation:
+    """A MAVLink ground station (system 255) on a connected socket.
+
+    Attributes
+    ----------
+    heard
+        Every message with the time [s, monotonic] at which it came.
+    """
+
+    def __init__(self, link: socket.socket) -> None:
+        self.heard: list[tuple[float, Any]] = []
+        self._link = link
+        self._link.settimeout(0.05)
+        self._mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._mav.robust_parsing = True
+        self._sending = threading.Lock()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended = True
+        self._thread.join()
+        self._link.close()
+
+    def all(self, kind: str, component: int = AUTOPILOT) -> list[tuple[float, Any]]:
+        """Messages of one kind from one component, with their times."""
+        return [each for each in self.heard if each[1].get_type() == kind and each[1].get_srcComponent() == component]
+
+    def wait(self, what: str, find: Callable[[], Found | None], timeout_s: float) -> Found:
+        """What ``find`` returns once it is true; AssertionError with the autopilot's last words after a while."""
+        deadline_s = time.monotonic() + timeout_s
+        while not (found := find()):
+            if time.monotonic() > deadline_s:
+                texts = [message.text for _, message in self.all("STATUSTEXT")[-10:]]
+                raise AssertionError(f"not within {timeout_s:.0f} s: {what}; the autopilot said last: {texts}")
+            time.sleep(0.05)
+        return found
+
+    def ask(self, name: str, rate_hz: float) -> None:
+        """Ask the autopilot for a message."""
+        message_id = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+        self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message_id, 1e6 / rate_hz)
+
+    def command(self, command: int, *parameters: float) -> None:
+        """Send a command, without waiting for its acknowledgement."""
+        seven = [*parameters, *[0.0] * (7 - len(parameters))]
+        self._send(mavlink.MAVLink_command_long_message(1, AUTOPILOT, command, 0, *seven))
+
+    def command_until_accepted(self, what: str, timeout_s: float, command: int, *parameters: float) -> None:
+        """Send a command each second until the autopilot accepts it: it may still be starting."""
+        sent_s = float("-inf")
+        first_s = time.monotonic()
+
+        def accepted() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > 1.0:
+                sent_s = time.monotonic()
+                self.command(command, *parameters)
+            return any(
+                message.command == command and message.result == mavlink.MAV_RESULT_ACCEPTED
+                for time_s, message in self.all("COMMAND_ACK")
+                if time_s > first_s
+            )
+
+        self.wait(what, accepted, timeout_s)
+
+    def is_armed(self) -> bool:
+        heartbeats = self.all("HEARTBEAT")
+        return bool(heartbeats and heartbeats[-1][1].base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _run(self) -> None:
+        heartbeat_s = float("-inf")
+        while not self._ended:
+            if time.monotonic() - heartbeat_s >= 1.0:
+                heartbeat_s = time.monotonic()
+                self._send(
+                    mavlink.MAVLink_heartbeat_message(
+                        mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                    )
+                )
+            try:
+                received = self._link.recv(65535)
+            except TimeoutError:
+                continue
+            except OSError:
+                time.sleep(0.05)
+                continue
+            now_s = time.monotonic()
+            self.heard += [(now_s, message) for message in self._mav.parse_buffer(received) or ()]
+
+    def _send(self, message: Any) -> None:
+        with self._sending, contextlib.suppress(OSError):
+            self._link.send(message.pack(self._mav))
+            self._mav.seq = (self._mav.seq + 1) % 256
+
+
+@contextlib.contextmanager
+def program(command: list[str], log: Path, **options: Any) -> Iterator["subprocess.Popen[bytes]"]:
+    """A program that is ended by SIGTERM, its output in a file."""
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, **options
+        )
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextlib.contextmanager
+def bridge_in_sitl(airframe: str, link: str, log: Path, *options: str) -> Iterator[None]:
+    """`msp-sim sitl`, entered when it has the pose from the simulator's truth; it must end cleanly."""
+    command = ["sitl", str(CONFIGS / airframe), "--link", link, *options]
+    with program([sys.executable, "-c", "from msp_sim.cli import main; main()", *command], log) as process:
+        deadline_s = time.monotonic() + 30.0
+        while not re.search("pose from (SIM_STATE|HIL_STATE_QUATERNION)", log.read_text()):
+            assert process.poll() is None, log.read_text()
+            assert time.monotonic() < deadline_s, log.read_text()
+            time.sleep(0.1)
+        yield
+        assert process.poll() is None, log.read_text()
+    assert process.returncode == 0, log.read_text()
+
+
+def errors(
+    measured: list[tuple[float, float]], truth: list[tuple[float, float]], from_s: float, to_s: float
+) -> np.ndarray:
+    """Magnitude of measured minus true values, each (time, value), the truth interpolated."""
+    at_s, value = np.array([each for each in measured if from_s <= each[0] <= to_s]).T
+    true_s, true_value = np.array(truth).T
+    return np.abs(value - np.interp(at_s, true_s, true_value))
