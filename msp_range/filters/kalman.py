@@ -15,7 +15,7 @@ from msp_range.yaml_file import Section
 
 START_SPEED_STD_M_S = 2.0
 """Standard deviation of the speed at the first reading [m/s]."""
-SPEED_CHANGE_STD_M_S = 0.3
+SPEED_CHANGE_STD_M_S = 0.2
 """How much the speed may have changed between two surprising readings that agree, standard deviation [m/s]."""
 
 
@@ -28,11 +28,11 @@ class KalmanParameters(Section):
     """constant (F = 1, as in the report) or constant_velocity"""
     process_variance_cm2: float = Field(1.0, gt=0, le=1e6)
     """constant model: Q, variance added at each reading [cm^2]"""
-    acceleration_std_m_s2: float = Field(1.5, gt=0, le=100)
+    acceleration_std_m_s2: float = Field(1.0, gt=0, le=100)
     """constant_velocity model: standard deviation of the acceleration between readings [m/s^2]"""
     measurement_variance_cm2: float | None = Field(None, gt=0, le=1e6)
     """R [cm^2]; left out: the sensor model's"""
-    gate_sigmas: float | None = Field(3.5, gt=0)
+    gate_sigmas: float | None = Field(4.0, gt=0)
     """readings farther from the prediction than this many standard deviations wait for a second one; null: none do"""
 
     def make(self) -> "Kalman":
@@ -116,8 +116,8 @@ class Kalman:
     def _wait(self, time_s: float, measured: Estimate, gate_sigmas: float) -> Estimate | None:
         """Keep a surprising reading back; believe the second in a row that agrees with the first.
 
-        They agree where the speed that takes one to the other lies between none and the vehicle's, give or take the
-        gate: a step of the ground does not change the vehicle's speed, but may have spoilt what is known of it.
+        They agree where the speed that takes one to the other is none or the vehicle's, give or take the gate: a step
+        of the ground does not change the vehicle's speed, but may have spoilt what is known of it.
         """
         before, self._waiting = self._waiting, (time_s, measured)
         if before is None or time_s <= before[0]:
@@ -127,7 +127,7 @@ class Kalman:
         noise = (measured.variance_m2 + before[1].variance_m2) / elapsed_s**2
         slack_m_s = gate_sigmas * math.sqrt(noise + SPEED_CHANGE_STD_M_S**2)
         known_m_s = float(self._kalman.x[1, 0]) if self._moving else 0.0
-        if not min(0.0, known_m_s) - slack_m_s <= speed_m_s <= max(0.0, known_m_s) + slack_m_s:
+        if abs(speed_m_s) > slack_m_s and abs(speed_m_s - known_m_s) > slack_m_s:
             return None
         return self._start(time_s, measured, speed_m_s, noise)
 
