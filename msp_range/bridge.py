@@ -164,12 +164,14 @@ class Bridge:
         steps = [self._take(ranging) for ranging in self._poller.step()]
         now_s = self._clock.now()
         self._streams.send_due(now_s)
+        if steps:
+            return steps  # The rest can wait for a step without a reading, which comes at once.
         if now_s >= self.link.next_event_s:
             self.link.service()
         if now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_INTERVAL_S
             self._look_after(now_s)
-        return steps
+        return []
 
     def _take(self, ranging: Ranging) -> Step:
         now_s = self._clock.now()

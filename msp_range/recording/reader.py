@@ -7,13 +7,13 @@ for data. Format: https://mcap.dev/spec.
 
 import contextlib
 import io
-import json
 import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+import orjson
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -141,10 +141,12 @@ class Recording:
 
     def _decode(self, topic: str, text: bytes) -> dict[str, Any]:
         try:
-            message = json.loads(text)
+            message = orjson.loads(text)
         except ValueError as error:
             raise RecordingError(f"{self.path}: a message of {topic} is not JSON: {error}") from None
-        return message if isinstance(message, dict) else {"value": message}
+        if not isinstance(message, dict):
+            return {"value": message}
+        return {key: value for key, value in message.items() if value is not None}
 
 
 def is_recording(path: Path | str) -> bool:

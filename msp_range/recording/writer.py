@@ -8,8 +8,6 @@ an earlier chunk.
 """
 
 import contextlib
-import json
-import math
 import os
 import threading
 from collections.abc import Mapping
@@ -17,6 +15,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any, cast
 
+import orjson
 from mcap.writer import CompressionType, Writer
 
 from msp_range.clock import Clock
@@ -31,8 +30,6 @@ CLOSE_TIMEOUT_S = 5.0
 """How long `Recorder.close` waits for the disk."""
 METADATA_NAME = "msp_range"
 LIBRARY = "msp-range"
-
-_encode = json.JSONEncoder(separators=(",", ":"), check_circular=False, allow_nan=False).encode
 
 
 class Recorder:
@@ -92,14 +89,14 @@ class Recorder:
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record ``message`` at ``time_s`` on the bridge's clock.
 
-        Values of None, NaN and infinity are unknown: their keys are left out.
+        Values of None, NaN and infinity are unknown; they are recorded as null.
 
         Raises
         ------
         ValueError
             No such topic.
         TypeError
-            A value that JSON does not have.
+            A value that JSON does not have, or an integer of more than 64 bits.
         """
         if self._mcap is None:
             return
@@ -109,13 +106,8 @@ class Recorder:
         log_time_ns = self._utc_start_ns + round((time_s - self._clock_start_s) * 1e9)
         if log_time_ns < 0:  # the format has no times before its epoch
             log_time_ns = 0
-        if None in message.values():
-            message = _known(message)
-        try:
-            text = _encode(message)
-        except ValueError:
-            text = _encode(_known(message))
-        self._mcap.add_message(channel, log_time_ns, text.encode(), log_time_ns)
+        # Not a number and infinity become null as None does: a reader takes null and absent alike for unknown.
+        self._mcap.add_message(channel, log_time_ns, orjson.dumps(message), log_time_ns)
 
     def flush_if_due(self, now_s: float) -> None:
         """Each second, hand over to the disk what was recorded; call it as often as you like.
@@ -158,15 +150,6 @@ class Recorder:
             f"{self.path}: recording stopped: {why}; the first {self._disk.written_bytes} bytes are there, "
             "and msp-range recover closes them"
         )
-
-
-def _known(message: dict[str, Any]) -> dict[str, Any]:
-    """The message without what is unknown."""
-    return {
-        key: value
-        for key, value in message.items()
-        if value is not None and not (isinstance(value, float) and not math.isfinite(value))
-    }
 
 
 class _Disk:

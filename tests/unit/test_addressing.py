@@ -9,7 +9,7 @@ from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
 from msp_range.sensors.addressing import AddressError, Found, change_address, check_new_address, scan
 from msp_sim.bus import Device, EmulatedBus
-from msp_sim.device import MB1242, Fault, PlainDevice
+from msp_sim.device import MB1242, Fault, NotAcknowledged, PlainDevice
 
 NACK_ERRNOS = [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV]
 Making = Callable[[VirtualClock], Device]
@@ -32,13 +32,13 @@ def wires(*making: Making, nack_errno: int = errno.EREMOTEIO) -> tuple[EmulatedB
 @pytest.mark.parametrize("nack_errno", NACK_ERRNOS)
 def test_scan_tells_sonars_from_other_devices(nack_errno: int) -> None:
     bus, clock, _ = wires(
-        sonar(0x71, 765), sonar(0x10), other(0x70, b"\x01\x00"), other(0x44, b"\xff\xff"), nack_errno=nack_errno
+        sonar(0x77, 765), sonar(0x03), other(0x70, b"\x01\x00"), other(0x44, b"\xff\xff"), nack_errno=nack_errno
     )
     found = {each.address: each for each in scan(bus, clock, identify=True)}
-    assert sorted(found) == [0x10, 0x44, 0x70, 0x71]
-    assert [address for address, each in found.items() if each.ranged] == [0x10, 0x71]
-    assert found[0x10].answer == "MB1242: 258 cm"
-    assert "no echo" in found[0x71].answer
+    assert sorted(found) == [0x03, 0x44, 0x70, 0x77]
+    assert [address for address, each in found.items() if each.ranged] == [0x03, 0x77]
+    assert found[0x03].answer == "MB1242: 258 cm"
+    assert "no echo" in found[0x77].answer
     assert "answers while it should be ranging" in found[0x70].answer
     assert "SHTC3" in found[0x70].answer
 
@@ -107,6 +107,13 @@ def test_no_move_to_an_address_that_is_taken(there: Making, busy: bool) -> None:
     assert device.address == 0x70
 
 
+class Mute(PlainDevice):
+    """A device that can be read and takes no command."""
+
+    def write(self, data: bytes) -> None:
+        raise NotAcknowledged
+
+
 @pytest.mark.parametrize(
     ("making", "old", "new", "message"),
     [
@@ -114,6 +121,12 @@ def test_no_move_to_an_address_that_is_taken(there: Making, busy: bool) -> None:
         ([sonar(0x70)], 0x71, 0x72, "nothing acknowledges at 0x71"),
         ([sonar(0x70)], 0x70, 0x28, "ignores"),
         ([other(0x70)], 0x70, 0x71, "left alone: not an MB1242"),
+        (
+            [lambda clock: Mute(0x70, b"\x01\x02")],
+            0x70,
+            0x71,
+            r"left alone: no answer to the range command \(errno 121",
+        ),
         ([sonar(0x70, 258, Fault("impossible", 0.0, 100.0))], 0x70, 0x71, r"left alone: ranges, but answers 0x03e8"),
         ([sonar(0x70, 100), sonar(0x70, 300)], 0x70, 0x71, "left alone: .*two sensors at this address"),
     ],

@@ -123,6 +123,10 @@ def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
     assert (quality[1.9], quality[2.1], quality[2.3], quality[2.9], quality[3.3]) == (100, 1, 70, 70, 100)
 
 
+def test_a_sensor_that_was_not_heard_yet_is_not_good() -> None:
+    assert [message.signal_quality for _, message in Bench(airframe(), 300).fly(0.45).sent()] == [25, 50, 75, 100, 100]
+
+
 def test_every_field_of_a_fused_message() -> None:
     bench = Bench(airframe(), 300).fly(4.0)
     assert bench.wire.frames[-1][1][0] == common.PROTOCOL_MARKER_V2
@@ -182,16 +186,17 @@ def test_messages_of_single_streams_are_twenty_milliseconds_apart_and_none_is_lo
     assert set(Counter(message.id for _, message in bench.sent()).values()) <= {99, 100, 101}
 
 
-def test_the_fused_message_does_not_wait_and_single_ones_wait_for_it() -> None:
+@pytest.mark.parametrize(("down_cm", "ready_s"), [(300, READY_S + 300 * 58e-6), (765, 0.067)])
+def test_the_fused_message_does_not_wait_and_single_ones_wait_for_it(down_cm: int, ready_s: float) -> None:
     vehicle = airframe(
         [*FOUR_DOWN[:3], sensor("front", 4) | {"rotation_deg": {"pitch": 0}}],
         polling={"groups": [["a", "front"], ["b"], ["c"]]},
         send={"fused": {"id": FUSED_ID}, "sensors": ["front"]},
     )
-    bench = Bench(vehicle, lambda name, time_s: 400 if name == "front" else 300).fly(8.95)
+    bench = Bench(vehicle, lambda name, time_s: 400 if name == "front" else down_cm).fly(8.95)
     sent = [(time_s, message.id) for time_s, message in bench.sent()]
     fused_s = [time_s for time_s, stream in sent if stream == FUSED_ID]
-    answered_s = [ping_s + READY_S + 300 * 58e-6 for ping_s, name, _ in bench.pings if name != "front"]
+    answered_s = [ping_s + ready_s for ping_s, name, _ in bench.pings if name != "front"]
     assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(fused_s, answered_s, strict=True))
     for (before_s, _), (time_s, stream) in pairwise(sent):
         if stream == 4:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from msp_range.config import Airframe, load_airframe
+from msp_range.config import Airframe, RotationDeg, load_airframe
 from msp_range.mavlink.orientation import CUSTOM, DOWN
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, Section
@@ -85,6 +85,7 @@ def test_what_is_left_out() -> None:
     assert [each.filter for each in vehicle.filters] == ["kalman"]
     assert [sensor.name for sensor in vehicle.downward] == [sensor["name"] for sensor in QUAD["sensors"]]
     assert vehicle.sent_names == []
+    assert RotationDeg().radians == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,9 @@ def test_what_a_filter_holds_back_goes_no_further() -> None:
         ([2.85], False),
         ([3.15, 2.85], True),
         ([1.95, 2.25], True),
+        # As fast as a vehicle may be, and faster.
+        ([5.75, 4.15], True),
+        ([7.55, 5.05], False),
         # On the way up, and past.
         ([2.55, 2.85], False),
         ([5.00, 5.00, 5.00], False),

@@ -3,6 +3,7 @@
 import errno
 
 import pytest
+from pymavlink.dialects.v20 import common
 
 from msp_range.bus import BusError
 from msp_range.health import Health, Severity
@@ -27,6 +28,10 @@ OK, SILENT = Status.OK, Status.NO_ANSWER
 
 
 def test_all_good_is_said_once_when_all_are_known() -> None:
+    ear = Ear("a", "b")
+    ear.take(OK, OK)
+    ear.take(OK, OK, OK, sensor="b")
+    assert not ear.health.complete
     ear = Ear("a", "b")
     ear.take(OK, OK, OK)
     assert ear.heard == []
@@ -89,6 +94,11 @@ def test_a_condition_is_said_when_it_comes_and_when_it_goes() -> None:
     for _ in range(3):
         ear.health.set("temperature", None, "temperature is back")
     assert ear.heard == [(Severity.WARNING, "no temperature"), (Severity.INFO, "temperature is back")]
+
+
+def test_severities_are_those_of_mavlink() -> None:
+    for severity in Severity:
+        assert severity == getattr(common, f"MAV_SEVERITY_{severity.name}")
 
 
 def test_what_is_wrong_now_can_be_asked_for() -> None:

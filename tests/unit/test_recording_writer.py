@@ -205,7 +205,7 @@ def test_what_is_unknown_is_left_out(tmp_path: Path) -> None:
     ]
 
 
-_SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+_SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text()
 
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)

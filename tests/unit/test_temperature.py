@@ -84,17 +84,17 @@ def test_a_change_that_is_too_fast_is_not_the_air(
 ) -> None:
     """At most 1 deg C a second here, and two tenths that a thermometer may flicker."""
     file = File(tmp_path, max_rate_c_per_s=1.0).says(20000)
-    file.air.now_c(0.0)
+    file.air.now_c(100.0)
     file.says(round((20.0 + jump_c) * 1000))
-    assert file.air.now_c(after_s) == pytest.approx(20.0 + (jump_c if believed else 0.0))
+    assert file.air.now_c(100.0 + after_s) == pytest.approx(20.0 + (jump_c if believed else 0.0))
 
 
 def test_a_jump_that_stays_is_believed_when_what_it_left_is_stale(tmp_path: Path) -> None:
     file = File(tmp_path, max_age_s=10.0, max_rate_c_per_s=0.1).says(20000)
-    file.air.now_c(0.0)
+    file.air.now_c(100.0)
     file.says(45000)
-    assert {file.air.now_c(float(time_s)) for time_s in range(1, 11)} == {20.0}
-    assert file.air.now_c(11.0) == 45.0
+    assert {file.air.now_c(float(time_s)) for time_s in range(101, 111)} == {20.0}
+    assert file.air.now_c(111.0) == 45.0
 
 
 @pytest.mark.parametrize(("milli_c", "believed"), [(-40000, True), (-40001, False), (60000, True), (60001, False)])
