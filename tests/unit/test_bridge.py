@@ -193,7 +193,7 @@ def test_the_fused_message_does_not_wait_and_single_ones_wait_for_it(down_cm: in
         polling={"groups": [["a", "front"], ["b"], ["c"]]},
         send={"fused": {"id": FUSED_ID}, "sensors": ["front"]},
     )
-    bench = Bench(vehicle, lambda name, time_s: 400 if name == "front" else down_cm).fly(8.95)
+    bench = Bench(vehicle, lambda name, time_s: 400 if name == "front" else down_cm).fly(8.99)
     sent = [(time_s, message.id) for time_s, message in bench.sent()]
     fused_s = [time_s for time_s, stream in sent if stream == FUSED_ID]
     answered_s = [ping_s + ready_s for ping_s, name, _ in bench.pings if name != "front"]

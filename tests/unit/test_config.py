@@ -133,7 +133,7 @@ def test_what_is_left_out() -> None:
         ),
         (
             lambda c: c["link"].update(autopilot="ardupilto"),
-            "link.autopilot: found 'ardupilto'; expected 'ardupilot' or",
+            "link.autopilot: found 'ardupilto'; expected 'ardupilot' or 'px4'. Did you mean 'ardupilot'?",
         ),
         (lambda c: c["link"].update(component_id=1), "link.component_id: found 1; expected greater than or equal to 2"),
         (
@@ -189,6 +189,11 @@ def test_what_is_left_out() -> None:
 def test_a_mistake_is_explained(tmp_path: Path, change: Change, expected: str) -> None:
     (line,) = mistakes(tmp_path, change)
     assert line.startswith(expected)
+
+
+def test_known_keys_are_those_of_the_filter_that_is_named(tmp_path: Path) -> None:
+    (line,) = mistakes(tmp_path, lambda c: c.update(filters=[{"filter": "median", "widnow": 3}]))
+    assert line == "filters[0].widnow: unknown key. Did you mean 'window'? Known keys here: filter, window"
 
 
 def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:

@@ -202,9 +202,12 @@ def test_what_a_filter_holds_back_goes_no_further() -> None:
     ("ranges_m", "passes"),
     [
         ([], False),
-        ([2.60], True),
+        # After 0.4 s at rest: 15 cm, and 20 more a second.
+        ([2.77], True),
+        ([2.79], False),
+        ([2.33], True),
+        ([2.31], False),
         ([5.00], False),
-        ([2.85], False),
         ([3.15, 2.85], True),
         ([1.95, 2.25], True),
         # As fast as a vehicle may be, and faster.
@@ -217,9 +220,12 @@ def test_what_a_filter_holds_back_goes_no_further() -> None:
 )
 def test_255_passes_where_the_prediction_contains_it(ranges_m: list[float], passes: bool) -> None:
     chain = Chain([])
+    # A flight before, whose speed must be forgotten.
+    for time_s, range_m in [(60.0, 4.0), (60.4, 5.5)]:
+        outcome(chain, time_s, range_m)
     for i, range_m in enumerate(ranges_m):
-        assert outcome(chain, ROUND_S * i, range_m) == range_m
-    assert outcome(chain, ROUND_S * len(ranges_m), 2.55, suspect=True) == (2.55 if passes else "suspect")
+        assert outcome(chain, 70.0 + ROUND_S * i, range_m) == range_m
+    assert outcome(chain, 70.0 + ROUND_S * len(ranges_m), 2.55, suspect=True) == (2.55 if passes else "suspect")
 
 
 def test_255_for_ever_is_believed_only_where_the_vehicle_was_there() -> None:

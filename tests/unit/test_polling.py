@@ -17,7 +17,7 @@ from tests.support.scripted_bus import ScriptedBus
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""
-SAFE = Spacing(0.100)
+SAFE = Spacing()
 ROUND = ("a", "b", "c", "d")
 
 
