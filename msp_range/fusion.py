@@ -20,6 +20,8 @@ WINDOW_S = 0.65
 """Readings older than this are left out [s]: a round of four sensors at ten readings a second, and half of one."""
 MOST_POINTS = 5
 """Readings in the line at most: an odd number, so that at a step the majority is on one side of it."""
+NEWEST_S = 0.25
+"""A distance without a reading needs another sensor's reading that is no older than this [s]: two turns at most."""
 FASTEST_M_S = 5.0
 """Two readings that would need a faster vehicle show a step of the ground and not motion [m/s]."""
 HARDEST_M_S2 = 4.0
@@ -114,9 +116,11 @@ class Fusion:
         return self._line_at(list(recent), time_s)
 
     def at(self, time_s: float) -> Estimate | None:
-        """The fused distance at a time without a reading, where at least two sensors saw the ground lately."""
+        """The fused distance at a time without a reading, if two sensors saw the ground lately, one of them just now."""
         fresh = [point for point in self._recent if time_s - point.time_s <= WINDOW_S]
         if len({point.sensor for point in fresh}) < SENSORS_WITHOUT_A_READING:
+            return None
+        if time_s - fresh[-1].time_s > NEWEST_S:
             return None
         return self._line_at(fresh, time_s)
 

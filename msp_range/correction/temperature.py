@@ -49,7 +49,7 @@ class FileSource(_Limits):
     source: Literal["file"]
     """the word file"""
     path: str
-    """file, with * where a number varies from boot to boot, e.g. /sys/class/hwmon/hwmon*/temp1_input"""
+    """file, with * where a number varies from boot to boot: /sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input"""
     scale: float = Field(0.001, gt=0)
     """degrees Celsius a unit; hwmon temp1_input and iio in_temp_input count thousandths"""
     period_s: float = Field(1.0, gt=0, le=60)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from msp_range.filters.base import Estimate
-from msp_range.fusion import MOST_POINTS, WINDOW_S, DownwardSensor, Fusion, Oblique
+from msp_range.fusion import MOST_POINTS, NEWEST_S, WINDOW_S, DownwardSensor, Fusion, Oblique
 
 SIGMA_M = 0.02
 VARIANCE_M2 = SIGMA_M**2
@@ -163,6 +163,10 @@ def test_nothing_is_told_of_what_was_seen_too_long_ago() -> None:
     assert fusion.at(0.0) is None
     fusion.update("a", 1.0, Estimate(3.0, VARIANCE_M2))
     fusion.update("b", 1.1, Estimate(3.0, VARIANCE_M2))
+    assert fusion.at(1.1 + NEWEST_S - 0.01) is not None
+    assert fusion.at(1.1 + NEWEST_S + 0.01) is None
+    # One sensor goes on; the other's reading leaves the window.
+    fusion.update("b", 1.5, Estimate(3.0, VARIANCE_M2))
     assert fusion.at(1.0 + WINDOW_S - 0.01) is not None
     assert fusion.at(1.0 + WINDOW_S + 0.01) is None
     assert fusion.update("c", 9.0, Estimate(1.0, VARIANCE_M2)) == (1.0, VARIANCE_M2)
