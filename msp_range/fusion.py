@@ -116,7 +116,7 @@ class Fusion:
         return self._line_at(list(recent), time_s)
 
     def at(self, time_s: float) -> Estimate | None:
-        """The fused distance at a time without a reading, if two sensors saw the ground lately, one of them just now."""
+        """The fused distance at a time without a reading; two sensors must have seen the ground, one just now."""
         fresh = [point for point in self._recent if time_s - point.time_s <= WINDOW_S]
         if len({point.sensor for point in fresh}) < SENSORS_WITHOUT_A_READING:
             return None
