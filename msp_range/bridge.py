@@ -31,6 +31,8 @@ LOOK_INTERVAL_S = 0.25
 """Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""
 BUS_CALM_S = 2.0
 """A bus that has worked this long since its last fault works again [s]; a flickering one is told of once."""
+STALE_S = 0.25
+"""A ranging that is over this long after its time tells nothing of now [s]: the program or the bus stood still."""
 TEMPERATURE_REQUEST_HZ = 1.0
 
 
@@ -179,7 +181,7 @@ class Bridge:
         temperature_c = self._temperature.now_c(now_s)
         corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c)
         filtered = channel.chain.update(corrected)
-        fused = self._fuse(corrected, filtered)
+        fused = self._fuse(now_s, corrected, filtered)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
         self._streams.take(now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused)
         step = Step(ranging, temperature_c, self._temperature.source, corrected, filtered, fused)
@@ -188,12 +190,14 @@ class Bridge:
         self._judge(now_s, ranging)
         return step
 
-    def _fuse(self, corrected: Reading, filtered: Filtered) -> Estimate | None:
+    def _fuse(self, now_s: float, corrected: Reading, filtered: Filtered) -> Estimate | None:
         """The fused distance at this reading's time; from the other sensors where this one gave none."""
         if self._fusion is None or not self._fusion.includes(corrected.sensor):
             return None
         if filtered.estimate is not None:
             return self._fusion.update(corrected.sensor, corrected.time_s, filtered.estimate)
+        if now_s - corrected.time_s > STALE_S:
+            return None
         return self._fusion.at(corrected.time_s)
 
     def _send(self, message: Any) -> None:

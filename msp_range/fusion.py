@@ -24,6 +24,8 @@ NEWEST_S = 0.25
 """A distance without a reading needs another sensor's reading that is no older than this [s]: two turns at most."""
 FASTEST_M_S = 5.0
 """Two readings that would need a faster vehicle show a step of the ground and not motion [m/s]."""
+SHORTEST_BASE_S = 0.28
+"""Two or three readings show a speed where this much time lies between the first and the last of them [s]."""
 HARDEST_M_S2 = 4.0
 """The vehicle's speed changes by at most this much [m/s^2]; a step of the ground would seem to change it at once."""
 SENSORS_WITHOUT_A_READING = 2
@@ -131,10 +133,10 @@ class Fusion:
         variance is the larger of what the points state and of their scatter about the line. What a sensor's readings
         share does not average out and is added.
         """
+        slope_m_s = self._slope(points, time_s)
         if len(points) % 2 == 0:
             points = points[1:]
         count = len(points)
-        slope_m_s = self._slope(points, time_s)
         moved = [point.down_m + slope_m_s * (time_s - point.time_s) for point in points]
         fused_m = _median(moved)
         scatter_m = MAD_TO_STD * _median([abs(each - fused_m) for each in moved])
@@ -144,8 +146,9 @@ class Fusion:
 
     def _slope(self, points: list[_Point], time_s: float) -> float:
         """Vertical speed [m/s]: the median over pairs, moved from the last one by no more than a vehicle can."""
-        elapsed_s = min(time_s - self._speed_s, WINDOW_S)
-        self._speed_s = time_s
+        # Of sensors that ping together the nearer one's echo may come later in the order of answers.
+        elapsed_s = min(max(time_s - self._speed_s, 0.0), WINDOW_S)
+        self._speed_s = max(time_s, self._speed_s)
         slopes = []
         earlier: list[tuple[float, float]] = []
         for point in points:
@@ -154,8 +157,9 @@ class Fusion:
                 if time_i > time_j and abs(down_i - down_j) <= FASTEST_M_S * (time_i - time_j):
                     slopes.append((down_i - down_j) / (time_i - time_j))
             earlier.append((time_i, down_i))
-        # Two or three readings say more about noise than about speed.
-        wanted_m_s = _median(slopes) if len(points) > 3 and slopes else 0.0
+        # Two or three readings that lie close together say more about noise than about speed.
+        enough = len(points) > 3 or points[-1].time_s - points[0].time_s >= SHORTEST_BASE_S
+        wanted_m_s = _median(slopes) if slopes and enough else 0.0
         reach_m_s = HARDEST_M_S2 * elapsed_s
         self._speed_m_s += min(max(wanted_m_s - self._speed_m_s, -reach_m_s), reach_m_s)
         return self._speed_m_s

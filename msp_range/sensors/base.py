@@ -29,6 +29,11 @@ class Decoded(NamedTuple):
 class RangeSensor(Protocol):
     """One range finder on a bus: ping it, and ask for the answer until it gives one."""
 
+    @property
+    def address(self) -> int:
+        """Its 7-bit address on the bus."""
+        ...
+
     def ping(self) -> None:
         """Start a ranging; raises BusError where the sensor does not acknowledge."""
         ...

@@ -19,6 +19,8 @@ from msp_range.sensors.base import RangeSensor
 
 POLL_INTERVAL_S = 0.002
 """Between two tries to read a sensor that still ranges; half of it is the mean delay that polling adds."""
+LATE_S = 0.1
+"""An answer that is asked for this long after the deadline is too old to be told [s]."""
 REOPEN_INTERVAL_S = 1.0
 """Between two attempts to open a bus again that has locked up or gone."""
 
@@ -213,6 +215,10 @@ class Poller:
     def _try(self, pending: _Pending, now_s: float) -> Ranging | None:
         sensor = pending.sensor
         timing = sensor.timing
+        if now_s > pending.ping_s + timing.deadline_s + LATE_S:
+            # The program or the bus stood still: what the sensor would say is true of then and not of now.
+            late = BusError(errno.ETIME, "read", sensor.device.address)
+            return self._no_answer(sensor, pending.ping_s, now_s, late)
         try:
             decoded = sensor.device.answer(now_s - pending.ping_s)
         except BusError as error:
