@@ -26,7 +26,7 @@ def main() -> None:
             progress.advance(task)
     table = Table(box=box.SIMPLE_HEAD)
     for heading in ("figure", "value", "unit", "goal", "met"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
+        table.add_column(heading, justify="right" if heading == "value" else "left", no_wrap=heading == "figure")
     for figure in figures:
         met = {True: "yes", False: "NO", None: ""}[figure["met"]]
         table.add_row(figure["key"], f"{figure['value']:g}", figure["unit"], figure["goal"] or "", met)
