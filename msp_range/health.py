@@ -4,6 +4,7 @@ Every sensor is good or bad; one odd reading changes nothing, three of a kind in
 most 50 characters, the length of a STATUSTEXT.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from enum import IntEnum
 
@@ -12,6 +13,10 @@ from msp_range.sensors.polling import Ranging
 
 READINGS_TO_CHANGE = 3
 """Readings in a row that make a sensor bad, or good again."""
+READINGS_JUDGED = 10
+"""A sensor is bad, too, where half of this many readings are faults, whatever lies between them."""
+MOST_TO_BE_GOOD = 96
+"""Each relapse doubles how many good readings in a row it takes to be good again, up to this many."""
 
 
 class Severity(IntEnum):
@@ -38,6 +43,9 @@ class _SensorHealth:
         self.known = False
         self.streak = 0
         self.streak_bad = False
+        self.last_fault = ""
+        self.recent: deque[bool] = deque(maxlen=READINGS_JUDGED)
+        self.to_be_good = READINGS_TO_CHANGE
 
 
 class Health:
@@ -73,16 +81,25 @@ class Health:
         bad = reading.status.is_fault
         sensor.streak = sensor.streak + 1 if bad == sensor.streak_bad else 1
         sensor.streak_bad = bad
-        if sensor.streak < READINGS_TO_CHANGE:
-            return
-        if bad and sensor.fault is None:
-            sensor.fault = _WORDS[reading.status]
+        sensor.recent.append(bad)
+        if bad:
+            sensor.last_fault = _WORDS[reading.status]
             if ranging.error is not None:
-                sensor.fault += f" (errno {ranging.error.errno})"
+                sensor.last_fault += f" (errno {ranging.error.errno})"
+        in_a_row = sensor.streak >= READINGS_TO_CHANGE
+        if not in_a_row and len(sensor.recent) < READINGS_JUDGED:
+            return
+        often = len(sensor.recent) == READINGS_JUDGED and 2 * sum(sensor.recent) >= READINGS_JUDGED
+        if sensor.fault is None and (often or (bad and in_a_row)):
+            sensor.fault = sensor.last_fault
             self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault}")
-        elif not bad and sensor.fault is not None:
+        elif not bad and sensor.fault is not None and sensor.streak >= sensor.to_be_good:
             sensor.fault = None
+            sensor.to_be_good = min(2 * sensor.to_be_good, MOST_TO_BE_GOOD)
+            sensor.recent.clear()
             self._report(Severity.INFO, f"Range {reading.sensor}: good again")
+        if not bad and sensor.streak > MOST_TO_BE_GOOD:
+            sensor.to_be_good = READINGS_TO_CHANGE
         if not sensor.known:
             sensor.known = True
             if self.complete and not self.bad_sensors:

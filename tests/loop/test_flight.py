@@ -60,6 +60,37 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Pa
         assert one != other
 
 
+def test_the_seed_is_of_the_vehicles_chance_too() -> None:
+    """The report's random heights, ten times in a flight."""
+    heights_m: list[list[float]] = []
+    for seed in (5, 5, 6):
+        simulation = Simulation(load_scenario(SCENARIOS / "report_random.yaml"), VirtualClock(), seed)
+        heights_m.append([])
+        for _ in simulation.fly():
+            if simulation.now_s() > 6.0 * len(heights_m[-1]):
+                heights_m[-1].append(round(simulation.height_m(), 6))
+    assert heights_m[0] == heights_m[1]
+    assert heights_m[0] != heights_m[2]
+
+
+def test_the_sensors_count_in_the_air_that_there_is(tmp_path: Path) -> None:
+    """Sound is slower by 4 % at 0 C than a sensor assumes, and the bridge knows the air: without it 8 cm at 2 m."""
+    text = (SCENARIOS / "hover.yaml").read_text().replace("ground_c: 20.0", "ground_c: 0.0")
+    text = text.replace("airframe: ..", f"airframe: {SCENARIOS.parent}")
+    (tmp_path / "cold.yaml").write_text(text)
+    simulation = Simulation(load_scenario(tmp_path / "cold.yaml"), VirtualClock(), 1)
+    for _ in simulation.fly():
+        pass
+    track = simulation.flight.tracks["front_left"]
+    read = [
+        (raw_m, truth_m)
+        for time_s, raw_m, truth_m in zip(track.time_s, track.raw_m, track.truth_m, strict=True)
+        if 10 < time_s < 50 and raw_m is not None and truth_m is not None
+    ]
+    ratios = sorted(raw_m / truth_m for raw_m, truth_m in read)
+    assert ratios[len(ratios) // 2] == pytest.approx(math.sqrt((273.15 + 22.5) / 273.15), abs=0.005)
+
+
 def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) -> None:
     """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
     flight, _ = demo

@@ -11,6 +11,8 @@ from msp_range.filters.chain import Chain, Filtered
 from msp_range.filters.table import FilterParameters
 from msp_range.reading import Reading, Status
 
+STD_M = 0.0207
+"""Of a reading: not round, or four of them would be whole centimetres, and rounding would decide at the gate."""
 ADAPTER: TypeAdapter[Any] = TypeAdapter(FilterParameters)
 CHAINS = [
     [],
@@ -31,7 +33,7 @@ def run(filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_c
     time_s, out = 0.0, []
     for step_s, range_cm in flight:
         time_s += step_s
-        out.append(chain.update(Reading(time_s, "a", Status.OK, (range_cm + offset_cm) / 100, 0.02)))
+        out.append(chain.update(Reading(time_s, "a", Status.OK, (range_cm + offset_cm) / 100, STD_M)))
     return out
 
 
@@ -58,4 +60,4 @@ def test_an_estimate_lies_among_the_readings(filters: list[dict[str, Any]], flig
     for filtered in run(filters, flight):
         if filtered.estimate is not None:
             assert lowest_m - 1e-9 <= filtered.estimate.range_m <= highest_m + 1e-9
-            assert 0 < filtered.estimate.variance_m2 <= 0.02**2 * (1 + 1e-9)
+            assert 0 < filtered.estimate.variance_m2 <= STD_M**2 * (1 + 1e-9)

@@ -322,3 +322,42 @@ def test_counts_of_readings_and_of_the_rejected() -> None:
     counts = bench.bridge.counts()
     assert {name: counts[name].readings for name in NAMES} == dict.fromkeys(NAMES, 25)
     assert [counts[name].rejected for name in NAMES] == [{}, {"no_echo": 10}, {}, {"no_answer": 25}]
+
+
+def test_a_single_message_that_waits_gives_way_to_a_newer_one_of_its_stream() -> None:
+    """Eight streams that answer together each 100 ms want 160 ms: what waits is the newest, and all get their turn."""
+    names = "abcdefgh"
+    content = [sensor(name, number, 0.0, 45.0 * (number - 1)) for number, name in enumerate(names, start=1)]
+    polling = {"groups": [list(names)]}
+    vehicle = airframe(content, polling=polling, filters=[], send={"sensors": "all"})
+    bench = Bench(vehicle, lambda name, time_s: 100 + round(10 * time_s)).fly(10.0)
+    sent = bench.sent()
+    assert min(Counter(message.id for _, message in sent).values()) >= 49
+    assert all(100 + 10 * time_s - message.current_distance < 3.5 for time_s, message in sent)
+
+
+def test_a_reading_that_is_not_believed_lowers_the_quality() -> None:
+    bench = Bench(one_down(filters=[{"filter": "kalman"}]), lambda name, time_s: 120 if 2.95 < time_s < 3.05 else 300)
+    bench.fly(3.3)
+    assert bench.rejected("a") == {"unexpected": 1}
+    assert last(bench, 1).signal_quality == 90
+
+
+def test_a_speed_is_not_lost_where_half_of_the_sensors_are_dead() -> None:
+    """Held back in a known way: at 1 m/s at most by a turn of the polling, not by the age of the readings."""
+    bench = Bench(airframe(), lambda name, time_s: round(100 + 100 * max(0.0, time_s - 4.0)), absent="bd").fly(9.0)
+    for time_s, message in bench.sent():
+        if time_s > 5.5:
+            assert message.current_distance == pytest.approx(100 + 100 * (time_s - 0.03 - 4.0), abs=10)
+
+
+@pytest.mark.parametrize("stood_still_s", [1.0, 30.0])
+@pytest.mark.parametrize("after_ping_s", [0.005, 0.030])
+def test_what_was_heard_before_the_program_stood_still_is_not_told_after_it(
+    stood_still_s: float, after_ping_s: float
+) -> None:
+    """A computer that swaps or was stopped, or a bus that held the loop: the answer that waits is of long ago."""
+    bench = Bench(airframe(), lambda name, time_s: 600 if time_s < 5.5 else 100).fly(5.0 + after_ping_s)
+    bench.clock.sleep_until(bench.clock.now() + stood_still_s)
+    bench.fly(7.0 + stood_still_s)
+    assert set(bench.distances_cm(from_s=5.5)) == {100}

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ from typer.testing import CliRunner
 
 from msp_range.cli import app
 from msp_range.config import Airframe
+from msp_sim.bus import EmulatedBus
 from msp_sim.cli import app as sim_app
+from msp_sim.device import MB1242
 from msp_sim.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -94,3 +97,34 @@ def test_sample_draws_from_the_model(tmp_path: Path) -> None:
     readings = [float(row[rows[0].index("reading_cm")]) for row in rows[1:]]
     assert sum(abs(reading - 300) <= 8 for reading in readings[:500]) > 450
     assert sum(reading in (765, 255) for reading in readings[500:]) >= 4
+
+
+@pytest.fixture
+def sonar(monkeypatch: pytest.MonkeyPatch) -> MB1242:
+    """One emulated MB1242 at 0x70 on every bus that a command opens."""
+    device = MB1242(0x70, time.monotonic, lambda ping_s: 258)
+
+    class Bus(EmulatedBus):
+        path = Path("/dev/i2c-1")
+
+        def __init__(self, bus: int | str) -> None:
+            super().__init__([device], time.monotonic)
+
+    monkeypatch.setattr("msp_range.bus.smbus.KernelBus", Bus)
+    return device
+
+
+def test_scan_pings_only_when_it_is_told_to(sonar: MB1242) -> None:
+    assert "0x70" in CliRunner().invoke(app, ["scan"], catch_exceptions=False).output
+    assert sonar.pings == 0
+    assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output
+    assert sonar.pings == 1
+
+
+def test_address_asks_before_it_moves_a_sensor(sonar: MB1242) -> None:
+    result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="n\n")
+    assert (result.exit_code, sonar.address) == (1, 0x70)
+    result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="y\n", catch_exceptions=False)
+    assert (result.exit_code, sonar.address) == (0, 0x72)
+    result = CliRunner().invoke(app, ["address", "0x72", "0x74", "--yes"], catch_exceptions=False)
+    assert (result.exit_code, sonar.address) == (0, 0x74)

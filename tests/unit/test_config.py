@@ -364,3 +364,23 @@ def test_the_json_schema_refuses_mistakes(change: Change, said: str) -> None:
     schema = Airframe.model_json_schema()
     (line,) = [line for line in accepts(schema, content, schema, "quad") if said.split(":")[0] in line]
     assert line.startswith(said)
+
+
+@named(AIRFRAMES)
+def test_the_shipped_airframes_are_polled_at_the_safe_spacing_and_measure_from_where_the_sensors_sit(
+    path: Path,
+) -> None:
+    vehicle = load_airframe(path)
+    assert vehicle.polling.ping_interval_s in (None, 0.1)
+    if vehicle.send.fused is not None:
+        # So ArduPilot's RNGFND1_POS_Z and PX4's EKF2_RNG_POS_Z are the height at which the sensors are mounted.
+        assert {sensor.position_m[2] for sensor in vehicle.downward} == {vehicle.send.fused.reference_down_m}
+
+
+@pytest.mark.parametrize("name", ["canted_pallet", "proximity"])
+def test_sensors_that_look_outwards_look_to_the_side_on_which_they_sit(name: str) -> None:
+    for sensor in load_airframe(CONFIGS / f"{name}.yaml").sensors:
+        outwards = math.hypot(*sensor.position_m[:2])
+        looks = math.hypot(*sensor.boresight[:2])
+        inner = sum(there * look for there, look in zip(sensor.position_m[:2], sensor.boresight[:2], strict=True))
+        assert inner == pytest.approx(outwards * looks)

@@ -253,3 +253,14 @@ def test_a_prediction_is_as_old_as_the_filters_memory_at_most(gap_s: float, pass
     chain = Chain([])
     outcome(chain, 10.0, 2.55)
     assert outcome(chain, 10.0 + gap_s, 2.55, suspect=True) == (2.55 if passes else "suspect")
+
+
+def test_after_a_gap_every_filter_of_the_chain_starts_anew() -> None:
+    both: list[Any] = [MedianParameters(filter="median", window=3), MovingAverageParameters(filter="moving_average")]
+    for filters in (both, both[::-1]):
+        chain = Chain([parameters.make() for parameters in filters])
+        for number in range(5):
+            chain.update(Reading(0.1 * number, "a", Status.OK, 6.0, 0.02, 600))
+        filtered = chain.update(Reading(3.0, "a", Status.OK, 1.0, 0.02, 100))
+        assert filtered.estimate is not None
+        assert filtered.estimate.range_m == 1.0

@@ -177,3 +177,11 @@ def test_only_downward_sensors_belong_to_it() -> None:
     assert (fusion.includes("a"), fusion.includes("forward")) == (True, False)
     with pytest.raises(KeyError):
         fusion.update("forward", 0.0, Estimate(3.0, VARIANCE_M2))
+
+
+def test_echoes_of_a_group_that_are_out_of_order_make_no_speed() -> None:
+    """Sensors that ping together answer in the order of their ranges, and what heard nothing has the ping's time."""
+    fusion = Fusion({name: DownwardSensor(1.0, 0.0, "slant") for name in "ab"})
+    for turn in range(50):
+        assert fusion.update("a", 0.1 * turn + 0.020, Estimate(3.0, 4e-4)).range_m == 3.0
+        assert fusion.update("b", 0.1 * turn, Estimate(3.0, 4e-4)).range_m == 3.0

@@ -45,7 +45,7 @@ def test_three_in_a_row_change_what_is_said_and_fewer_do_not() -> None:
     ear = Ear("a")
     ear.take(OK, OK, OK)
     ear.heard.clear()
-    ear.take(SILENT, SILENT, OK, SILENT, SILENT, OK, OK, SILENT, SILENT)
+    ear.take(SILENT, SILENT, OK, OK, OK, SILENT, SILENT)
     assert (ear.heard, ear.health.bad_sensors) == ([], [])
     ear.take(SILENT)
     assert ear.heard == [(Severity.ERROR, "Range a: no answer")]
@@ -109,3 +109,23 @@ def test_what_is_wrong_now_can_be_asked_for() -> None:
     ear.health.set("temperature", "gone", "back")
     ear.health.set("temperature", None, "back")
     assert ear.health.faults() == [(Severity.ERROR, "Range a: no answer"), (Severity.ERROR, "bus is locked up")]
+
+
+@pytest.mark.parametrize("pattern", [(OK, SILENT), (SILENT, SILENT, OK), (SILENT, OK, OK, SILENT)])
+def test_a_sensor_that_fails_every_other_time_is_bad(pattern: tuple[Status, ...]) -> None:
+    """No three are alike in a row: it is told once, and it is not good in between."""
+    ear = Ear("a")
+    ear.take(*pattern * 50)
+    assert ear.heard == [(Severity.ERROR, "Range a: no answer")]
+    assert ear.health.complete
+
+
+def test_a_sensor_that_comes_and_goes_is_told_of_less_and_less() -> None:
+    ear = Ear("a")
+    ear.take(*([SILENT] * 3 + [OK] * 4) * 200)
+    assert len(ear.heard) <= 4
+    ear.take(*[OK] * 200)
+    assert ear.heard[-1] == (Severity.INFO, "Range a: good again")
+    count = len(ear.heard)
+    ear.take(*[SILENT] * 3, *[OK] * 3)
+    assert len(ear.heard) == count + 2

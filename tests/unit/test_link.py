@@ -281,6 +281,16 @@ class TestTime:
         # The link looks at what has come every 5 ms: the way back takes at most that, and half of it is the error.
         assert bench.link.autopilot_clock.time_boot_ms(echo_s) == pytest.approx((echo_s - boot_s) * 1e3, abs=2.5 + 1.0)
 
+    def test_goes_on_asking_for_the_time_once_it_is_known(self, bench: Bench) -> None:
+        """Clocks drift by some milliseconds a minute, and an autopilot may start anew."""
+        autopilot = Component(7)
+        for _ in range(10):
+            bench.run(1.0, autopilot.heartbeat)
+            requests = [message for message in bench.sent("TIMESYNC") if message.tc1 == 0]
+            assert requests
+            bench.arrive(*(autopilot.frame(dialect.MAVLink_timesync_message(10**12, each.ts1)) for each in requests))
+        assert bench.link.autopilot_clock.synchronised
+
     def test_another_companion_computers_answer_is_not_the_autopilots(self, bench: Bench) -> None:
         """mavros answers TIMESYNC too, from the same system."""
         bench.arrive(Component(7).heartbeat())

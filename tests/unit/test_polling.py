@@ -184,3 +184,75 @@ def test_a_sensor_that_falls_silent_makes_all_wait() -> None:
 def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) -> None:
     with pytest.raises(ValueError, match="at least one sensor"):
         RoundRobin(groups, SAFE, 0.0)
+
+
+class Broken:
+    """A sensor on a bus that fails: pings or answers raise ``errno``."""
+
+    def __init__(self, verb: str, number: int) -> None:
+        self.verb = verb
+        self.number = number
+        self.transfers: list[str] = []
+
+    def ping(self) -> None:
+        self._transfer("write")
+
+    def answer(self, since_ping_s: float) -> Decoded:
+        self._transfer("read")
+        return Decoded(Status.OK, 3.0, 300)
+
+    def _transfer(self, verb: str) -> None:
+        self.transfers.append(verb)
+        if verb == self.verb:
+            raise BusError(self.number, verb, 0x70)
+
+
+class Reopened:
+    """A bus of which only the times at which it is opened again count."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        self.reopened_s: list[float] = []
+
+    def write(self, address: int, data: bytes) -> None: ...
+    def read(self, address: int, count: int) -> bytes:
+        return b""
+
+    def reopen(self) -> None:
+        self.reopened_s.append(self._clock.now())
+
+    def close(self) -> None: ...
+
+
+def broken(verb: str, number: int, until_s: float) -> tuple[Broken, list[float], list[Ranging]]:
+    clock = VirtualClock(71.3)
+    device, bus = Broken(verb, number), Reopened(clock)
+    sensor = PolledSensor("a", device, Timing(FIRST_S, DEADLINE_S))
+    poller = Poller(bus, clock, RoundRobin([[sensor]], SAFE, clock.now()))
+    ended: list[Ranging] = []
+    while poller.next_event_s < 71.3 + until_s:
+        clock.sleep_until(poller.next_event_s)
+        ended += poller.step()
+    return device, bus.reopened_s, ended
+
+
+@pytest.mark.parametrize("number", [errno.ETIMEDOUT, errno.EBADF, errno.ENOENT, errno.EACCES])
+def test_a_bus_that_is_at_fault_is_asked_once_a_ping(number: int) -> None:
+    """Each transfer of a bus that is locked up holds the bridge for a second: forty tries would be forty seconds."""
+    device, _, ended = broken("read", number, 0.99)
+    assert device.transfers == ["write", "read"] * 10
+    assert {each.reading.status for each in ended} == {Status.NO_ANSWER}
+
+
+@pytest.mark.parametrize("verb", ["write", "read"])
+@pytest.mark.parametrize("number", [errno.ETIMEDOUT, errno.EBADF, errno.ENODEV])
+def test_a_bus_that_may_be_gone_is_opened_again_once_a_second(verb: str, number: int) -> None:
+    _, reopened_s, ended = broken(verb, number, 9.99)
+    assert len(reopened_s) == pytest.approx(10, abs=1)
+    assert all(late - early >= 1.0 - 1e-9 for early, late in pairwise(reopened_s))
+    assert len(ended) == 100
+
+
+def test_a_bus_is_not_opened_again_for_a_sensor_that_does_not_answer() -> None:
+    assert broken("write", errno.EREMOTEIO, 10.0)[1] == []
+    assert broken("read", errno.EREMOTEIO, 10.0)[1] == []
