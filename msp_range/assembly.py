@@ -73,7 +73,11 @@ def fused_stream(airframe: Airframe) -> Stream | None:
     """The fused downward stream, where there is one."""
     if airframe.send.fused is None:
         return None
-    longest_cm = max(sensor.sensor_model.maximum_cm for sensor in airframe.downward)
+    below_m = airframe.send.fused.reference_down_m
+    # What a sensor below the reference point can see reaches farther, counted from there.
+    longest_cm = max(
+        sensor.sensor_model.maximum_cm + round(100 * (sensor.position_m[2] - below_m)) for sensor in airframe.downward
+    )
     return make_stream(
         airframe.send.fused.id, Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)), longest_cm, airframe.link.autopilot
     )

@@ -185,7 +185,6 @@ class Poller:
 
     def _ping(self) -> list[Ranging]:
         failed = []
-        self._group_ping_s = self._clock.now()
         for sensor in self._next_group:
             try:
                 sensor.device.ping()
@@ -194,6 +193,8 @@ class Poller:
                 failed.append(self._no_answer(sensor, now_s, now_s, error))
             else:
                 self._pending.append(_Pending(sensor, self._clock.now()))
+        # After the writes, which a stretched clock can delay: the next ping counts from here.
+        self._group_ping_s = self._clock.now()
         if not self._pending:
             self._plan()
         return failed
