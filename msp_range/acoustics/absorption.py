@@ -1,0 +1,66 @@
+"""How much sound the air itself takes: absorption of a pure tone by ISO 9613-1.
+
+Frequency and air enter, decibels per metre leave. The report's eq 2 has it as alpha.
+"""
+
+import math
+
+from msp_range.acoustics.atmosphere import STANDARD_PRESSURE_PA, Atmosphere
+
+REFERENCE_K = 293.15
+"""T_0 of the standard, 20 deg C [K]."""
+
+TRIPLE_POINT_K = 273.16
+"""T_01 of the standard, the triple point of water [K]."""
+
+
+def absorption_db_per_m(frequency_hz: float, air: Atmosphere) -> float:
+    """Absorption of a pure tone, ISO 9613-1:1993 eq 3 to 5 and annex B.
+
+    alpha = 8.686 f^2 (1.84e-11 (p_r / p) sqrt(T / T_0) + (T / T_0)^(-5/2) (0.01275 exp(-2239.1 / T) f_rO /
+    (f_rO^2 + f^2) + 0.1068 exp(-3352 / T) f_rN / (f_rN^2 + f^2))), with the relaxation frequencies of oxygen and
+    nitrogen
+
+    f_rO = (p / p_r) (24 + 4.04e4 h (0.02 + h) / (0.391 + h)),
+    f_rN = (p / p_r) (T / T_0)^(-1/2) (9 + 280 h exp(-4.170 ((T / T_0)^(-1/3) - 1))),
+
+    and the molar concentration of water vapour [%] h = h_r (p_r / p) 10^(4.6151 - 6.8346 (T_01 / T)^1.261), h_r the
+    relative humidity [%], p_r one atmosphere, T_0 = 293.15 K, T_01 = 273.16 K.
+
+    Parameters
+    ----------
+    frequency_hz
+        Above 0. The standard covers 0.0004 to 10 Hz/Pa of frequency over pressure: 40 Hz to 1 MHz at one atmosphere.
+    air
+        Temperature, humidity and pressure.
+
+    Returns
+    -------
+    float
+        [dB/m], a level: the same number for intensity and for pressure. Over 4.343 it is the intensity's coefficient
+        in nepers a metre, over 8.686 the amplitude's. To 10 % for 0.05 to 5 % of water vapour, to 20 % below.
+
+    Raises
+    ------
+    ValueError
+        The frequency is not above 0.
+
+    Examples
+    --------
+    >>> print(f"{absorption_db_per_m(42_000.0, Atmosphere()):.2f}")
+    1.39
+    """
+    if not frequency_hz > 0.0:
+        raise ValueError(f"found a frequency of {frequency_hz:g} Hz, expected more than 0")
+    absolute_k = air.absolute_k
+    warmth = absolute_k / REFERENCE_K
+    pressure = air.pressure_pa / STANDARD_PRESSURE_PA
+    saturation = math.pow(10.0, 4.6151 - 6.8346 * math.pow(TRIPLE_POINT_K / absolute_k, 1.261))
+    vapour_percent = air.humidity_percent / pressure * saturation
+    oxygen_hz = pressure * (24.0 + 4.04e4 * vapour_percent * (0.02 + vapour_percent) / (0.391 + vapour_percent))
+    sharing = math.exp(-4.170 * (math.pow(warmth, -1 / 3) - 1.0))
+    nitrogen_hz = pressure / math.sqrt(warmth) * (9.0 + 280.0 * vapour_percent * sharing)
+    classical = 1.84e-11 / pressure * math.sqrt(warmth)
+    oxygen = 0.01275 * math.exp(-2239.1 / absolute_k) * oxygen_hz / (oxygen_hz**2 + frequency_hz**2)
+    nitrogen = 0.1068 * math.exp(-3352.0 / absolute_k) * nitrogen_hz / (nitrogen_hz**2 + frequency_hz**2)
+    return 8.686 * frequency_hz**2 * (classical + math.pow(warmth, -2.5) * (oxygen + nitrogen))
