@@ -1,0 +1,141 @@
+"""How much of the sound a surface reflects, by its acoustic impedance, and the impedances of what is landed on.
+
+Impedances in rayl (Pa s/m) enter, the share of the intensity that comes back leaves (report eq 4). The table says where
+each number comes from and how far it can be trusted. Against air every solid and water reflects all but 0.2 % or less,
+so their impedances need not be known well; of porous ground little is known at 42 kHz, and there it does matter.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+TORTUOSITY_EXPONENT = 0.5
+"""q^2 = Omega^-n' with n' = 0.5, for packed grains (Attenborough 1985, J. Sound Vib. 99, 521)."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A surface.
+
+    Parameters
+    ----------
+    impedance_rayl
+        Characteristic impedance, real [Pa s/m].
+    source
+        Where the number comes from.
+    doubt
+        How far it may be off, and what that does to the echo.
+    """
+
+    impedance_rayl: float
+    source: str
+    doubt: str
+
+
+def reflection_coefficient(medium_rayl: float, target_rayl: float) -> float:
+    """Share of the intensity that is reflected, ((Z_m - Z_T) / (Z_m + Z_T))^2 (report eq 4).
+
+    An intensity coefficient: the pressure's is its root (erratum 4). Valid at normal incidence, on a smooth surface
+    thicker than the pulse is long within it; up to 23 deg from the normal that of a hard surface is the same to 0.1 %.
+
+    Parameters
+    ----------
+    medium_rayl, target_rayl
+        Impedances of what the sound is in and of what it meets, above 0 [Pa s/m].
+
+    Returns
+    -------
+    float
+        0 to 1.
+
+    Raises
+    ------
+    ValueError
+        An impedance is not above 0.
+
+    Examples
+    --------
+    From air to water, and how little it would matter to be wrong by half:
+
+    >>> print(f"{reflection_coefficient(413.0, 1.48e6):.4f} {reflection_coefficient(413.0, 0.74e6):.4f}")
+    0.9989 0.9978
+    """
+    for impedance_rayl in (medium_rayl, target_rayl):
+        if not impedance_rayl > 0.0:
+            raise ValueError(f"found an impedance of {impedance_rayl:g} rayl, expected more than 0")
+    return ((medium_rayl - target_rayl) / (medium_rayl + target_rayl)) ** 2
+
+
+def porous_impedance_rayl(air_rayl: float, porosity: float) -> float:
+    """High-frequency limit of a rigid porous ground, Z = Z_air q / Omega with q^2 = Omega^-0.5.
+
+    Attenborough 1985 (J. Sound Vib. 99, 521). Valid well above sigma Omega / (2 pi rho q^2), where the air in the pores
+    moves by its inertia and not by friction: about 2 kHz for snow, 10 kHz for the soil under grass. One-parameter
+    models of flow resistivity (Delany-Bazley, Miki) were fitted to some kilohertz and do not reach 42 kHz.
+
+    Parameters
+    ----------
+    air_rayl
+        Impedance of the air [Pa s/m].
+    porosity
+        Omega, share of the volume that is air and open to the surface, above 0 and at most 1.
+
+    Returns
+    -------
+    float
+        [Pa s/m].
+
+    Raises
+    ------
+    ValueError
+        The porosity is out of its bounds.
+    """
+    if not 0.0 < porosity <= 1.0:
+        raise ValueError(f"found a porosity of {porosity:g}, expected more than 0 and at most 1")
+    tortuosity: float = porosity**-TORTUOSITY_EXPONENT
+    return air_rayl * math.sqrt(tortuosity) / porosity
+
+
+def _porous(porosity: float) -> float:
+    return porous_impedance_rayl(413.2, porosity)
+
+
+MATERIALS: Mapping[str, Material] = MappingProxyType(
+    {
+        "plywood": Material(
+            600.0 * 1300.0,
+            "600 kg/m^3 and 1300 m/s through the sheet: USDA Wood Handbook, speed across the grain a fifth to a third "
+            "of the 3000-6100 m/s along it",
+            "a factor of 2; 0.02 dB",
+        ),
+        "asphalt": Material(
+            2350.0 * 3300.0,
+            "2350 kg/m^3, ultrasonic pulse velocity of dense mixes 2500-4000 m/s",
+            "a factor of 1.5, less when hot; 0.002 dB. Open-graded asphalt is porous and rough, and unknown",
+        ),
+        "concrete": Material(
+            2600.0 * 3100.0,
+            "Kinsler and others, Fundamentals of Acoustics, 4th edition, table A10(a): 2600 kg/m^3, bulk 3100 m/s",
+            "a factor of 1.5; 0.001 dB",
+        ),
+        "water": Material(
+            998.2 * 1482.3,
+            "998.2 kg/m^3 and 1482.3 m/s at 20 deg C (Kaye and Laby; Del Grosso and Mader 1972)",
+            "1 %; nothing. Waves and ripples are not in it: they turn the mirror",
+        ),
+        "grass": Material(
+            _porous(0.5),
+            "porosity 0.5 of the soil under a lawn (Attenborough 1985 and after), by porous_impedance_rayl at 20 deg C",
+            "poorly known: 0.4 to 0.7 give -6 to -13 dB. Blades of grass are as wide as the wavelength and scatter; "
+            "no measurement at 42 kHz was found",
+        ),
+        "snow": Material(
+            _porous(1.0 - 300.0 / 917.0),
+            "settled snow of 300 kg/m^3 over ice of 917, by porous_impedance_rayl at 20 deg C. Gudra and Najwer 2011 "
+            "(Acta Phys. Pol. A 120, 625) found at 40 kHz that the reflection grows linearly with density, 120 to 700",
+            "poorly known: 100 kg/m^3 (new) gives -23 dB, 500 (old) -6 dB; a crust of ice reflects as a solid",
+        ),
+    }
+)
+"""Surfaces by name. The echo is weaker than a perfect mirror's by 10 log10 of `reflection_coefficient`."""

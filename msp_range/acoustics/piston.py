@@ -1,0 +1,84 @@
+"""Directivity of a flat circular piston: what a transducer sends or hears off its axis.
+
+Angle, diameter and wavelength enter, a level in dB leaves, 0 on the axis. Follows the report's eq 3 with the sine
+inside the Bessel function (erratum 3), as textbooks have it (Kinsler and others, Fundamentals of Acoustics, 7.4).
+Far field, beyond D^2 / lambda: 3 cm for an MB1242. One way; an echo passes the same transducer twice.
+"""
+
+import math
+
+from scipy.special import j1
+
+FIRST_NULL_X = 3.8317059702
+"""First zero of J1 above 0 (Abramowitz and Stegun, table 9.5)."""
+
+HALF_POWER_X = 1.6163399561
+"""Where (2 J1(x) / x)^2 = 1/2."""
+
+FIRST_SIDE_LOBE_X = 5.1356223018
+"""First zero of J2 above 0 (Abramowitz and Stegun, table 9.5), where 2 J1(x) / x has its next extreme."""
+
+
+def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) -> float:
+    """P(theta) = 20 log10 |2 J1(x) / x| with x = (pi D / lambda) sin(theta) (report eq 3, corrected).
+
+    Parameters
+    ----------
+    off_axis_rad
+        theta, -pi/2 to pi/2 [rad].
+    diameter_m, wavelength_m
+        Above 0 [m].
+
+    Returns
+    -------
+    float
+        Level over that on the axis, 0 or less [dB]; minus infinity at a null.
+
+    Raises
+    ------
+    ValueError
+        The angle is behind the piston.
+
+    Examples
+    --------
+    A piston of two wavelengths is half the power at 14.9 deg:
+
+    >>> print(f"{directivity_db(half_power_angle_rad(2.0, 1.0), 2.0, 1.0):.2f} dB")
+    -3.01 dB
+    """
+    if not abs(off_axis_rad) <= math.pi / 2:
+        raise ValueError(f"found {math.degrees(off_axis_rad):g} deg off the axis, expected -90 to 90")
+    return level_db(math.pi * diameter_m / wavelength_m * math.sin(off_axis_rad))
+
+
+def level_db(x: float) -> float:
+    """20 log10 |2 J1(x) / x| [dB] of x = (pi D / lambda) sin(theta); 0 at 0."""
+    # 2 J1(x) / x = 1 - x^2 / 8 + ..., which is 1 to the last digit.
+    if abs(x) < 1e-8:
+        return 0.0
+    ratio = abs(2.0 * float(j1(x)) / x)
+    return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf
+
+
+def half_power_angle_rad(diameter_m: float, wavelength_m: float) -> float:
+    """Angle where one way the power is half, -3.01 dB: asin(1.616 lambda / (pi D)) [rad].
+
+    Half the power and not half the pressure, as the report has it (erratum 3). pi / 2 where there is none, which is for
+    pistons smaller than 0.51 wavelengths.
+    """
+    return _angle_rad(HALF_POWER_X, diameter_m, wavelength_m)
+
+
+def first_null_angle_rad(diameter_m: float, wavelength_m: float) -> float:
+    """Angle of the first null, asin(3.832 lambda / (pi D)) = asin(1.22 lambda / D) [rad]; pi / 2 without one."""
+    return _angle_rad(FIRST_NULL_X, diameter_m, wavelength_m)
+
+
+def first_side_lobe_db() -> float:
+    """Level of the first side lobe, -17.6 dB whatever the piston (the report says -20, erratum 10)."""
+    return level_db(FIRST_SIDE_LOBE_X)
+
+
+def _angle_rad(x: float, diameter_m: float, wavelength_m: float) -> float:
+    sine = x * wavelength_m / (math.pi * diameter_m)
+    return math.asin(sine) if sine < 1.0 else math.pi / 2
