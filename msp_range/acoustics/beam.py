@@ -1,8 +1,8 @@
 """The sensor's beam: how far off its axis a surface may lie and still be heard, over range.
 
 A table of measured breakaway angles enters (report 4.3.3: the largest angle of incidence with a reliable range),
-half angles and fields of view leave. Between the table's rows the angle is interpolated linearly, beyond them it is
-held.
+half angles and fields of view leave. Between the table's rows the angle is interpolated linearly, outside of them it
+is held. What the bridge uses has more rows than were measured: `msp_range.acoustics.sonar` adds them beyond.
 """
 
 import math
@@ -31,6 +31,8 @@ class BreakawayTable:
     half_angles_deg
         Largest angle with a reliable range at each of them [deg], between 0 and 90. An angle under 6 deg is taken
         as 6 deg.
+    known_to_m
+        Range beyond which the angle is held without anything that speaks for it [m]; infinite where there is none.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class BreakawayTable:
 
     ranges_m: tuple[float, ...]
     half_angles_deg: tuple[float, ...]
+    known_to_m: float = math.inf
 
     def __post_init__(self) -> None:
         if len(self.ranges_m) != len(self.half_angles_deg) or not self.ranges_m:

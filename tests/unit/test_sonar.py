@@ -1,0 +1,160 @@
+"""The sonar equation: the report's four angles, each from the other three, and the beam beyond the table."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import jv
+
+from msp_range.acoustics.absorption import absorption_db_per_m
+from msp_range.acoustics.air import speed_of_sound
+from msp_range.acoustics.atmosphere import Atmosphere
+from msp_range.acoustics.beam import BreakawayTable
+from msp_range.acoustics.echo import WALL, Target
+from msp_range.acoustics.sonar import STEP_DEG, Sonar, extended_beam, fit_sonar, leave_one_out
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+FREQUENCY_HZ = 42e3
+ON_AXIS_M = 5.0
+MAXIMUM_M = 7.65
+REPORT = BreakawayTable(ranges_m=(0.5, 1.0, 1.5, 2.0), half_angles_deg=(23.4, 18.0, 14.4, 12.6))
+FITTED = fit_sonar(REPORT, FREQUENCY_HZ, ON_AXIS_M)
+
+
+def half_angle_deg(sonar: Sonar, range_m: float) -> float:
+    angle_rad = sonar.half_angle_rad(range_m)
+    assert angle_rad is not None
+    return math.degrees(angle_rad)
+
+
+def test_the_four_angles_are_met_within_a_step_of_the_motor() -> None:
+    for range_m, angle_deg in zip(REPORT.ranges_m, REPORT.half_angles_deg, strict=True):
+        assert half_angle_deg(FITTED, range_m) == pytest.approx(angle_deg, abs=STEP_DEG)
+
+
+def test_the_plate_at_500_cm_is_heard_on_the_axis() -> None:
+    assert FITTED.excess_db(5.0) > 0
+
+
+def test_the_fit_is_a_piston_of_the_sensors_size() -> None:
+    # The part is 22 mm wide and its transducer a 16 mm can; what radiates is less than the can.
+    assert 0.010 < FITTED.piston_diameter_m < 0.016
+    assert FITTED.gain_db_per_m > 0
+
+
+def test_each_angle_follows_from_the_other_three_within_a_step() -> None:
+    predicted_deg = leave_one_out(REPORT, FREQUENCY_HZ, ON_AXIS_M)
+    assert predicted_deg == pytest.approx(list(REPORT.half_angles_deg), abs=STEP_DEG)
+    # Not a copy of the table, and not the fit to all four.
+    for range_m, each_deg in zip(REPORT.ranges_m, predicted_deg, strict=True):
+        assert each_deg is not None
+        assert abs(each_deg - half_angle_deg(FITTED, range_m)) > 0.05
+
+
+def test_the_breakaway_angle_is_where_the_echo_meets_the_threshold() -> None:
+    """Written out a second time, and found on a fine grid of angles."""
+    angles_rad = np.radians(np.arange(0.001, 30, 0.001))
+    wavelength_m = speed_of_sound(20.0) / FREQUENCY_HZ
+    x = np.pi * FITTED.piston_diameter_m / wavelength_m * np.sin(angles_rad)
+    for range_m in (0.5, 1.3, 3.0):
+        level_db = (
+            FITTED.source_level_db
+            + 40 * np.log10(2 * jv(1, x) / x)
+            - 20 * np.log10(2 * range_m)
+            - absorption_db_per_m(FREQUENCY_HZ, Atmosphere()) * 2 * range_m
+        )
+        heard = level_db >= -FITTED.gain_db_per_m * range_m
+        assert half_angle_deg(FITTED, range_m) == pytest.approx(np.degrees(angles_rad[heard].max()), abs=0.002)
+        assert FITTED.excess_db(range_m, angles_rad[heard].max()) == pytest.approx(0.0, abs=0.01)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(6.0, 20.0), st.floats(0.010, 0.020), st.floats(3.5, 6.0))
+def test_a_sensor_that_is_a_piston_is_recovered(
+    source_level_db: float, piston_diameter_m: float, gain_db_per_m: float
+) -> None:
+    true = Sonar(source_level_db, piston_diameter_m, gain_db_per_m, FREQUENCY_HZ)
+    ranges_m = (0.5, 1.0, 1.5, 2.0, 2.5)
+    angles_rad = [true.half_angle_rad(range_m) for range_m in ranges_m]
+    if any(angle is None or angle < 0.05 for angle in angles_rad) or not all(np.diff(angles_rad) < 0):
+        return
+    table = BreakawayTable(ranges_m, tuple(math.degrees(angle) for angle in angles_rad if angle is not None))
+    fitted = fit_sonar(table, FREQUENCY_HZ)
+    assert fitted.piston_diameter_m == pytest.approx(piston_diameter_m, rel=1e-3)
+    assert fitted.gain_db_per_m == pytest.approx(gain_db_per_m, abs=0.02)
+    assert fitted.source_level_db == pytest.approx(source_level_db, abs=0.05)
+
+
+def test_weak_targets_and_thick_air_narrow_the_beam() -> None:
+    room_rad = FITTED.half_angle_rad(1.0)
+    assert room_rad is not None
+    assert (FITTED.half_angle_rad(1.0, Target(impedance_rayl=3000.0)) or 0) < room_rad
+    assert (FITTED.half_angle_rad(1.0, WALL, Atmosphere(0.0, 50.0)) or 0) > room_rad
+    assert FITTED.half_angle_rad(1.0, Target(cross_section_m2=1e-4)) is None
+
+
+def test_the_fit_keeps_to_the_range_on_the_axis() -> None:
+    """A table that by itself says that nothing is heard at 4 m."""
+    table = BreakawayTable((0.5, 1.0, 1.5, 2.0), (20.0, 16.0, 13.0, 10.0))
+    assert fit_sonar(table, FREQUENCY_HZ).excess_db(4.0) < -0.5
+    assert fit_sonar(table, FREQUENCY_HZ, on_axis_m=4.0).excess_db(4.0) >= -1e-9
+
+
+def test_too_few_rows_are_refused() -> None:
+    with pytest.raises(ValueError, match="found 2 breakaway angles, expected at least 3"):
+        fit_sonar(BreakawayTable((0.5, 1.0), (20.0, 15.0)), FREQUENCY_HZ)
+    with pytest.raises(ValueError, match="found 2 breakaway angles"):
+        leave_one_out(BreakawayTable((0.5, 1.0, 1.5), (20.0, 15.0, 12.0)), FREQUENCY_HZ)
+
+
+def test_beyond_the_table_the_beam_is_the_equations_and_never_grows() -> None:
+    beam = extended_beam(REPORT, MAXIMUM_M, FREQUENCY_HZ, ON_AXIS_M)
+    assert beam.ranges_m[:4] == REPORT.ranges_m
+    assert beam.half_angles_deg[:4] == REPORT.half_angles_deg
+    assert beam.ranges_m[-1] == MAXIMUM_M
+    for range_m in (2.25, 2.5, 2.75, 3.0):
+        assert math.degrees(beam.half_angle_rad(range_m)) == pytest.approx(half_angle_deg(FITTED, range_m), abs=0.02)
+    assert half_angle_deg(FITTED, 5.0) > 12.6  # what the gain would make of it
+    everywhere_rad = beam.half_angle_rad(np.linspace(0.2, 9.0, 1000))
+    assert (np.diff(everywhere_rad) <= 1e-12).all()
+    assert math.degrees(beam.half_angle_rad(MAXIMUM_M)) == pytest.approx(11.3, abs=0.1)
+    assert beam.known_to_m == math.inf
+
+
+def test_where_no_echo_is_predicted_the_last_angle_is_held() -> None:
+    table = BreakawayTable((0.5, 1.0, 1.5, 2.0), (20.0, 16.0, 13.0, 10.0))
+    beam = extended_beam(table, MAXIMUM_M, FREQUENCY_HZ)
+    sonar = fit_sonar(table, FREQUENCY_HZ)
+    assert sonar.half_angle_rad(beam.known_to_m) is not None
+    assert sonar.half_angle_rad(beam.known_to_m + 0.25) is None
+    assert 2.0 <= beam.known_to_m < MAXIMUM_M
+    assert half_angle_deg(sonar, beam.known_to_m) < 6.0 <= min(beam.half_angles_deg)
+    assert beam.half_angle_rad(7.0) == beam.half_angle_rad(beam.known_to_m) >= math.radians(6.0) - 1e-12
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        BreakawayTable((1.0,), (15.0,)),
+        BreakawayTable((0.5, 1.0), (20.0, 15.0)),
+        # No piston has this beam.
+        BreakawayTable((0.5, 1.0, 1.5, 2.0), (25.0, 24.9, 24.8, 12.0)),
+    ],
+)
+def test_a_table_that_the_equation_cannot_tell_of_is_held(table: BreakawayTable) -> None:
+    beam = extended_beam(table, MAXIMUM_M, FREQUENCY_HZ)
+    assert (beam.ranges_m, beam.half_angles_deg) == (table.ranges_m, table.half_angles_deg)
+    assert beam.known_to_m == table.ranges_m[-1]
+
+
+def test_checking_an_airframe_file_does_without_scipy() -> None:
+    program = (
+        "import sys; from msp_range.config import load_airframe; "
+        f"load_airframe({str(CONFIGS / 'quad_pallet.yaml')!r}); sys.exit('scipy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
