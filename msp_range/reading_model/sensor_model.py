@@ -128,8 +128,14 @@ class SensorModel(Section):
     timing: Timing
     """When the sensor answers, and when it may be pinged again."""
 
+    frequency_hz: float = Field(42_000.0, ge=20_000.0, le=500_000.0)
+    """Of the ping [Hz]."""
+
     breakaway: tuple[BreakawayPoint, ...] = Field(min_length=1)
     """Largest angle with a reliable range, over range."""
+
+    heard_on_axis_cm: float | None = Field(None, gt=0.0, le=10_000.0)
+    """Range at which a wall straight ahead is heard for sure [cm]; left out: that of the last breakaway angle."""
 
     reading_model: MixtureParameters
     """Parameters of the base mixture that the readings follow."""
@@ -150,6 +156,10 @@ class SensorModel(Section):
     def _can_be_met(self) -> "SensorModel":
         if not self.minimum_cm < self.maximum_cm:
             raise ValueError(f"expected minimum_cm < maximum_cm, found {self.minimum_cm} and {self.maximum_cm}")
+        if self.heard_on_axis_cm is not None and self.heard_on_axis_cm > self.maximum_cm:
+            raise ValueError(
+                f"expected heard_on_axis_cm <= maximum_cm, found {self.heard_on_axis_cm:g} and {self.maximum_cm}"
+            )
         saturates = self.reading_model.saturated_fraction > 0.0
         if saturates and not self.minimum_cm <= SATURATED_CM < self.maximum_cm:
             raise ValueError(
@@ -167,8 +177,15 @@ class SensorModel(Section):
 
     @cached_property
     def beam(self) -> BreakawayTable:
-        """The breakaway table as the bridge uses it."""
-        return _beam(self.breakaway)
+        """The breakaway table, carried on to `maximum_cm` by the sonar equation that is fitted to it.
+
+        Computed when it is first asked for, which the bridge does before it polls.
+        """
+        # Brings scipy, which checking a file can do without.
+        from msp_range.acoustics.sonar import extended_beam
+
+        on_axis_m = None if self.heard_on_axis_cm is None else self.heard_on_axis_cm / 100.0
+        return extended_beam(_beam(self.breakaway), self.maximum_cm / 100.0, self.frequency_hz, on_axis_m)
 
 
 def load_sensor_model(path: Path | str) -> SensorModel:

@@ -4,9 +4,11 @@ import json
 import math
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +19,8 @@ from msp_range.recording.topics import schema_of
 from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, Bench, airframe, one_down, sensor
 
 NAMES = "abcd"
+PREDICTED_VIEW_DEG = 22.6
+"""Field of view from 3 m on, which nobody measured: the sonar equation through the measured angles."""
 HEARTBEAT = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
 AROUND = [sensor(name, number, 0.0, 90.0 * (number - 1)) for number, name in enumerate(NAMES, start=1)]
 READY_S = 0.020
@@ -62,7 +66,7 @@ def test_no_echo_of_most_sensors_that_work_is_above_the_maximum(silent: str, dea
     if tells > 765:
         message = last(bench)
         assert (message.signal_quality, message.covariance) == (1, 255)
-        assert math.degrees(message.horizontal_fov) == pytest.approx(25.2, abs=1e-3)
+        assert math.degrees(message.horizontal_fov) == pytest.approx(PREDICTED_VIEW_DEG, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +84,7 @@ def test_no_echo_as_each_autopilot_understands_it(autopilot: str, pitch_deg: flo
 @pytest.mark.parametrize("to", ["a", FUSED_ID])
 @pytest.mark.parametrize(
     ("reading_cm", "view_deg"),
-    [(20, 46.8), (50, 46.8), (75, 41.4), (100, 36.0), (150, 28.8), (200, 25.2), (300, 25.2), (764, 25.2)],
+    [(20, 46.8), (50, 46.8), (75, 41.4), (100, 36.0), (150, 28.8), (200, 25.2)],
 )
 def test_the_field_of_view_is_twice_the_breakaway_angle_at_the_range(reading_cm: int, view_deg: float, to: Any) -> None:
     send = {"sensors": ["a"]} if to == "a" else {"fused": {"id": FUSED_ID}}
@@ -88,6 +92,31 @@ def test_the_field_of_view_is_twice_the_breakaway_angle_at_the_range(reading_cm:
     assert message.current_distance == reading_cm
     assert math.degrees(message.horizontal_fov) == pytest.approx(view_deg, abs=1e-3)
     assert message.vertical_fov == message.horizontal_fov
+
+
+@pytest.mark.parametrize(
+    ("reading_cm", "view_deg"), [(250, 23.1), (300, PREDICTED_VIEW_DEG), (764, PREDICTED_VIEW_DEG)]
+)
+def test_beyond_the_measured_table_the_field_of_view_is_the_sonar_equations(reading_cm: int, view_deg: float) -> None:
+    message = last(Bench(one_down(), reading_cm).fly(2.0), 1)
+    assert math.degrees(message.horizontal_fov) == pytest.approx(view_deg, abs=0.1)
+    assert message.signal_quality == 100
+
+
+@pytest.mark.parametrize("to", ["a", FUSED_ID])
+@pytest.mark.parametrize(("reading_cm", "quality"), [(99, 100), (100, 100), (101, 50), (400, 50)])
+def test_where_nothing_speaks_for_the_beams_angle_quality_is_halved(
+    tmp_path: Path, reading_cm: int, quality: int, to: Any
+) -> None:
+    """Two breakaway angles cannot tell the three parameters of a sonar equation: the last of them is held."""
+    model = yaml.safe_load((CONFIGS / "sensors" / "mb1242.yaml").read_text(encoding="utf-8"))
+    model["breakaway"] = model["breakaway"][:2]
+    (tmp_path / "two_angles.yaml").write_text(yaml.safe_dump(model), encoding="utf-8")
+    send = {"sensors": ["a"]} if to == "a" else {"fused": {"id": FUSED_ID}}
+    vehicle = airframe([FOUR_DOWN[0] | {"model": str(tmp_path / "two_angles.yaml")}], send=send, filters=[])
+    message = last(Bench(vehicle, reading_cm).fly(2.0), 1 if to == "a" else FUSED_ID)
+    assert (message.current_distance, message.signal_quality) == (reading_cm, quality)
+    assert math.degrees(message.horizontal_fov) == pytest.approx(36.0, abs=0.3)
 
 
 SIGMA2_CM2 = 1.9445**2 + 1 / 12

@@ -36,6 +36,9 @@ def test_the_shipped_file_says_what_maker_and_report_say() -> None:
     assert (timing.deadline_s, timing.ping_interval_s) == (0.080, 0.100)
     for range_m, half_angle_deg in [(0.5, 23.4), (1.0, 18.0), (1.5, 14.4), (2.0, 12.6)]:
         assert math.degrees(sensor.beam.half_angle_rad(range_m)) == pytest.approx(half_angle_deg)
+    # Beyond the table the angle is the sonar equation's, for the whole range of the sensor.
+    assert math.degrees(sensor.beam.half_angle_rad(7.65)) == pytest.approx(11.3, abs=0.05)
+    assert sensor.beam.known_to_m == math.inf
     assert sensor.reading_model.sigma_cm**2 == pytest.approx(3.7811, abs=2 * 1.9445 * 0.5e-4)
 
 
@@ -75,6 +78,8 @@ def test_effects_and_evidence_may_be_absent(tmp_path: Path) -> None:
             lambda c: c["breakaway"].append({"range_cm": 300, "half_angle_deg": 13}),
             r"breakaway: .*found 13 deg at 300 cm after 12\.6 deg at 200 cm, expected angles that never grow",
         ),
+        (lambda c: c.update(heard_on_axis_cm=800), r"expected heard_on_axis_cm <= maximum_cm, found 800 and 765"),
+        (lambda c: c.update(frequency_hz=42), r"frequency_hz: found 42; expected .*20000"),
         (lambda c: c["breakaway"].clear(), r"breakaway: found \[\]; expected .*at least 1"),
         (lambda c: c["breakaway"][0].update(half_angle_deg=95), r"breakaway\[0\]\.half_angle_deg: found 95; .*90"),
         (lambda c: c["reading_model"]["weights"].update(hit=0.9), r"weights: .*weights whose sum is 1, .*sum of 0\.94"),
