@@ -2,7 +2,8 @@
 
 Impedances in rayl (Pa s/m) enter, the share of the intensity that comes back leaves (report eq 4). The table says where
 each number comes from and how far it can be trusted. Against air every solid and water reflects all but 0.2 % or less,
-so their impedances need not be known well; of porous ground little is known at 42 kHz, and there it does matter.
+so their impedances need not be known well; of porous ground little is known at 42 kHz, and there it does matter. These
+are usual values of the works named, good for this and not for a third digit.
 """
 
 import math
@@ -111,7 +112,8 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
         ),
         "asphalt": Material(
             2350.0 * 3300.0,
-            "2350 kg/m^3, ultrasonic pulse velocity of dense mixes 2500-4000 m/s",
+            "2350 kg/m^3 and 3300 m/s, the middle of 2500-4000 m/s for ultrasound in dense mixes; usual values, no one "
+            "source",
             "a factor of 1.5, less when hot; 0.002 dB. Open-graded asphalt is porous and rough, and unknown",
         ),
         "concrete": Material(

@@ -51,8 +51,8 @@ class Sonar:
     Notes
     -----
     Angles against a mirror fix how the level falls off the axis, not how much there is to spare on it: the fit to the
-    report's table has 3 to 10 dB, so that grass or snow would hardly be heard, and sensors of this family do hear them.
-    Take half angles from it, and nothing about weak targets.
+    report's table has 3 to 10 dB, so that grass or snow would hardly be heard, yet ultrasonic sensors measure the
+    depth of snow. Take half angles from it, and nothing about weak targets.
     """
 
     source_level_db: float

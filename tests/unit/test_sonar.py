@@ -42,7 +42,7 @@ def test_the_plate_at_500_cm_is_heard_on_the_axis() -> None:
 
 
 def test_the_fit_is_a_piston_of_the_sensors_size() -> None:
-    # The part is 22 mm wide and its transducer a 16 mm can; what radiates is less than the can.
+    # Transducers for 40 kHz come in cans of 10 to 16 mm.
     assert 0.010 < FITTED.piston_diameter_m < 0.016
     assert FITTED.gain_db_per_m > 0
 
