@@ -199,8 +199,9 @@ def test_a_serial_port_that_nobody_drains(tmp_path: Path) -> None:
 
                 until(drained)
                 late_ms = [each.time_boot_ms for each in seen if each.get_type() == "DISTANCE_SENSOR"]
-                # Frames that waited longer than their deadline are not sent: nothing is a second old.
-                assert late_ms[0] > 1e3 * 1.0
+                # Frames that waited longer than their deadline are not sent: nothing is a second old, but for one frame
+                # that may have found the last room in the terminal.
+                assert late_ms[1] > 1e3 * 1.0
                 stopped_s = time.monotonic()
                 assert service.stop() == 0
                 assert time.monotonic() - stopped_s < 2.0
@@ -216,6 +217,12 @@ def fill(port: int) -> None:
     with suppress(BlockingIOError):
         while True:
             os.write(port, b"\0" * 64)
+    # The terminal takes what it has to the other end a little later, which makes room once more.
+    for _ in range(10):
+        time.sleep(0.01)
+        with suppress(BlockingIOError):
+            while True:
+                os.write(port, b"\0")
 
 
 @pytest.mark.parametrize(
