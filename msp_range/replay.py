@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from rich import box
@@ -32,6 +33,8 @@ TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
 ROUNDING_S = 1e-6
 """Recorded times are rounded to nanoseconds [s]."""
+LONGEST_GAP_S = 3600.0
+"""A record with a longer gap is two records, or has a wrong time [s]."""
 LATE_S = 0.5
 """A replay that falls behind its record by more than this says so [s]."""
 
@@ -126,6 +129,7 @@ def replay(
     RecordingError
         The record has a sensor that the airframe has not.
     """
+    _refuse_gaps(pings, source)
     bus = ReplayBus(_by_address(airframe, pings, source), clock)
     order = RecordedOrder(airframe, bus)
     replayed = airframe.model_copy(update={"temperature": _recorded_air(airframe, temperatures)})
@@ -189,6 +193,16 @@ def show(outcome: Outcome, source: Path) -> None:
             f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
             highlight=False,
         )
+
+
+def _refuse_gaps(pings: Mapping[str, Sequence[RecordedPing]], source: Path) -> None:
+    times_s = sorted(ping.ping_s for each in pings.values() for ping in each)
+    for before_s, after_s in pairwise(times_s):
+        if after_s - before_s > LONGEST_GAP_S:
+            raise RecordingError(
+                f"{source}: nothing between {before_s:.3f} s and {after_s:.3f} s; "
+                f"expected gaps of at most {LONGEST_GAP_S:.0f} s: is a time wrong, or are these two runs?"
+            )
 
 
 def _by_address(

@@ -34,6 +34,8 @@ class BusError(OSError):
     def __str__(self) -> str:
         name = errno_names.errorcode.get(self.errno or 0, "?")
         words = os.strerror(self.errno or 0)
+        if self.address == 0:
+            return f"I2C {self.verb} failed: errno {self.errno} {name}, {words}"
         return f"I2C {self.verb} at address 0x{self.address:02x} failed: errno {self.errno} {name}, {words}"
 
 

@@ -131,10 +131,12 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData) ->
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
     try:
-        with Path(path).open("w", encoding="utf-8", newline="") as file:
+        with Path(path).open("x", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(names)
             writer.writerows(zip(*cells, strict=True))
+    except FileExistsError:
+        raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
 

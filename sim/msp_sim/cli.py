@@ -3,7 +3,7 @@
 import json
 import shutil
 import sys
-from contextlib import nullcontext
+from contextlib import ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,6 +56,7 @@ def fly(
     from msp_range.mavlink.transport import open_transport, parse_url
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.recording.writer import Recorder
+    from msp_range.service import stop_signals
     from msp_sim.autopilot import Tee
     from msp_sim.flight import Simulation
     from msp_sim.scenario import load_scenario
@@ -76,7 +77,7 @@ def fly(
     clock = system if realtime else VirtualClock()
     recorder = None
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         (out / "flight.mcap").unlink(missing_ok=True)
         recorder = Recorder(
             out / "flight.mcap",
@@ -99,8 +100,13 @@ def fly(
     shown = Shown(simulation, scenario.duration_s)
     started_s = next_look_s = system.now()
     live: Any = Live(shown, console=console, auto_refresh=False) if console.is_terminal else nullcontext()
-    with live:
-        for steps in simulation.fly():
+    with ExitStack() as opened:
+        stopped = opened.enter_context(stop_signals())
+        opened.enter_context(live)
+        flying = opened.enter_context(closing(simulation.fly()))
+        for steps in flying:
+            if stopped:
+                break
             shown.take(steps)
             if steps and speed is not None:
                 system.sleep_until(started_s + simulation.now_s() / speed)
@@ -118,7 +124,10 @@ def fly(
     summary = summarise(simulation.flight, scenario.name, seed)
     print_table(console, summary)
     times = summary["duration_s"] / wall_s
-    print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time")
+    held = "" if speed is None else f", held at {speed:g}"
+    print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time{held}")
+    if simulation.link_error is not None:
+        print(f"link {link}: {simulation.link_error}")
     if out is not None:
         summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
         (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
@@ -165,7 +174,6 @@ def sitl(
     The vehicle's pose comes from the autopilot, over the link that DISTANCE_SENSOR goes out on. Start it while the
     vehicle stands on the ground: that is where the heights begin. docs/sitl.md has the commands and parameters.
     """
-    from contextlib import ExitStack
 
     from rich.console import Console
 
@@ -186,7 +194,7 @@ def sitl(
     sensor_model = load_sensor_model(model) if model is not None else None
     scenario = load_scenario(ground) if ground is not None else None
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
     console = Console()
     if not console.is_terminal:
         console = Console(width=120)
@@ -263,6 +271,14 @@ def sample(
     reading_cm = readings.sample({"true_range_cm": given["true_range_cm"]}, default_rng(seed))
     write_csv(out, {**given.columns, "reading_cm": reading_cm})
     print(f"{out}: {len(given)} readings", file=sys.stderr)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results where it is not there; ConfigError where that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: this folder cannot be made: {error.strerror}") from None
 
 
 def main() -> None:

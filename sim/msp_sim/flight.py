@@ -7,7 +7,8 @@ link. What comes out is what each reading became beside the truth, for the table
 import hashlib
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from collections.abc import Generator as Steps
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -372,7 +373,7 @@ class Simulation:
         """Vertical distance to what is below the vehicle now [m]."""
         return self._world.height_above_ground(self.pose()).vertical_m
 
-    def fly(self) -> Iterator[list[Step]]:
+    def fly(self) -> Steps[list[Step], None, None]:
         """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""
         try:
             while self.now_s() < self._duration_s:
@@ -395,6 +396,11 @@ class Simulation:
             flight.autopilot_received[name] = flight.autopilot_received.get(name, 0) + 1
         flight.frames_sha256 = self._transport.sha256.hexdigest()
         self._transport.close()
+
+    @property
+    def link_error(self) -> str | None:
+        """What is wrong with the real link; None: nothing, or there is none."""
+        return self._transport.last_error
 
     @property
     def received(self) -> list[tuple[float, Any]]:

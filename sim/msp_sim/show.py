@@ -78,7 +78,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     table.add_column("sensor", no_wrap=True)
     table.add_column("readings", justify="right")
     table.add_column("rejected, why")
-    for heading in ("rms before", "95 % before", "rms after", "95 % after"):
+    for heading in ("rms raw", "95 % raw", "rms filtered", "95 % filtered"):
         table.add_column(f"{heading} [cm]".replace("[", r"\["), justify="right", max_width=8)
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]

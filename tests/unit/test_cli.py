@@ -128,3 +128,23 @@ def test_address_asks_before_it_moves_a_sensor(sonar: MB1242) -> None:
     assert (result.exit_code, sonar.address) == (0, 0x72)
     result = CliRunner().invoke(app, ["address", "0x72", "0x74", "--yes"], catch_exceptions=False)
     assert (result.exit_code, sonar.address) == (0, 0x74)
+
+
+def test_export_never_overwrites(tmp_path: Path) -> None:
+    """Not even the recording itself, by a slip of the keyboard."""
+    out = tmp_path / "flight"
+    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(out)]
+    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    before = (out / "flight.mcap").read_bytes()
+    result = CliRunner().invoke(app, ["export", str(out / "flight.mcap"), str(out / "flight.mcap")])
+    assert result.exit_code == 3
+    assert "there is a file already" in result.output
+    assert (out / "flight.mcap").read_bytes() == before
+
+
+def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(tmp_path / "file" / "x")]
+    result = CliRunner().invoke(sim_app, args, catch_exceptions=False)
+    assert result.exit_code == 3
+    assert "cannot be made" in result.output

@@ -64,6 +64,7 @@ def measured(draw: st.DrawFn) -> MeasuredData:
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=measured())
 def test_what_was_written_is_read(tmp_path: Path, data: MeasuredData) -> None:
+    (tmp_path / "a.csv").unlink(missing_ok=True)
     write_csv(tmp_path / "a.csv", data)
     back = read_csv(tmp_path / "a.csv")
     assert set(back.columns) == set(data.columns)
