@@ -2,7 +2,7 @@
 
 CPU is that of the bridge's own thread, of the steps that end a reading: the last transfer, decoding, correction,
 Kalman filter, fusion, packing, the UDP send and the recording. Rounds of it alternate with rounds of the two floors, so
-that a machine that changes its speed changes all three.
+that a machine that changes its speed changes all three; a round's figure is the median of its readings.
 """
 
 import itertools
@@ -114,15 +114,14 @@ def _bridge(sink: socket.socket, folder: Path) -> tuple[Callable[[], float], lis
     bridge = Bridge(load_airframe(AIRFRAME), EmulatedBus(devices, clock.now), clock, transport, recorder=recorder)
 
     def fly() -> float:
-        spent_ns = readings = 0
-        while readings < READINGS:
+        spent_ns: list[int] = []
+        while len(spent_ns) < READINGS:
             start_ns = time.thread_time_ns()
             steps = bridge.step()
             if steps:
-                spent_ns += time.thread_time_ns() - start_ns
-                readings += len(steps)
+                spent_ns.append(time.thread_time_ns() - start_ns)
         _drain(sink)
-        return spent_ns / readings / 1e3
+        return statistics.median(spent_ns) / 1e3
 
     fly()
     newest = [each for each in recorder.kept if each[0] != "/health"]
@@ -202,10 +201,12 @@ class _Keeping:
 
 
 def _time(work: Callable[[], None]) -> float:
-    start_ns = time.thread_time_ns()
+    spent_ns: list[int] = []
     for _ in range(READINGS):
+        start_ns = time.thread_time_ns()
         work()
-    return (time.thread_time_ns() - start_ns) / READINGS / 1e3
+        spent_ns.append(time.thread_time_ns() - start_ns)
+    return statistics.median(spent_ns) / 1e3
 
 
 def _sink() -> socket.socket:

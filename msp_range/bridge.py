@@ -113,6 +113,8 @@ class Bridge:
         Reads the temperature sources that are files.
     schedule
         Who pings when; None: the airframe's polling order.
+    air_c
+        Air temperature [deg C] at a time on the clock [s]; None: the airframe's sources, looked at now and then.
     """
 
     def __init__(
@@ -128,6 +130,7 @@ class Bridge:
         wanted: Mapping[str, float] | None = None,
         thermometer: Callable[[FileSource], float] = read_thermometer,
         schedule: Schedule | None = None,
+        air_c: Callable[[float], float] | None = None,
     ) -> None:
         self._clock = clock
         self._recorder = recorder
@@ -135,6 +138,8 @@ class Bridge:
         self._hear = hear
         self._channels = {sensor.name: _Channel(sensor, airframe) for sensor in airframe.sensors}
         self._temperature = AirTemperature(airframe.temperature, clock.now(), thermometer)
+        self._temperature_c = self._temperature.now_c(clock.now())
+        self._air_c = air_c or self._looked_at_c
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
         self.link = Link(
@@ -178,7 +183,7 @@ class Bridge:
     def _take(self, ranging: Ranging) -> Step:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
-        temperature_c = self._temperature.now_c(now_s)
+        temperature_c = self._air_c(now_s)
         corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c)
         filtered = channel.chain.update(corrected)
         fused = self._fuse(now_s, corrected, filtered)
@@ -189,6 +194,10 @@ class Bridge:
         self._count(channel, filtered)
         self._judge(now_s, ranging)
         return step
+
+    def _looked_at_c(self, now_s: float) -> float:
+        """The temperature of the last look: files are not read while a message waits to go out."""
+        return self._temperature_c
 
     def _fuse(self, now_s: float, corrected: Reading, filtered: Filtered) -> Estimate | None:
         """The fused distance at this reading's time; from the other sensors where this one gave none."""
@@ -259,7 +268,7 @@ class Bridge:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""
         bus_works = now_s - self._bus_fault_s > BUS_CALM_S
         self.health.set("bus", None if bus_works else self._bus_fault, "Range: I2C bus works again", Severity.ERROR)
-        self._temperature.now_c(now_s)
+        self._temperature_c = self._temperature.now_c(now_s)
         fell_back = f"Range: no air temperature, using {self._temperature.fixed_c:.0f} C"
         self.health.set(
             "temperature", fell_back if self._temperature.fallen_back(now_s) else None, "Range: air temp is back"

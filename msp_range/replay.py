@@ -23,7 +23,7 @@ from msp_range.bridge import Bridge, Counts, Records
 from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
-from msp_range.correction.temperature import FileSource, TemperatureParameters
+from msp_range.correction.temperature import TemperatureParameters
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
@@ -132,13 +132,16 @@ def replay(
     _refuse_gaps(pings, source)
     bus = ReplayBus(_by_address(airframe, pings, source), clock)
     order = RecordedOrder(airframe, bus)
-    replayed = airframe.model_copy(update={"temperature": _recorded_air(airframe, temperatures)})
+    fixed_c = airframe.temperature.fixed_c
+    without_sources = airframe.model_copy(update={"temperature": TemperatureParameters(fixed_c=fixed_c)})
     times_s = [time_s for time_s, _ in temperatures]
 
-    def thermometer(source: FileSource) -> float:
-        return temperatures[max(bisect_right(times_s, clock.now() + ROUNDING_S) - 1, 0)][1]
+    def air_c(now_s: float) -> float:
+        if not temperatures:
+            return fixed_c
+        return temperatures[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
-    bridge = Bridge(replayed, bus, clock, transport, recorder=recorder, schedule=order, thermometer=thermometer)
+    bridge = Bridge(without_sources, bus, clock, transport, recorder=recorder, schedule=order, air_c=air_c)
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()
     filtered: Counter[str] = Counter()
@@ -157,15 +160,6 @@ def replay(
     while clock.now() < end_s:
         bridge.step()
     return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
-
-
-def _recorded_air(airframe: Airframe, temperatures: Sequence[tuple[float, float]]) -> TemperatureParameters:
-    fixed_c = airframe.temperature.fixed_c
-    if not temperatures:
-        return TemperatureParameters(fixed_c=fixed_c)
-    # It is read for each reading, since the flight's own source may have changed just then.
-    record = FileSource(source="file", path="recorded", scale=1.0, period_s=1e-6, max_rate_c_per_s=100, max_age_s=3600)
-    return TemperatureParameters(fixed_c=fixed_c, sources=(record,))
 
 
 @contextmanager
