@@ -41,11 +41,11 @@ compile: .venv/.installed
 	$(PYTHON) -m venv .venv
 
 .venv/.installed: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --compile --editable '.[sim]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab]'
 	@touch $@
 
 .venv/.installed-test: pyproject.toml .venv/.installed
-	$(BIN)/python -m pip install --quiet --compile --editable '.[sim,test]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,test]'
 	@touch $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.
