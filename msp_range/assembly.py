@@ -40,6 +40,7 @@ def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
         MB1242(bus, sensor.address),
         Timing(first_answer_s, timing.deadline_s, timing.s_per_cm * 100),
         std_m,
+        model.reading_model.sigma_growth_cm_per_m / 100,
     )
 
 

@@ -15,9 +15,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr
+from scipy.special import expit, log_ndtr, logit
 
-from msp_range.reading_model.sensor_model import SATURATED_CM, MixtureParameters, SensorModel
+from msp_range.reading_model.sensor_model import (
+    SATURATED_CM,
+    WEIGHTS_RANGE_CM,
+    MixtureParameters,
+    SensorModel,
+)
 
 TRUE_RANGE = "true_range_cm"
 """The one context column that the base model needs."""
@@ -46,10 +51,15 @@ class ReadingModel:
 
         p(M) = (1 - s) q(M),    p(255) = q(255) + s q(M),    p(k) = q(k) otherwise
 
+    Two of the parameters may depend on the range r = z* within 0 ... M (M where nothing is heard)::
+
+        sigma(r)^2 = sigma^2 + (g r)^2
+        w_max(r) / (1 - w_max(r)) = w_max / (1 - w_max) exp(h (r - 3 m)),  the other weights in their proportions
+
     Parameters
     ----------
     parameters
-        Weights w, sigma, lambda and s. Weights are divided by their sum.
+        Weights w, sigma, lambda, s, and the growths g and h. Weights are divided by their sum.
     minimum_cm, maximum_cm
         m and M.
 
@@ -94,14 +104,14 @@ class ReadingModel:
         """
         true_cm = _true_range_cm(contexts)
         reading_cm = rng.standard_normal(true_cm.size)
-        reading_cm *= self.parameters.sigma_cm
+        reading_cm *= self.sigma_cm(true_cm)
         reading_cm += true_cm
         np.rint(reading_cm, out=reading_cm)
         # fmin and not minimum: it takes NaN, a surface that is not heard, to the maximum.
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
         kind = rng.random(true_cm.size)
-        outliers = np.flatnonzero(kind >= self._thresholds[0])
+        outliers = np.flatnonzero(kind >= self._thresholds(true_cm)[0])
         reading_cm[outliers] = self._outliers_cm(kind[outliers], true_cm[outliers])
         if self.parameters.saturated_fraction > 0.0:
             no_echo = np.flatnonzero(reading_cm == self.maximum_cm)
@@ -121,10 +131,10 @@ class ReadingModel:
         """
         expected_cm = math.inf if true_range_cm is None or true_range_cm != true_range_cm else true_range_cm
         minimum_cm, maximum_cm, parameters = self.minimum_cm, self.maximum_cm, self.parameters
-        below_hit, below_unexpected, below_max = self._thresholds
+        below_hit, below_unexpected, below_max = self._thresholds(expected_cm)
         kind = rng.random()
         if kind < below_hit:
-            heard_cm = expected_cm + parameters.sigma_cm * rng.standard_normal()
+            heard_cm = expected_cm + self.sigma_cm(expected_cm) * rng.standard_normal()
         elif kind < below_unexpected:
             share = (kind - below_hit) / (below_unexpected - below_hit)
             rate_per_cm = parameters.unexpected_rate_per_m / 100.0
@@ -179,30 +189,67 @@ class ReadingModel:
         log_p[~reportable] = -np.inf
         return log_p
 
+    def sigma_cm(self, true_range_cm: Any) -> Any:
+        """Standard deviation of a hit before it is rounded [cm], for one range or an array of them [cm]."""
+        parameters = self.parameters
+        if parameters.sigma_growth_cm_per_m == 0.0:
+            return parameters.sigma_cm
+        return np.hypot(parameters.sigma_cm, parameters.sigma_growth_cm_per_m / 100.0 * self._within(true_range_cm))
+
+    def max_weight(self, true_range_cm: Any) -> Any:
+        """Share of `max`, for one range or an array of them [cm]; the other shares keep their proportions."""
+        parameters, share = self.parameters, self._shares[2]
+        if parameters.max_growth_per_m == 0.0 or share in (0.0, 1.0):
+            return share
+        beyond_m = (self._within(true_range_cm) - WEIGHTS_RANGE_CM) / 100.0
+        return expit(logit(share) + parameters.max_growth_per_m * beyond_m)
+
+    def _within(self, true_range_cm: Any) -> Any:
+        """The range on which the parameters may depend: what is not heard is as far as the sensor can reach."""
+        return np.maximum(np.fmin(true_range_cm, self.maximum_cm), 0.0)
+
     @cached_property
-    def _thresholds(self) -> tuple[float, float, float]:
-        """Cumulative weights: a uniform number below the first is a hit, then unexpected, then max, then random."""
+    def _shares(self) -> tuple[float, float, float, float]:
+        """Weights of hit, unexpected, max and random, divided by their sum."""
         weights = self.parameters.weights
         total = weights.hit + weights.unexpected + weights.max + weights.random
-        hit = weights.hit / total
-        unexpected = hit + weights.unexpected / total
+        return weights.hit / total, weights.unexpected / total, weights.max / total, weights.random / total
+
+    @cached_property
+    def _same_thresholds(self) -> tuple[float, float, float]:
+        """Cumulative weights: a uniform number below the first is a hit, then unexpected, then max, then random."""
+        hit, unexpected, max_, random = self._shares
         # The last share takes what rounding leaves, so it must be none where it has no weight.
-        return hit, unexpected, unexpected + weights.max / total if weights.random > 0.0 else 1.0
+        return hit, hit + unexpected, hit + unexpected + max_ if random > 0.0 else 1.0
+
+    def _thresholds(self, true_cm: Any) -> tuple[Any, Any, Any]:
+        """The cumulative weights for one range or an array of them [cm]."""
+        hit, unexpected, max_, random = self._shares
+        if self.parameters.max_growth_per_m == 0.0 or max_ in (0.0, 1.0):
+            return self._same_thresholds
+        here = self.max_weight(true_cm)
+        left = (1.0 - here) / (1.0 - max_)
+        below_unexpected = (hit + unexpected) * left
+        return hit * left, below_unexpected, below_unexpected + here if random > 0.0 else 1.0
 
     def _outliers_cm(self, kind: _Array, true_cm: _Array) -> _Array:
         """Readings of the three rarer kinds, each placed by what is left of the uniform number that chose its kind."""
-        below_hit, below_unexpected, below_max = self._thresholds
+        below_hit, below_unexpected, below_max = (
+            np.broadcast_to(threshold, kind.shape) for threshold in self._thresholds(true_cm)
+        )
         reading_cm = np.full(kind.size, float(self.maximum_cm))
         unexpected = np.flatnonzero(kind < below_unexpected)
         if unexpected.size:
-            share = (kind[unexpected] - below_hit) / (below_unexpected - below_hit)
+            start = below_hit[unexpected]
+            share = (kind[unexpected] - start) / (below_unexpected[unexpected] - start)
             rate_per_cm = self.parameters.unexpected_rate_per_m / 100.0
             length_cm = np.maximum(np.fmin(true_cm[unexpected], self.maximum_cm) - self.minimum_cm, 0.0)
             nearer_cm = self.minimum_cm - np.log1p(share * np.expm1(-rate_per_cm * length_cm)) / rate_per_cm
             reading_cm[unexpected] = np.rint(nearer_cm)
         random = np.flatnonzero(kind >= below_max)
         if random.size:
-            share = (kind[random] - below_max) / (1.0 - below_max)
+            start = below_max[random]
+            share = (kind[random] - start) / (1.0 - start)
             reading_cm[random] = self.minimum_cm + np.floor(share * (self.maximum_cm - self.minimum_cm + 1))
         # A share next to 1 can round up to it.
         np.minimum(reading_cm, self.maximum_cm, out=reading_cm)
@@ -210,18 +257,24 @@ class ReadingModel:
 
     def _log_unsaturated(self, reading_cm: _Array, true_cm: _Array) -> _Array:
         """log q, for readings that the sensor can report."""
-        weights, minimum_cm, maximum_cm = self.parameters.weights, self.minimum_cm, self.maximum_cm
-        total = weights.hit + weights.unexpected + weights.max + weights.random
-        log_hit_cm = log_hit(reading_cm, true_cm, self.parameters.sigma_cm, minimum_cm, maximum_cm)
-        log_q: _Array = _log(weights.hit / total) + log_hit_cm
-        if weights.unexpected > 0.0:
+        minimum_cm, maximum_cm = self.minimum_cm, self.maximum_cm
+        hit, unexpected, max_, random = self._shares
+        here = self.max_weight(true_cm)
+        # What the growth of `max` takes from the three others.
+        with np.errstate(divide="ignore"):
+            log_left = np.log1p(-here) - np.log1p(-max_) if np.ndim(here) else 0.0
+        log_hit_cm = log_hit(reading_cm, true_cm, self.sigma_cm(true_cm), minimum_cm, maximum_cm)
+        log_q: _Array = _log(hit) + log_left + log_hit_cm
+        if unexpected > 0.0:
             log_unexpected_cm = log_unexpected(
                 reading_cm, true_cm, self.parameters.unexpected_rate_per_m, minimum_cm, maximum_cm
             )
-            log_q = np.logaddexp(log_q, _log(weights.unexpected / total) + log_unexpected_cm)
-        random = weights.random / total / (maximum_cm - minimum_cm + 1)
-        elsewhere = np.where(reading_cm == maximum_cm, _log(random + weights.max / total), _log(random))
-        log_either: _Array = np.logaddexp(log_q, elsewhere)
+            log_q = np.logaddexp(log_q, _log(unexpected) + log_left + log_unexpected_cm)
+        log_random = _log(random / (maximum_cm - minimum_cm + 1)) + log_left
+        with np.errstate(divide="ignore"):
+            log_max = np.log(here)
+        log_elsewhere = np.where(reading_cm == maximum_cm, np.logaddexp(log_random, log_max), log_random)
+        log_either: _Array = np.logaddexp(log_q, log_elsewhere)
         return log_either
 
 

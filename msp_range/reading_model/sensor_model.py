@@ -17,6 +17,9 @@ from msp_range.yaml_file import Section, load
 SATURATED_CM = 255
 """What a no-echo code reads where its two bytes are OR-ed (0x02 | 0xFD for 765) or it saturates to eight bits [cm]."""
 
+WEIGHTS_RANGE_CM = 300.0
+"""Range at which the share of `max` is the one in `weights`, where it changes with range: the report's usual [cm]."""
+
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -96,6 +99,12 @@ class MixtureParameters(Section):
 
     saturated_fraction: Probability
     """Share of no-echo readings that arrive as 255."""
+
+    sigma_growth_cm_per_m: float = Field(0.0, ge=0.0, le=100.0)
+    """Growth of the standard deviation with range z: sigma^2 = sigma_cm^2 + (growth z)^2 [cm/m]."""
+
+    max_growth_per_m: float = Field(0.0, ge=-100.0, le=100.0)
+    """Growth of the log odds of `max` against the other kinds with range; `weights` are those at 3 m [1/m]."""
 
 
 class SensorModel(Section):

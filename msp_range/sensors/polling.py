@@ -8,6 +8,7 @@ like every other.
 
 import errno
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -46,12 +47,22 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class PolledSensor:
-    """A sensor with its name in the airframe, its timing, and the standard deviation of its readings [m]."""
+    """A sensor with its name in the airframe, its timing, and how its readings scatter.
+
+    The standard deviation of a reading of range z is sqrt(std_m^2 + (std_growth z)^2) [m]; None: unknown.
+    """
 
     name: str
     device: RangeSensor
     timing: Timing
     std_m: float | None = None
+    std_growth: float = 0.0
+
+    def std_at(self, range_m: float | None) -> float | None:
+        """Standard deviation of a reading of this range [m]; None where there is no range."""
+        if range_m is None or self.std_m is None:
+            return None
+        return math.hypot(self.std_m, self.std_growth * range_m) if self.std_growth else self.std_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +242,7 @@ class Poller:
             return None
         range_m = decoded.range_m
         echo_s = pending.ping_s if range_m is None else pending.ping_s + 0.5 * range_m * timing.echo_s_per_m
-        std_m = None if range_m is None else sensor.std_m
+        std_m = sensor.std_at(range_m)
         reading = Reading(echo_s, sensor.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)
         self._schedule.hear(reading)
         return Ranging(reading, pending.ping_s, self._clock.now())

@@ -2,18 +2,23 @@
 
 import errno
 import math
+import shutil
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
+from msp_range.assembly import polled_sensors
 from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
+from msp_range.config import load_airframe
 from msp_range.reading import Status
 from msp_range.sensors.base import Decoded
 from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
 from tests.support.scripted_bus import ScriptedBus
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""
@@ -256,3 +261,17 @@ def test_a_bus_that_may_be_gone_is_opened_again_once_a_second(verb: str, number:
 def test_a_bus_is_not_opened_again_for_a_sensor_that_does_not_answer() -> None:
     assert broken("write", errno.EREMOTEIO, 10.0)[1] == []
     assert broken("read", errno.EREMOTEIO, 10.0)[1] == []
+
+
+def test_a_reading_scatters_as_its_sensor_model_says_for_its_range(tmp_path: Path) -> None:
+    model = (CONFIGS / "sensors" / "mb1242.yaml").read_text()
+    (tmp_path / "sensors").mkdir()
+    (tmp_path / "sensors" / "mb1242.yaml").write_text(
+        model.replace("sigma_cm: 1.9445", "sigma_cm: 1.5\n  sigma_growth_cm_per_m: 0.4")
+    )
+    shutil.copy(CONFIGS / "quad_pallet.yaml", tmp_path)
+    airframe = load_airframe(tmp_path / "quad_pallet.yaml")
+    polled = polled_sensors(airframe, Reopened(VirtualClock()))["front_left"]
+    # sqrt(1.5^2 + (0.4 * 5)^2 + 1/12) cm, the last for the rounding to whole centimetres.
+    assert polled.std_at(5.0) == pytest.approx(math.sqrt(1.5**2 + 2.0**2 + 1 / 12) / 100, rel=1e-9)
+    assert polled.std_at(None) is None

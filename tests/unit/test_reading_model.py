@@ -26,6 +26,8 @@ def model(
     sigma_cm: float = 1.9,
     unexpected_rate_per_m: float = 0.7,
     saturated_fraction: float = 0.0,
+    sigma_growth_cm_per_m: float = 0.0,
+    max_growth_per_m: float = 0.0,
 ) -> ReadingModel:
     """Reading model with an MB1242's limits."""
     weights = Weights(hit=hit, unexpected=unexpected, max=max_, random=random)
@@ -35,6 +37,8 @@ def model(
             sigma_cm=sigma_cm,
             unexpected_rate_per_m=unexpected_rate_per_m,
             saturated_fraction=saturated_fraction,
+            sigma_growth_cm_per_m=sigma_growth_cm_per_m,
+            max_growth_per_m=max_growth_per_m,
         ),
         minimum_cm=20,
         maximum_cm=765,
@@ -42,6 +46,7 @@ def model(
 
 
 ROUGH = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3)
+GROWING = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3, sigma_growth_cm_per_m=1.2, max_growth_per_m=0.4)
 
 
 def probabilities(of: ReadingModel, true_range_cm: float) -> NDArray[np.float64]:
@@ -71,18 +76,25 @@ weights = st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4).filter(lambda w:
     sigma_cm=st.floats(0.01, 100.0),
     rate_per_m=st.floats(0.001, 1000.0),
     saturated=st.floats(0.0, 1.0),
+    growths=st.tuples(st.floats(0.0, 100.0), st.floats(-100.0, 100.0)),
     true_range_cm=st.one_of(st.floats(-100.0, 2000.0), st.sampled_from(RANGES_CM)),
 )
 def test_the_probabilities_of_all_codes_sum_to_one(
-    weights: list[float], sigma_cm: float, rate_per_m: float, saturated: float, true_range_cm: float
+    weights: list[float],
+    sigma_cm: float,
+    rate_per_m: float,
+    saturated: float,
+    growths: tuple[float, float],
+    true_range_cm: float,
 ) -> None:
     shares = [weight / sum(weights) for weight in weights]
-    assert probabilities(model(*shares, sigma_cm, rate_per_m, saturated), true_range_cm).sum() == pytest.approx(
-        1.0, abs=1e-9
-    )
+    of = model(*shares, sigma_cm, rate_per_m, saturated, *growths)
+    assert probabilities(of, true_range_cm).sum() == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("of", [ROUGH, ReadingModel.of(load_sensor_model(MB1242))], ids=["rough", "mb1242.yaml"])
+@pytest.mark.parametrize(
+    "of", [ROUGH, GROWING, ReadingModel.of(load_sensor_model(MB1242))], ids=["rough", "growing", "mb1242.yaml"]
+)
 @pytest.mark.parametrize("true_range_cm", RANGES_CM)
 def test_samples_follow_log_prob(of: ReadingModel, true_range_cm: float) -> None:
     readings_cm = of.sample({"true_range_cm": np.full(200_000, true_range_cm)}, np.random.default_rng(20))
@@ -94,6 +106,8 @@ def test_single_samples_follow_log_prob(true_range_cm: float) -> None:
     rng = np.random.default_rng(21)
     readings = [ROUGH.sample_one(true_range_cm, rng) for _ in range(60_000)]
     assert p_value(np.array(readings), probabilities(ROUGH, true_range_cm)) > 1e-3
+    readings = [GROWING.sample_one(true_range_cm, rng) for _ in range(20_000)]
+    assert p_value(np.array(readings), probabilities(GROWING, true_range_cm)) > 1e-3
     assert all(type(reading) is int for reading in readings)
 
 
@@ -120,6 +134,21 @@ def test_mixed_contexts_are_each_their_own() -> None:
     together = ROUGH.log_prob(readings_cm[:300], {"true_range_cm": true_range_cm[:300]})
     alone = [ROUGH.log_prob(readings_cm[[i]], {"true_range_cm": true_range_cm[[i]]})[0] for i in range(300)]
     assert together == pytest.approx(alone, rel=1e-12)
+
+
+def test_spread_and_missed_echoes_grow_with_range() -> None:
+    at_500 = probabilities(model(sigma_cm=1.5, sigma_growth_cm_per_m=0.4), 500.0)
+    # sqrt(1.5^2 + (0.4 * 5)^2) = 2.5
+    assert at_500[503 - 20] == pytest.approx(norm.cdf(1.4) - norm.cdf(1.0), rel=1e-9)
+    missing = model(0.5, 0.1, 0.2, 0.2, max_growth_per_m=0.5)
+    assert missing.max_weight(300.0) == pytest.approx(0.2, rel=1e-12)
+    # Odds of 1 : 4 at 3 m, times e at 5 m.
+    share = 0.25 * math.e / (1.0 + 0.25 * math.e)
+    p = probabilities(missing, 500.0)
+    assert p[-1] == pytest.approx(share + (1.0 - share) / 0.8 * 0.2 / 746, rel=1e-9)
+    assert p[600 - 20] == pytest.approx((1.0 - share) / 0.8 * 0.2 / 746, rel=1e-9)
+    # Nothing heard is as far as the sensor can reach.
+    assert missing.max_weight(math.nan) == missing.max_weight(2000.0) == missing.max_weight(765.0)
 
 
 def test_a_hit_is_the_normal_probability_of_its_centimetre() -> None:
