@@ -1,0 +1,1 @@
+"""From readings to a sensor model: campaigns at the bench, analyses of their readings, and what they found."""
