@@ -1,8 +1,8 @@
 """The bridge: rangings in, DISTANCE_SENSOR out. `Bridge.step` is the whole of what flies, in order.
 
-Sensors are pinged and read, a reading is corrected for the air's temperature, gated and filtered, the downward ones
-become one distance, and messages go out. The same object runs on a vehicle, in a simulator and on a recording: bus,
-clock, transport and recorder are arguments.
+Sensors are pinged and read, a reading is calibrated, corrected for the air's temperature, gated and filtered, the
+downward ones become one distance, and messages go out. The same object runs on a vehicle, in a simulator and on a
+recording: bus, clock, transport and recorder are arguments.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,6 +14,7 @@ from msp_range.assembly import fused_stream, fusion_of, polling_order, single_st
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, Sensor
+from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import AirTemperature, FileSource, MavlinkSource, read_thermometer
 from msp_range.filters.base import Estimate
 from msp_range.filters.chain import Chain, Filtered
@@ -52,6 +53,7 @@ class _Channel:
     """One sensor's way through the bridge."""
 
     def __init__(self, sensor: Sensor, airframe: Airframe) -> None:
+        self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
         self.chain = Chain([parameters.make() for parameters in airframe.filters])
         self.topic = RANGE_PREFIX + sensor.name
@@ -184,7 +186,7 @@ class Bridge:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
         temperature_c = self._air_c(now_s)
-        corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c)
+        corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c, channel.calibration)
         filtered = channel.chain.update(corrected)
         fused = self._fuse(now_s, corrected, filtered)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
@@ -309,9 +311,15 @@ class Bridge:
         return {name: Counts(each.readings, dict(each.rejected)) for name, each in self._channels.items()}
 
 
-def correct(reading: Reading, temperature_c: float, calibration_temperature_c: float) -> Reading:
-    """The reading with its range for the air's temperature (report eq 7); its status and time stay."""
+def correct(
+    reading: Reading, temperature_c: float, calibration_temperature_c: float, calibration: Calibration = IDENTITY
+) -> Reading:
+    """The reading with its range calibrated, then for the air's temperature (report eq 7); its status and time stay.
+
+    In this order because an offset of the sensor is in its clock: it does not grow with the air's speed of sound.
+    """
     if reading.range_m is None:
         return reading
-    range_m = compensate_range(reading.range_m, temperature_c, calibration_temperature_c)
+    range_m = calibration.inverse(100.0 * reading.range_m) / 100.0 if not calibration.is_identity else reading.range_m
+    range_m = compensate_range(range_m, temperature_c, calibration_temperature_c)
     return Reading(reading.time_s, reading.sensor, reading.status, range_m, reading.std_m, reading.raw, reading.suspect)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, log_ndtr, logit
 
+from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.sensor_model import (
     SATURATED_CM,
     WEIGHTS_RANGE_CM,
@@ -46,8 +47,9 @@ class ReadingModel:
         [k = M]        an echo missed (eq 11)
         random(k)      1 / (M - m + 1)                                                            (eq 12)
 
-    A surface that the beam cannot hear is one at infinity: its hits read M, and something unexpected may be anywhere
-    before M. M is the no-echo code, and of all readings of M, whatever their cause, a fraction s arrives as 255::
+    z* is the true range as the calibration takes it to a reading, `Calibration.forward`. A surface that the beam cannot
+    hear is one at infinity: its hits read M, and something unexpected may be anywhere before M. M is the no-echo code,
+    and of all readings of M, whatever their cause, a fraction s arrives as 255::
 
         p(M) = (1 - s) q(M),    p(255) = q(255) + s q(M),    p(k) = q(k) otherwise
 
@@ -62,6 +64,8 @@ class ReadingModel:
         Weights w, sigma, lambda, s, and the growths g and h. Weights are divided by their sum.
     minimum_cm, maximum_cm
         m and M.
+    calibration
+        Mean reading over true range.
 
     Examples
     --------
@@ -76,11 +80,12 @@ class ReadingModel:
     parameters: MixtureParameters
     minimum_cm: int
     maximum_cm: int
+    calibration: Calibration = IDENTITY
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingModel":
         """The base model of a sensor model file."""
-        return cls(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm)
+        return cls(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm, sensor.calibration_curve)
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator) -> _Array:
         """Draw one reading for each context.
@@ -102,7 +107,7 @@ class ReadingModel:
         ValueError
             `true_range_cm` is missing or is not one column.
         """
-        true_cm = _true_range_cm(contexts)
+        true_cm = self.calibration.forward(_true_range_cm(contexts))
         reading_cm = rng.standard_normal(true_cm.size)
         reading_cm *= self.sigma_cm(true_cm)
         reading_cm += true_cm
@@ -129,7 +134,9 @@ class ReadingModel:
         rng
             Source of chance.
         """
-        expected_cm = math.inf if true_range_cm is None or true_range_cm != true_range_cm else true_range_cm
+        expected_cm = math.inf
+        if true_range_cm is not None and true_range_cm == true_range_cm:
+            expected_cm = self.calibration.forward(true_range_cm)
         minimum_cm, maximum_cm, parameters = self.minimum_cm, self.maximum_cm, self.parameters
         below_hit, below_unexpected, below_max = self._thresholds(expected_cm)
         kind = rng.random()
@@ -172,7 +179,7 @@ class ReadingModel:
         ValueError
             `true_range_cm` is missing, or the lengths differ.
         """
-        true_cm = _true_range_cm(contexts)
+        true_cm = self.calibration.forward(_true_range_cm(contexts))
         reading = np.asarray(reading_cm, dtype=np.float64)
         if reading.shape != true_cm.shape:
             raise ValueError(

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from msp_range.acoustics.beam import BreakawayTable
+from msp_range.correction.calibration import Calibration
 from msp_range.yaml_file import Section, load
 
 SATURATED_CM = 255
@@ -59,6 +60,16 @@ class BreakawayPoint(Section):
 
     half_angle_deg: float = Field(gt=0.0, lt=90.0)
     """Largest angle to either side of the axis with a reliable range [deg]."""
+
+
+class CalibrationKnot(Section):
+    """A knot of the piecewise linear calibration."""
+
+    true_cm: float = Field(ge=0.0, le=10_000.0)
+    """True range [cm]."""
+
+    reading_cm: float = Field(gt=0.0, le=10_000.0)
+    """Mean reading there, in air of the calibration temperature [cm]."""
 
 
 class Weights(Section):
@@ -146,6 +157,9 @@ class SensorModel(Section):
     heard_on_axis_cm: float | None = Field(None, gt=0.0, le=10_000.0)
     """Range at which a wall straight ahead is heard for sure [cm]; left out: that of the last breakaway angle."""
 
+    calibration: tuple[CalibrationKnot, ...] = ()
+    """Mean reading over true range: linear between the knots, and beyond them. None: the reading is the range."""
+
     reading_model: MixtureParameters
     """Parameters of the base mixture that the readings follow."""
 
@@ -161,6 +175,12 @@ class SensorModel(Section):
         _beam(points)
         return points
 
+    @field_validator("calibration")
+    @classmethod
+    def _is_a_calibration(cls, knots: tuple[CalibrationKnot, ...]) -> tuple[CalibrationKnot, ...]:
+        _curve(knots)
+        return knots
+
     @model_validator(mode="after")
     def _can_be_met(self) -> "SensorModel":
         if not self.minimum_cm < self.maximum_cm:
@@ -168,6 +188,11 @@ class SensorModel(Section):
         if self.heard_on_axis_cm is not None and self.heard_on_axis_cm > self.maximum_cm:
             raise ValueError(
                 f"expected heard_on_axis_cm <= maximum_cm, found {self.heard_on_axis_cm:g} and {self.maximum_cm}"
+            )
+        if not self.calibration_curve.inverse(float(max(self.minimum_cm, 1))) > 0.0:
+            raise ValueError(
+                f"expected a calibration by which the shortest reading, {self.minimum_cm} cm, is a range above 0 cm, "
+                f"found {self.calibration_curve.inverse(float(self.minimum_cm)):.4g} cm"
             )
         saturates = self.reading_model.saturated_fraction > 0.0
         if saturates and not self.minimum_cm <= SATURATED_CM < self.maximum_cm:
@@ -183,6 +208,11 @@ class SensorModel(Section):
                 f"found that it ends after {farthest_s:.4g} s (ready_s + maximum_cm * s_per_cm)"
             )
         return self
+
+    @cached_property
+    def calibration_curve(self) -> Calibration:
+        """The calibration, ready to be applied."""
+        return _curve(self.calibration)
 
     @cached_property
     def beam(self) -> BreakawayTable:
@@ -213,3 +243,7 @@ def _beam(points: tuple[BreakawayPoint, ...]) -> BreakawayTable:
         ranges_m=tuple(point.range_cm / 100.0 for point in points),
         half_angles_deg=tuple(point.half_angle_deg for point in points),
     )
+
+
+def _curve(knots: tuple[CalibrationKnot, ...]) -> Calibration:
+    return Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))

@@ -1,0 +1,116 @@
+"""A sensor's calibration: what it reads on average over true range, as straight pieces between knots, and backwards.
+
+Knots of a sensor model file enter; readings for true ranges (`forward`, for the simulator and the likelihood) and
+ranges for readings (`inverse`, for the bridge) leave. Piecewise linear because that is what range finders of this kind
+have been corrected with in the literature that the report follows (Gontean and others). Knots hold in air of the
+sensor's calibration temperature: what it adds or scales happens in its clock and not in the air.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from functools import cached_property
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+SLOPES = (0.5, 2.0)
+"""A piece that is flatter or steeper than this is a mistake and no calibration [cm reading a cm of range]."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Mean reading over true range, linear between knots; the first and last piece go on outside of them.
+
+    Parameters
+    ----------
+    true_cm
+        True ranges of the knots [cm], strictly growing: none, which is a reading equal to the range, or at least two.
+    reading_cm
+        Mean reading at each [cm], strictly growing.
+
+    Raises
+    ------
+    ValueError
+        One knot alone, different lengths, knots that do not grow, or a piece whose slope is outside of `SLOPES`.
+
+    Examples
+    --------
+    >>> calibration = Calibration(true_cm=(100.0, 200.0, 400.0), reading_cm=(102.0, 203.0, 405.0))
+    >>> print(calibration.forward(300.0), calibration.inverse(405.0))
+    304.0 400.0
+    """
+
+    true_cm: tuple[float, ...] = ()
+    reading_cm: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.true_cm) != len(self.reading_cm) or len(self.true_cm) == 1:
+            raise ValueError(
+                f"found {len(self.true_cm)} true ranges and {len(self.reading_cm)} readings as knots, "
+                "expected none or at least two pairs: one alone has no slope"
+            )
+        for i in range(1, len(self.true_cm)):
+            rise_cm, run_cm = self.reading_cm[i] - self.reading_cm[i - 1], self.true_cm[i] - self.true_cm[i - 1]
+            if not (run_cm > 0.0 and SLOPES[0] * run_cm <= rise_cm <= SLOPES[1] * run_cm):
+                raise ValueError(
+                    f"found the knots ({self.true_cm[i - 1]:g}, {self.reading_cm[i - 1]:g}) and "
+                    f"({self.true_cm[i]:g}, {self.reading_cm[i]:g}) cm, expected true ranges that grow from knot to "
+                    f"knot, and readings that grow by {SLOPES[0]:g} to {SLOPES[1]:g} times as much"
+                )
+
+    @property
+    def is_identity(self) -> bool:
+        """True where there are no knots: the reading is the range."""
+        return not self.true_cm
+
+    @overload
+    def forward(self, true_cm: float) -> float: ...
+    @overload
+    def forward(self, true_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def forward(self, true_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+        """Mean reading [cm], before rounding and limits, at a true range [cm]; NaN and infinity stay."""
+        return true_cm if self.is_identity else self._forward(true_cm)
+
+    @overload
+    def inverse(self, reading_cm: float) -> float: ...
+    @overload
+    def inverse(self, reading_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def inverse(self, reading_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+        """Range [cm] whose mean reading this is; `forward` backwards."""
+        return reading_cm if self.is_identity else self._inverse(reading_cm)
+
+    @cached_property
+    def _forward(self) -> "_Pieces":
+        return _Pieces(self.true_cm, self.reading_cm)
+
+    @cached_property
+    def _inverse(self) -> "_Pieces":
+        return _Pieces(self.reading_cm, self.true_cm)
+
+
+IDENTITY = Calibration()
+"""The reading is the range."""
+
+
+class _Pieces:
+    """Straight pieces through points, the outer ones extended."""
+
+    def __init__(self, x: tuple[float, ...], y: tuple[float, ...]) -> None:
+        self._inner = x[1:-1]
+        self._x, self._y = x[:-1], y[:-1]
+        self._slope = tuple((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(len(self._x)))
+        self._arrays = tuple(np.array(each) for each in (self._inner, self._x, self._y, self._slope))
+
+    @overload
+    def __call__(self, x: float) -> float: ...
+    @overload
+    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def __call__(self, x: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+        if isinstance(x, np.ndarray):
+            inner, starts, values, slopes = self._arrays
+            piece = np.searchsorted(inner, x, side="right")
+            found: NDArray[np.float64] = values[piece] + slopes[piece] * (x - starts[piece])
+            return found
+        i = bisect_right(self._inner, x)
+        return self._y[i] + self._slope[i] * (x - self._x[i])
