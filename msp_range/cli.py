@@ -133,17 +133,19 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 def schema(
-    kind: Annotated[Literal["airframe", "sensor"], typer.Argument(help="which kind of file")] = "airframe",
+    kind: Annotated[Literal["airframe", "sensor", "campaign"], typer.Argument(help="which kind of file")] = "airframe",
 ) -> None:
-    """Print the JSON Schema of airframe or sensor model files, with which editors complete and check them.
+    """Print the JSON Schema of airframe, sensor model or campaign files, with which editors complete and check them.
 
     Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
+    from msp_range.characterise.campaign import Campaign
     from msp_range.config import Airframe
     from msp_range.reading_model.sensor_model import SensorModel
+    from msp_range.yaml_file import Section
 
-    section = Airframe if kind == "airframe" else SensorModel
-    print(json.dumps(section.model_json_schema(), indent=2))
+    sections: dict[str, type[Section]] = {"airframe": Airframe, "sensor": SensorModel, "campaign": Campaign}
+    print(json.dumps(sections[kind].model_json_schema(), indent=2))
 
 
 @app.command()
@@ -274,6 +276,75 @@ def export(
 
     rows = export_recording(recording, out)
     print(f"{out}: {rows} readings")
+
+
+@app.command()
+@tell_mistakes
+def collect(
+    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
+    out: Annotated[
+        Path, typer.Option(help="folder for recordings and table; one that has some already is gone on with")
+    ],
+    bus: BusOption = "1",
+    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
+    repeat: Annotated[
+        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
+    ] = None,
+    show_plan: Annotated[
+        bool, typer.Option("--plan", help="show the points and the time they take; touch nothing")
+    ] = False,
+) -> None:
+    """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
+
+    Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
+    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read).
+    """
+    import signal as signals
+
+    from rich.console import Console
+
+    from msp_range.characterise.bench import KernelBench
+    from msp_range.characterise.campaign import load_campaign
+    from msp_range.characterise.collect import chosen
+    from msp_range.characterise.collect import collect as collect_readings
+    from msp_range.characterise.plan import plan
+    from msp_range.characterise.store import Store
+    from msp_range.characterise.terminal import Terminal
+    from msp_range.characterise.terminal import show_plan as show_points
+    from msp_range.service import stop_signals
+
+    campaign = load_campaign(campaign_file)
+    points = plan(campaign)
+    console = Console()
+    again = chosen(points, repeat or [], "--repeat")
+    wanted = chosen(points, only or [""], "--only")
+    bench = KernelBench(bus_of(bus), campaign.thermometer)
+    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    if show_plan:
+        show_points(console, campaign, [point for point in points if point.name in wanted], store.is_done)
+        return
+
+    def ask(text: str) -> str:
+        handlers = {each: signals.signal(each, signals.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            return console.input(text)
+        except (KeyboardInterrupt, EOFError):
+            return "q"
+        finally:
+            for each, handler in handlers.items():
+                signals.signal(each, handler)
+
+    with stop_signals() as stopped:
+        person = Terminal(campaign, points, console, ask, bench.clock, lambda: bool(stopped))
+        try:
+            collect_readings(campaign, points, bench, store, person, wanted, again)
+        finally:
+            person.close()
+            store.close()
+            bench.close()
+    table, rows = store.write_table()
+    left = sum(not store.is_done(point) for point in points)
+    print(f"{table}: {rows} readings; {left} of {len(points)} points are left")
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
-Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator,
-``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent`` and ``/health``. No key is
+Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
+``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent``, ``/health`` and ``/campaign``. No key is
 required: one that is absent is unknown. Every property has one plain type, because Foxglove and Lichtblick refuse
 schemas with unions and with null.
 """
@@ -55,15 +55,27 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
         "a change of health",
         {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},
     ),
+    "/campaign": (
+        "a step of a campaign at the bench",
+        {
+            "event": ("string", "begin or done"),
+            "point": ("string", "name of the point in the campaign"),
+            "attempt": ("integer", "1, or more where the point was read again"),
+            "run": ("string", "run of the readings that follow"),
+            "readings": ("integer", "planned readings of each sensor"),
+            "planned": ("string", "the point's set-up as the campaign has it, as JSON"),
+        },
+    ),
 }
 """Topics that are not one sensor's."""
 
 TRUTH_PREFIX = "/truth/"
 _TRUTH: tuple[str, _PropertyTable] = (
-    "what the simulator knows of a ping; written when the ping goes out, before its reading",
+    "what a simulator or a bench knows of a ping; written before its reading",
     {
         name: ("string" if name in WORD_COLUMNS else "number", meaning)
         for name, meaning in {
+            "run": "which set-up of a campaign, and which sitting",
             "true_range_cm": "perpendicular distance to the surface [cm]",
             **CONTEXT_COLUMNS,
         }.items()

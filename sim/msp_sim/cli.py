@@ -273,6 +273,64 @@ def sample(
     print(f"{out}: {len(given)} readings", file=sys.stderr)
 
 
+@app.command()
+@tell_mistakes
+def collect(
+    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
+    out: Annotated[
+        Path, typer.Option(help="folder for recordings and table; one that has some already is gone on with")
+    ],
+    model: Annotated[
+        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the campaign's")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same readings")] = 1,
+    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
+    repeat: Annotated[
+        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
+    ] = None,
+) -> None:
+    """Go through a campaign on emulated sensors, unattended: the code of 'msp-range collect', with nobody at the bench.
+
+    In --out: readings.csv (all readings that count, in the one CSV form) and sitting-001.mcap ... Interrupted, the same
+    command goes on and ends with the same readings.
+    """
+    from msp_range.characterise.campaign import load_campaign
+    from msp_range.characterise.collect import chosen
+    from msp_range.characterise.collect import collect as collect_readings
+    from msp_range.characterise.plan import plan
+    from msp_range.characterise.store import Store
+    from msp_range.clock import SystemClock
+    from msp_range.service import stop_signals
+    from msp_sim.bench import Nobody, SimulatedBench, readings_of
+    from msp_sim.show import Collecting
+
+    campaign = load_campaign(campaign_file)
+    points = plan(campaign)
+    again = chosen(points, repeat or [], "--repeat")
+    wanted = chosen(points, only or [""], "--only")
+    models, described = readings_of(campaign, model)
+    bench = SimulatedBench(campaign, points, models, seed, described)
+    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    system = SystemClock()
+    started_s = system.now()
+    todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
+    with stop_signals() as stopped, Collecting(todo) as shown:
+        nobody = Nobody(shown.take, lambda: bool(stopped))
+        try:
+            collect_readings(campaign, points, bench, store, nobody, wanted, again)
+        finally:
+            store.close()
+    table, rows = store.write_table()
+    for text in nobody.texts:
+        print(text)
+    left = sum(not store.is_done(point) for point in points)
+    print(
+        f"{table}: {rows} readings, {nobody.readings} of them now in {system.now() - started_s:.1f} s; "
+        f"{nobody.outliers} outliers, {nobody.failed} pings without a usable answer; "
+        f"{left} of {len(points)} points are left"
+    )
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder for results where it is not there; ConfigError where that fails."""
     try:

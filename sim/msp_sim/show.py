@@ -1,14 +1,17 @@
 """A flight for the eye: progress while it flies, the table after it, and the picture."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.console import Console, Group, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from msp_range.bridge import Step
+from msp_range.characterise.plan import Point
 from msp_sim.flight import Flight, Simulation
 
 BAR_CELLS = 44
@@ -68,6 +71,40 @@ class Live:
 def _bar(share: float, colour: str) -> Text:
     cells = round(min(max(share, 0.0), 1.0) * BAR_CELLS)
     return Text("█" * cells, style=colour) + Text("·" * (BAR_CELLS - cells), style="dim")
+
+
+class Collecting:
+    """A campaign's progress: a bar on a terminal, and elsewhere a line for each question."""
+
+    def __init__(self, todo: Sequence[Point]) -> None:
+        self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
+            TimeRemainingColumn(),
+            transient=True,
+        )
+        self._task = self._progress.add_task("", total=self._total)
+        self._shown = self._progress.console.is_terminal
+        self._question = ""
+
+    def __enter__(self) -> "Collecting":
+        if self._shown:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            self._progress.stop()
+
+    def take(self, point: Point, readings: int) -> None:
+        """Show where the collection is."""
+        if self._shown:
+            self._progress.update(self._task, completed=readings, description=point.condition)
+        elif point.question != self._question:
+            self._question = point.question
+            print(f"{readings} of {self._total} readings; now {point.condition}: {point.question}")
 
 
 def print_table(console: Console, summary: dict[str, Any]) -> None:
