@@ -1,0 +1,247 @@
+"""The base mixture by maximum likelihood: from readings at known ranges to weights, sigma, lambda, and their errors.
+
+Readings and the ranges at which they are expected enter, one row a reading; parameters leave, with standard errors
+from the observed information, intervals, and the log-likelihood. The likelihood is that of `ReadingModel` (report
+5.2.1 with erratum 6): intervals of the readings' grid, limits, and codes as point masses.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msp_range.reading_model import likelihood as lk
+from msp_range.reading_model.fit_result import BOUNDS, FitError, FitResult, GrowthTrial, columns, result_of
+from msp_range.reading_model.grid import NOWHERE, ReadingGrid
+from msp_range.reading_model.likelihood import Likelihood
+from msp_range.reading_model.newton import GAIN, NotConvergedError, Optimum, maximise
+
+_Array = NDArray[np.float64]
+
+FEWEST_READINGS = 50
+FEWEST_HITS = 20
+START_ROWS = 4_000
+"""Rows on which the starts are tried."""
+STAGE = 12
+"""Each stage of the fit takes so many times the rows of the one before, until it has all."""
+SHORTEST_SPAN = 0.05
+"""Ranges within this share of the farthest are one range."""
+FEW_RANGES = 0.2
+"""Rows are counted where there are fewer distinct ranges than this share of a sample of the rows."""
+
+
+def fit(
+    reading_cm: ArrayLike,
+    expected_cm: ArrayLike,
+    grid: ReadingGrid,
+    *,
+    offset: bool = False,
+    scale: bool = False,
+    growth: bool = False,
+) -> FitResult:
+    """Fit the base mixture to readings.
+
+    Parameters
+    ----------
+    reading_cm
+        Readings and codes as the sensor reported them [cm], (n,).
+    expected_cm
+        What a hit reads on average [cm], (n,): the true range, or `Calibration.forward` of it. Infinite where nothing
+        can be heard.
+    grid
+        What the sensor can report.
+    offset, scale
+        Fit offset_cm or scale of the hit's centre too. The unexpected still end at `expected_cm`.
+    growth
+        Try whether spread and missed echoes depend on range, and keep what BIC keeps. It takes readings for
+        independent: where they are not, it keeps too much.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    FitError
+        There is too little to fit, or readings or ranges cannot be what they are said to be.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> expected_cm = rng.uniform(100.0, 500.0, 5000)
+    >>> reading_cm = np.rint(expected_cm + 1.5 * rng.standard_normal(5000))
+    >>> reading_cm[:250] = 765
+    >>> result = fit(reading_cm, expected_cm, ReadingGrid(20, 765))
+    >>> print(f"{result.estimates['sigma_cm']:.2f} {result.standard_errors['sigma_cm']:.2f}")
+    1.50 0.02
+    >>> print("{:.3f} {:.3f}".format(*result.interval("max")), result.at_bound)
+    0.044 0.056 ('unexpected', 'random')
+    """
+    reading, expected = columns(reading_cm, expected_cm)
+    cell = _checked_cells(reading, expected, grid)
+    rows = _counted(grid, cell, expected)
+    moving = [lk.U, lk.R, lk.M, lk.T, lk.L]
+    if grid.second_no_echo_cm is not None:
+        moving.append(lk.S)
+    moving += [number for number, wanted in ((lk.O, offset), (lk.C, scale)) if wanted]
+    try:
+        best = _climb(rows, _start(rows, moving), moving)
+        trials: tuple[GrowthTrial, ...] = ()
+        if growth:
+            best, moving, trials = _with_growth(rows, best, moving)
+    except NotConvergedError as error:
+        raise FitError(f"the fit of {reading.size} readings does not converge: {error}") from None
+    result = result_of(rows, best, moving, trials)
+    hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
+    if hits < FEWEST_HITS or best.theta[lk.T] >= BOUNDS.upper[lk.T]:
+        raise FitError(
+            f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {reading.size} readings, expected at least "
+            f"{FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in centimetres?"
+        )
+    return result
+
+
+def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDArray[np.int64]:
+    """Cells of the readings, or a FitError."""
+    if reading.size < FEWEST_READINGS:
+        raise FitError(f"found {reading.size} readings, expected at least {FEWEST_READINGS}; take more")
+    for name, column in (("readings", reading), ("expected ranges", expected)):
+        unknown = int(np.isnan(column).sum())
+        if unknown:
+            raise FitError(f"found {unknown} {name} that are unknown (NaN), expected none; leave out their rows")
+    cell = grid.cell(reading)
+    odd = np.flatnonzero(cell == NOWHERE)
+    limits = f"{grid.minimum_cm:g} to {grid.maximum_cm:g} cm by {grid.resolution_cm:g}"
+    if odd.size:
+        codes = [grid.code_cm, *([] if grid.second_no_echo_cm is None else [grid.second_no_echo_cm])]
+        inside = (reading[odd] >= grid.minimum_cm) & (reading[odd] <= grid.maximum_cm)
+        if np.median(reading) < 0.05 * np.median(expected):
+            advice = "they look like metres: give centimetres"
+        elif inside.all():
+            advice = "give the resolution with which they were written, or round them with grid.nearest"
+        else:
+            advice = "widen the limits or name the code"
+        raise FitError(
+            f"found {odd.size} of {reading.size} readings that the sensor cannot report, such as "
+            f"{reading[odd[0]]:g}, expected {limits} and codes {', '.join(f'{code:g}' for code in codes)}; {advice}"
+        )
+    if (cell < 0).all():
+        raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
+    heard = (cell >= 0) & (expected < np.inf)
+    if not heard.any():
+        raise FitError("found no reading of a surface that can be heard, expected some finite ranges")
+    ratio = float(np.median(reading[heard])) / max(float(np.median(expected[heard])), 1e-9)
+    if ratio > 30.0:
+        raise FitError(
+            f"found expected ranges with a median of {np.median(expected[heard]):g} for readings with one of "
+            f"{np.median(reading[heard]):g} cm; they look like metres: give centimetres"
+        )
+    return cell
+
+
+def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array) -> Likelihood:
+    """The likelihood of the rows; equal ones are counted first where there are few ranges."""
+    sample = expected[:: max(expected.size // 5_000, 1)]
+    if np.unique(sample).size > FEW_RANGES * sample.size:
+        return Likelihood(grid, cell, expected, np.ones(expected.size))
+    ranges = np.unique(expected)
+    kinds = grid.cells - NOWHERE
+    key = np.searchsorted(ranges, expected) * kinds + (cell - NOWHERE)
+    if ranges.size * kinds <= 4 * expected.size + 100_000:
+        counts = np.bincount(key)
+        keys = np.flatnonzero(counts)
+        counts = counts[keys]
+    else:
+        keys, counts = np.unique(key, return_counts=True)
+    return Likelihood(grid, keys % kinds + NOWHERE, ranges[keys // kinds], counts.astype(np.float64))
+
+
+def _with_growth(
+    rows: Likelihood, base: Optimum, moving: list[int]
+) -> tuple[Optimum, list[int], tuple[GrowthTrial, ...]]:
+    """Try each dependence on range alone, then keep together what BIC keeps alone."""
+    threshold = 0.5 * math.log(rows.readings)
+    trials, kept = [], []
+    nearest_cm, farthest_cm = rows.ranges_cm
+    for name, number, start in (("sigma_growth_cm_per_m", lk.V, 1e-6), ("max_growth_per_m", lk.G, 0.0)):
+        if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
+            why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too alike to show it"
+            trials.append(GrowthTrial(name, 0.0, False, why))
+            continue
+        if number == lk.G and lk.M not in base.inside:
+            trials.append(GrowthTrial(name, 0.0, False, "not tried: no missed echo was fitted"))
+            continue
+        theta = np.array(base.theta)
+        theta[number] = start
+        gain = _climb_from(rows, theta, [*moving, number]).value - base.value
+        keep = gain > threshold
+        verb = "kept" if keep else "left out"
+        why = f"{verb}: it gains {gain:.1f} in log-likelihood, and BIC asks for {threshold:.1f}"
+        trials.append(GrowthTrial(name, gain, keep, why))
+        if keep:
+            kept.append(number)
+    if not kept:
+        return base, moving, tuple(trials)
+    moving = [*moving, *kept]
+    theta = np.array(base.theta)
+    theta[lk.V] = 1e-6 if lk.V in kept else 0.0
+    return _climb_from(rows, theta, moving), moving, tuple(trials)
+
+
+def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
+    """The best of a few fits to some of the rows, each from a spread and a lambda that are small or large."""
+    few = rows.part(max(rows.rows // START_ROWS, 1))
+    theta = np.zeros(len(lk.NAMES))
+    theta[lk.C] = 1.0
+    error, weight, length = few.errors()
+    share = few.no_echoes / few.readings
+    if lk.O in moving:
+        theta[lk.O] = _quantile(error, weight, 0.5)
+    distance = np.abs(error - theta[lk.O])
+    theta[[lk.M, lk.S]] = min(max(share, 0.005), 0.9), 0.2 if lk.S in moving else 0.0
+    best: Optimum | None = None
+    # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
+    for share, sigmas in ((0.5, 0.674), (0.2, 0.524)):
+        sigma = max(_quantile(distance, weight, share) / sigmas, 0.3 * rows.grid.resolution_cm)
+        shorter = float(weight[error - theta[lk.O] < -4.0 * sigma].sum() / weight.sum())
+        longer = float(weight[error - theta[lk.O] > 4.0 * sigma].sum() / weight.sum())
+        for per_length in (0.5, 5.0):
+            theta[lk.T], theta[lk.L] = math.log(sigma), per_length / length
+            theta[lk.U], theta[lk.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)
+            try:
+                found = maximise(partial(few.derivatives, free=lk.optional(moving)), theta, moving, BOUNDS, 1e-2)
+            except NotConvergedError:
+                continue
+            if best is None or found.value > best.value:
+                best = found
+    if best is None:
+        raise NotConvergedError("from none of its starts")
+    return best.theta
+
+
+def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
+    """To the maximum on a share of the rows, on a larger share, and on all of them."""
+    every = rows.rows // (STAGE * START_ROWS)
+    theta = start
+    while every > 1:
+        theta = _climb_from(rows.part(every), theta, moving, 1e-2).theta
+        every //= STAGE
+    return _climb_from(rows, theta, moving)
+
+
+def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
+    """To the maximum, with a start from which every weight can grow: fewer rows may have had none of some kind."""
+    theta = np.array(start)
+    theta[[lk.U, lk.R, lk.M]] = np.maximum(theta[[lk.U, lk.R, lk.M]], 1e-4)
+    if lk.S in moving:
+        theta[lk.S] = min(max(theta[lk.S], 1e-3), 1.0 - 1e-3)
+    return maximise(partial(rows.derivatives, free=lk.optional(moving)), theta, moving, BOUNDS, gain)
+
+
+def _quantile(ordinate: _Array, weight: _Array, share: float) -> float:
+    """Weighted quantile."""
+    order = np.argsort(ordinate)
+    below = np.cumsum(weight[order])
+    return float(ordinate[order[np.searchsorted(below, share * below[-1])]])

@@ -1,0 +1,338 @@
+"""What a fit of the base mixture found: parameters, their errors and intervals, and probabilities of readings.
+
+The maximum of a likelihood enters; named parameters with standard errors from the observed information leave, carried
+to the weights by the delta method, and intervals that know about the ends of what a parameter can be.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+from scipy.special import expit, logit, xlog1py, xlogy
+from scipy.stats import chi2, norm
+
+from msp_range.reading_model import likelihood as lk
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.likelihood import Likelihood
+from msp_range.reading_model.newton import Bounds, Optimum, profile_limit
+from msp_range.reading_model.sensor_model import MixtureParameters
+
+_Array = NDArray[np.float64]
+
+NEAR_BOUND = 4.0
+"""Within so many standard errors of a bound an interval is a profile's."""
+UNKNOWN_FRACTION = 0.5
+"""A fraction with a standard error of this is not known."""
+UNKNOWN_LOGARITHM = 3.0
+"""A rate is not known when its logarithm has a standard error of this."""
+
+_NUMBERS = {
+    "unexpected": lk.U,
+    "random": lk.R,
+    "max": lk.M,
+    "sigma_cm": lk.T,
+    "unexpected_rate_per_m": lk.L,
+    "saturated_fraction": lk.S,
+    "sigma_growth_cm_per_m": lk.V,
+    "max_growth_per_m": lk.G,
+    "offset_cm": lk.O,
+    "scale": lk.C,
+}
+#                             U    R    M    T            L     S    V    G    O     C
+BOUNDS = Bounds(
+    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -1.0, -1e4, 0.1]),
+    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, 1.0, 1e4, 10.0]),
+    stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01, 20.0, 0.2]),
+)
+_SHARES = frozenset({"hit", "unexpected", "max", "random", "saturated_fraction"})
+
+
+class FitError(ValueError):
+    """What cannot be fitted, in one line: found, expected, what to do."""
+
+
+@dataclass(frozen=True)
+class GrowthTrial:
+    """Whether the data ask for a parameter that depends on range.
+
+    Attributes
+    ----------
+    name
+        The parameter.
+    gain
+        In log-likelihood when it is added to the model without any.
+    kept
+        Twice the gain is more than the logarithm of the number of readings (BIC).
+    why
+        The same in words.
+    """
+
+    name: str
+    gain: float
+    kept: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted mixture.
+
+    Attributes
+    ----------
+    grid
+        What the sensor can report.
+    parameters
+        As a sensor model file holds them.
+    offset_cm, scale
+        Hits are centred on offset_cm + scale * expected; 0 and 1 unless they were fitted.
+    estimates, standard_errors
+        By name. The error is NaN for what is at a bound or not identified.
+    names, covariance
+        Order of the rows and columns, and the covariance, (k, k); zero where the error is NaN. The weights sum to 1.
+    at_bound
+        Names of parameters on the end of what they can be, such as a weight of 0.
+    not_identified
+        Names of parameters on which the readings say nothing, such as lambda where nothing was unexpected.
+    log_likelihood, readings, rows, iterations
+        Sum of log probabilities; number of readings, of distinct rows among them, and of Newton steps on all rows.
+    growth_trials
+        What was tried for a dependence on range.
+    """
+
+    grid: ReadingGrid
+    parameters: MixtureParameters
+    offset_cm: float
+    scale: float
+    estimates: dict[str, float]
+    standard_errors: dict[str, float]
+    names: tuple[str, ...]
+    covariance: _Array
+    at_bound: tuple[str, ...]
+    not_identified: tuple[str, ...]
+    log_likelihood: float
+    readings: int
+    rows: int
+    iterations: int
+    growth_trials: tuple[GrowthTrial, ...]
+    _likelihood: Likelihood = field(repr=False, compare=False)
+    _optimum: Optimum = field(repr=False, compare=False)
+    _moving: tuple[int, ...] = field(repr=False, compare=False)
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion: smaller is better."""
+        return len(self._moving) * math.log(self.readings) - 2.0 * self.log_likelihood
+
+    def log_prob(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> _Array:
+        """Natural logarithm of each reading's probability, (n,); -inf for what the sensor cannot report."""
+        with np.errstate(divide="ignore"):
+            log_p: _Array = np.log(self.below(reading_cm, expected_cm)[1])
+        return log_p
+
+    def below(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
+        """Probability of a smaller reading, and of the reading itself, each (n,)."""
+        reading, expected = columns(reading_cm, expected_cm)
+        return lk.probabilities(self.grid, self._optimum.theta, reading, expected)
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of a parameter.
+
+        From the standard error, on the scale of log odds (weights and fraction) or of the logarithm (sigma, lambda);
+        within four standard errors of a bound from the profile of the likelihood, which refits the others at every
+        step. All that the parameter can be, where it is not identified.
+        """
+        if name not in self.estimates:
+            raise ValueError(f"found {name!r}, expected one of {', '.join(self.estimates)}")
+        value, error = self.estimates[name], self.standard_errors[name]
+        if name == "hit":
+            return _share_interval(value, error, level, self.readings)
+        low, high = _ends(name)
+        if name in self.not_identified:
+            return low, high
+        room = value - low if name not in _SHARES else min(value - low, high - value)
+        if math.isnan(error) or room < NEAR_BOUND * error:
+            return self._profile(name, level)
+        z = float(norm.ppf(0.5 + level / 2.0))
+        if name in _SHARES:
+            width = z * error / (value * (1.0 - value))
+            return float(expit(logit(value) - width)), float(expit(logit(value) + width))
+        if low > -math.inf:
+            return value * math.exp(-z * error / value), value * math.exp(z * error / value)
+        return value - z * error, value + z * error
+
+    def _profile(self, name: str, level: float) -> tuple[float, float]:
+        number = _NUMBERS[name]
+        drop = float(chi2.ppf(level, 1)) / 2.0
+        free = lk.optional(self._moving)
+        derivatives = partial(self._likelihood.derivatives, free=free)
+        curvature = -float(self._optimum.hessian[number, number])
+        guess = math.sqrt(2.0 * drop / curvature) if curvature > 0.0 else 1e-3
+        gradient = abs(float(self._optimum.gradient[number]))
+        if number not in self._optimum.inside and gradient > 0.0:
+            guess = min(guess, drop / gradient)
+        guess = min(guess, float(BOUNDS.stride[number]))
+        limits = []
+        for sign in (-1.0, 1.0):
+            limit = profile_limit(derivatives, self._optimum, self._moving, number, BOUNDS, sign * guess, drop)
+            theta = np.array(self._optimum.theta)
+            theta[number] = limit
+            limits.append(_named(theta)[name])
+        return limits[0], limits[1]
+
+
+def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
+    """Readings and ranges as arrays of the same length."""
+    reading, expected = np.asarray(reading_cm, dtype=np.float64), np.asarray(expected_cm, dtype=np.float64)
+    if reading.ndim != 1 or reading.shape != expected.shape:
+        raise FitError(
+            f"found readings of shape {reading.shape} and expected ranges of shape {expected.shape}, "
+            "expected two columns of the same length"
+        )
+    return reading, expected
+
+
+def result_of(
+    rows: Likelihood, best: Optimum, moving: Sequence[int], trials: tuple[GrowthTrial, ...] = ()
+) -> FitResult:
+    """Name what a maximum found, with its errors."""
+    theta = np.array(best.theta)
+    information = -best.hessian
+    inside = list(best.inside)
+    unknown = _unknown(theta, information, inside, moving)
+    inside = [number for number in inside if number not in unknown]
+    if lk.S in unknown:
+        theta[lk.S] = 0.0
+    covariance = np.zeros_like(information)
+    try:
+        covariance[np.ix_(inside, inside)] = np.linalg.inv(information[np.ix_(inside, inside)])
+    except np.linalg.LinAlgError:
+        covariance[np.ix_(inside, inside)] = math.nan
+    named = {name: value for name, value in _named(theta).items() if name == "hit" or _NUMBERS[name] in moving}
+    if lk.S not in moving:
+        named["saturated_fraction"] = 0.0
+    jacobian = _jacobian(theta, tuple(named))
+    of_named = jacobian @ covariance @ jacobian.T
+    variances = np.diag(of_named)
+    errors = {
+        name: math.sqrt(variance) if variance > 0.0 else math.nan
+        for name, variance in zip(named, variances, strict=True)
+    }
+    names_of = {number: name for name, number in _NUMBERS.items()}
+    held = tuple(names_of[number] for number in moving if number not in best.inside and number not in unknown)
+    everything = _named(theta)
+    parameters = MixtureParameters.model_validate(
+        {
+            "weights": {name: everything[name] for name in ("hit", "unexpected", "max", "random")},
+            **{
+                name: everything[name]
+                for name in (
+                    "sigma_cm",
+                    "unexpected_rate_per_m",
+                    "saturated_fraction",
+                    "sigma_growth_cm_per_m",
+                    "max_growth_per_m",
+                )
+            },
+        }
+    )
+    return FitResult(
+        grid=rows.grid,
+        parameters=parameters,
+        offset_cm=everything["offset_cm"],
+        scale=everything["scale"],
+        estimates=named,
+        standard_errors=errors,
+        names=tuple(named),
+        covariance=of_named,
+        at_bound=held,
+        not_identified=tuple(names_of[number] for number in moving if number in unknown),
+        log_likelihood=best.value,
+        readings=round(rows.readings),
+        rows=rows.rows,
+        iterations=best.iterations,
+        growth_trials=trials,
+        _likelihood=rows,
+        _optimum=best,
+        _moving=tuple(moving),
+    )
+
+
+def _named(theta: _Array) -> dict[str, float]:
+    """Parameters of the sensor model file from those of the likelihood."""
+    left = 1.0 - theta[lk.M]
+    unexpected, random = left * theta[lk.U], left * theta[lk.R]
+    named = {
+        "hit": left - unexpected - random,
+        "unexpected": unexpected,
+        "max": theta[lk.M],
+        "random": random,
+        "sigma_cm": min(max(math.exp(theta[lk.T]), 0.01), 100.0),
+        "unexpected_rate_per_m": 100.0 * theta[lk.L],
+        "saturated_fraction": theta[lk.S],
+        "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[lk.V]),
+        "max_growth_per_m": 100.0 * theta[lk.G],
+        "offset_cm": theta[lk.O],
+        "scale": theta[lk.C],
+    }
+    return {name: float(value) for name, value in named.items()}
+
+
+def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
+    """Derivatives of named parameters by those of the likelihood."""
+    left = 1.0 - theta[lk.M]
+    rows = {name: np.zeros(len(lk.NAMES)) for name in _named(theta)}
+    rows["hit"][[lk.U, lk.R, lk.M]] = -left, -left, theta[lk.U] + theta[lk.R] - 1.0
+    rows["unexpected"][[lk.U, lk.M]] = left, -theta[lk.U]
+    rows["random"][[lk.R, lk.M]] = left, -theta[lk.R]
+    rows["max"][lk.M] = rows["saturated_fraction"][lk.S] = rows["offset_cm"][lk.O] = rows["scale"][lk.C] = 1.0
+    rows["sigma_cm"][lk.T] = math.exp(theta[lk.T])
+    rows["unexpected_rate_per_m"][lk.L] = rows["max_growth_per_m"][lk.G] = 100.0
+    if theta[lk.V] > 0.0:
+        rows["sigma_growth_cm_per_m"][lk.V] = 50.0 / math.sqrt(theta[lk.V])
+    # A weight whose share is held at zero stays there.
+    for name, number in (("unexpected", lk.U), ("random", lk.R)):
+        if theta[number] == 0.0:
+            rows[name][:] = 0.0
+    return np.array([rows[name] for name in names])
+
+
+def _unknown(theta: _Array, information: _Array, inside: Sequence[int], moving: Sequence[int]) -> frozenset[int]:
+    """Numbers of parameters on which the readings say nothing."""
+    unknown = set()
+    if lk.U in moving and lk.U not in inside:
+        unknown.add(lk.L)
+    for number, scale in ((lk.S, UNKNOWN_FRACTION), (lk.L, UNKNOWN_LOGARITHM * theta[lk.L])):
+        if number in moving and number not in unknown and information[number, number] * scale**2 < 1.0:
+            unknown.add(number)
+    return frozenset(unknown)
+
+
+def _ends(name: str) -> tuple[float, float]:
+    """Between what a named parameter can be."""
+    theta = np.zeros(len(lk.NAMES))
+    ends = []
+    for bounds in (BOUNDS.lower, BOUNDS.upper):
+        theta[_NUMBERS[name]] = bounds[_NUMBERS[name]]
+        ends.append(_named(theta)[name])
+    if name in ("offset_cm", "scale", "max_growth_per_m"):
+        return -math.inf, math.inf
+    return ends[0], ends[1]
+
+
+def _share_interval(share: float, error: float, level: float, readings: int) -> tuple[float, float]:
+    """Interval of the share of hits: that of a binomial likelihood with the same information."""
+    missing = 1.0 - share
+    trials = readings if math.isnan(error) or missing <= 0.0 else share * missing / error**2
+    drop = float(chi2.ppf(level, 1)) / 2.0
+
+    def excess(other: float) -> float:
+        gain = xlogy(share, share) + xlogy(missing, missing) - xlogy(share, other) - xlog1py(missing, -other)
+        return float(trials * gain - drop)
+
+    low = float(brentq(excess, 1e-12, share)) if share > 0.0 else 0.0
+    high = float(brentq(excess, share, 1.0 - 1e-12)) if share < 1.0 - 1e-12 and excess(1.0 - 1e-12) > 0.0 else 1.0
+    return low, high

@@ -1,0 +1,137 @@
+"""What a range finder can report: a grid of readings between two limits, and codes for 'no echo'.
+
+An MB1242 reports whole centimetres from 20 to 765, where 765 is also its code and some of them arrive as 255; other
+sensors have another step, and codes outside of their limits. Readings enter, their cells on the grid leave.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
+
+ON_GRID = 1e-3
+"""A reading is on the grid to this share of a step: enough for metres turned into centimetres."""
+
+NO_ECHO = -1
+"""Cell of the no-echo code."""
+SECOND_NO_ECHO = -2
+"""Cell of the second no-echo code."""
+NOWHERE = -3
+"""Cell of what the sensor cannot report."""
+
+
+@dataclass(frozen=True)
+class ReadingGrid:
+    """Readings minimum_cm, minimum_cm + resolution_cm, ... maximum_cm, and the codes for 'no echo'.
+
+    Parameters
+    ----------
+    minimum_cm, maximum_cm
+        Shortest and longest reading.
+    resolution_cm
+        Step of the readings; the finest for a sensor with a nearly continuous one is what its file was written with.
+    no_echo_cm
+        Code of a missed echo; None: the longest reading. It may lie outside of the limits.
+    second_no_echo_cm
+        What some of these codes arrive as, on the grid (255 of an MB1242) or not; None: there is no second code.
+
+    Raises
+    ------
+    ValueError
+        Limits that are no whole number of steps apart, or a code between two steps.
+
+    Examples
+    --------
+    >>> lidar = ReadingGrid(minimum_cm=5, maximum_cm=8000, resolution_cm=5, no_echo_cm=8183)
+    >>> print(lidar.cells, lidar.cell([5, 20, 8183, 22, -7]))
+    1600 [ 0  3 -1 -3 -3]
+    """
+
+    minimum_cm: float
+    maximum_cm: float
+    resolution_cm: float = 1.0
+    no_echo_cm: float | None = None
+    second_no_echo_cm: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.resolution_cm < math.inf and -math.inf < self.minimum_cm < self.maximum_cm < math.inf):
+            raise ValueError(
+                f"expected a positive resolution and minimum_cm < maximum_cm, "
+                f"found {self.resolution_cm:g}, {self.minimum_cm:g} and {self.maximum_cm:g}"
+            )
+        steps = (self.maximum_cm - self.minimum_cm) / self.resolution_cm
+        if abs(steps - round(steps)) > ON_GRID:
+            raise ValueError(
+                f"expected limits a whole number of steps of {self.resolution_cm:g} cm apart, "
+                f"found {self.minimum_cm:g} and {self.maximum_cm:g} cm"
+            )
+        for code_cm in (self.no_echo_cm, self.second_no_echo_cm):
+            if code_cm is not None and self.minimum_cm <= code_cm <= self.maximum_cm and not self._on_grid(code_cm):
+                raise ValueError(f"expected codes outside of the limits or on the grid, found {code_cm:g} cm")
+        if self.no_echo_cm is not None and self.minimum_cm <= self.no_echo_cm < self.maximum_cm:
+            raise ValueError(
+                f"expected a no-echo code that is the longest reading or none of the readings, "
+                f"found {self.no_echo_cm:g} cm within {self.minimum_cm:g} to {self.maximum_cm:g}"
+            )
+        if self.second_no_echo_cm is not None and self.second_no_echo_cm == self.code_cm:
+            raise ValueError(f"expected two different no-echo codes, found {self.code_cm:g} cm twice")
+
+    @classmethod
+    def of(cls, sensor: SensorModel) -> "ReadingGrid":
+        """The grid of a sensor model file: 255 is a second code where the longest reading is more."""
+        second_cm = SATURATED_CM if sensor.minimum_cm <= SATURATED_CM < sensor.maximum_cm else None
+        return cls(sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm, None, second_cm)
+
+    @cached_property
+    def cells(self) -> int:
+        """Number of readings on the grid."""
+        return round((self.maximum_cm - self.minimum_cm) / self.resolution_cm) + 1
+
+    @property
+    def code_cm(self) -> float:
+        """The no-echo code."""
+        return self.maximum_cm if self.no_echo_cm is None else self.no_echo_cm
+
+    @property
+    def code_on_grid(self) -> bool:
+        """Whether the no-echo code is the longest reading, so that hits there and beyond cannot be told from it."""
+        return self.code_cm == self.maximum_cm
+
+    @property
+    def second_cell(self) -> int | None:
+        """Cell of the grid that the second code shares; None where it is off the grid, or there is none."""
+        code_cm = self.second_no_echo_cm
+        if code_cm is None or not self.minimum_cm <= code_cm <= self.maximum_cm:
+            return None
+        return round((code_cm - self.minimum_cm) / self.resolution_cm)
+
+    def cell(self, reading_cm: ArrayLike) -> NDArray[np.int64]:
+        """Cell of each reading: 0 for the shortest, `NO_ECHO`, `SECOND_NO_ECHO`, or `NOWHERE`."""
+        reading = np.asarray(reading_cm, dtype=np.float64)
+        steps = (reading - self.minimum_cm) / self.resolution_cm
+        nearest = np.rint(steps)
+        on_grid = (np.abs(steps - nearest) <= ON_GRID) & (nearest >= 0) & (nearest < self.cells)
+        cell = np.full(reading.shape, NOWHERE, dtype=np.int64)
+        cell[on_grid] = nearest[on_grid]
+        for code_cm, name in ((self.code_cm, NO_ECHO), (self.second_no_echo_cm, SECOND_NO_ECHO)):
+            if code_cm is not None:
+                cell[np.abs(reading - code_cm) <= ON_GRID * self.resolution_cm] = name
+        return cell
+
+    def nearest(self, reading_cm: ArrayLike) -> NDArray[np.float64]:
+        """Readings moved to the nearest one of the grid; codes and what is outside of the limits stay as they are."""
+        reading = np.array(reading_cm, dtype=np.float64)
+        half = self.resolution_cm / 2
+        inside = (reading > self.minimum_cm - half) & (reading < self.maximum_cm + half)
+        inside &= self.cell(reading) == NOWHERE
+        steps = np.rint((reading[inside] - self.minimum_cm) / self.resolution_cm)
+        reading[inside] = self.minimum_cm + self.resolution_cm * steps
+        return reading
+
+    def _on_grid(self, reading_cm: float) -> bool:
+        steps = (reading_cm - self.minimum_cm) / self.resolution_cm
+        return abs(steps - round(steps)) <= ON_GRID

@@ -1,0 +1,111 @@
+"""Goodness of fit of a reading model by the randomised probability integral transform (PIT).
+
+A fitted mixture, readings and their expected ranges enter; p-values and a histogram leave. Where the model is right,
+the probability of a smaller reading plus a random share of the reading's own is uniform from 0 to 1, also for whole
+centimetres and codes (Czado, Gneiting & Held 2009, Predictive model assessment for count data, Biometrics 65).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2, kstwobign
+
+from msp_range.reading_model.fit_result import FitResult
+
+BINS = 20
+FEWEST_IN_BIN = 5
+"""Readings that a bin of the chi-square test should expect."""
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """How uniform the transformed readings are.
+
+    Attributes
+    ----------
+    readings
+        How many.
+    pit_histogram
+        How many in each of the equal bins from 0 to 1.
+    ks_statistic, ks_p_value
+        Kolmogorov-Smirnov, with its asymptotic distribution.
+    chi_square, chi_square_p_value
+        Of the histogram. Where the parameters were fitted to the same readings, this p-value is the smaller of those
+        that the true one lies between.
+    note
+        What the p-values can be held to mean.
+    """
+
+    readings: int
+    pit_histogram: tuple[int, ...]
+    ks_statistic: float
+    ks_p_value: float
+    chi_square: float
+    chi_square_p_value: float
+    note: str
+
+
+def pit(
+    result: FitResult, reading_cm: ArrayLike, expected_cm: ArrayLike, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Transform each reading to 0 ... 1, (n,); NaN for what the sensor cannot report."""
+    below, itself = result.below(reading_cm, expected_cm)
+    transformed = below + rng.random(below.size) * itself
+    transformed[itself <= 0.0] = np.nan
+    return np.clip(transformed, 0.0, 1.0)
+
+
+def goodness_of_fit(
+    result: FitResult,
+    reading_cm: ArrayLike,
+    expected_cm: ArrayLike,
+    rng: np.random.Generator,
+    fitted_here: bool = True,
+) -> GoodnessOfFit:
+    """Test whether the readings could come from the fitted mixture.
+
+    Parameters
+    ----------
+    result
+        The fit.
+    reading_cm, expected_cm
+        Readings and what hits read on average [cm], (n,).
+    rng
+        Source of the random shares.
+    fitted_here
+        Whether the parameters were fitted to these readings. They then fit better than they should, by as many
+        degrees of freedom as were fitted.
+
+    Raises
+    ------
+    ValueError
+        There are too few readings for a histogram, or the model says that one cannot be.
+    """
+    transformed = pit(result, reading_cm, expected_cm, rng)
+    readings = transformed.size
+    if readings < BINS * FEWEST_IN_BIN:
+        raise ValueError(f"found {readings} readings, expected at least {BINS * FEWEST_IN_BIN}")
+    impossible = int(np.isnan(transformed).sum())
+    if impossible:
+        raise ValueError(f"found {impossible} of {readings} readings that the model cannot give, expected none")
+    counts = np.histogram(transformed, BINS, (0.0, 1.0))[0]
+    expected = readings / BINS
+    chi_square = float(((counts - expected) ** 2).sum() / expected)
+    fitted = len(result.names) - 1 - len(result.at_bound) - len(result.not_identified)
+    degrees = BINS - 1 - fitted if fitted_here else BINS - 1
+    ordered = np.sort(transformed)
+    steps = np.arange(readings + 1) / readings
+    ks = float(max((steps[1:] - ordered).max(), (ordered - steps[:-1]).max()))
+    ks_p = float(kstwobign.sf(ks * np.sqrt(readings)))
+    chi_p = float(chi2.sf(chi_square, max(degrees, 1)))
+    if fitted_here:
+        upper = float(chi2.sf(chi_square, BINS - 1))
+        note = (
+            f"The {fitted} parameters were fitted to the same readings: the Kolmogorov-Smirnov p-value is too large, "
+            f"and that of chi-square lies between {chi_p:.2g} and {upper:.2g}. Readings that depend on each other "
+            "make both too small."
+        )
+    else:
+        note = "The parameters were fitted to other readings. Readings that depend on each other make both too small."
+    return GoodnessOfFit(readings, tuple(counts.tolist()), ks, ks_p, chi_square, chi_p, note)

@@ -1,0 +1,72 @@
+"""Readings with known parameters, drawn the plain way: one at a time, by the words of the report's section 5.2.1.
+
+True ranges enter, readings leave. It shares no code with msp_range, so that what a fit is tested on is not its own
+idea of the mixture.
+"""
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PlainSensor:
+    """A range finder with known parameters; `math.inf` is a range at which nothing is heard."""
+
+    hit: float
+    unexpected: float
+    max: float
+    random: float
+    sigma_cm: float
+    unexpected_rate_per_m: float
+    second_share: float = 0.0
+    sigma_growth_cm_per_m: float = 0.0
+    max_growth_per_m: float = 0.0
+    offset_cm: float = 0.0
+    scale: float = 1.0
+    minimum_cm: float = 20.0
+    maximum_cm: float = 765.0
+    step_cm: float = 1.0
+    no_echo_cm: float = 765.0
+    second_cm: float = 255.0
+
+    def readings(self, true_cm: Sequence[float], seed: int) -> list[float]:
+        """One reading for each true range."""
+        chance = random.Random(seed)
+        return [self._reading(each, chance) for each in true_cm]
+
+    def _reading(self, true_cm: float, chance: random.Random) -> float:
+        reach_cm = min(max(true_cm, 0.0), self.maximum_cm)
+        max_odds = self.max / (1.0 - self.max) * math.exp(self.max_growth_per_m * (reach_cm - 300.0) / 100.0)
+        if chance.random() < max_odds / (1.0 + max_odds):
+            return self._no_echo(chance)
+        kind = chance.choices(("hit", "unexpected", "random"), (self.hit, self.unexpected, self.random))[0]
+        if kind == "hit":
+            if true_cm == math.inf:
+                return self._no_echo(chance)
+            sigma_cm = math.sqrt(self.sigma_cm**2 + (self.sigma_growth_cm_per_m * reach_cm / 100.0) ** 2)
+            heard_cm = chance.gauss(self.offset_cm + self.scale * true_cm, sigma_cm)
+        elif kind == "unexpected":
+            heard_cm = self._unexpected_cm(min(true_cm, self.maximum_cm), chance)
+        else:
+            steps = round((self.maximum_cm - self.minimum_cm) / self.step_cm)
+            heard_cm = self.minimum_cm + self.step_cm * chance.randint(0, steps)
+        reading_cm = self.minimum_cm + self.step_cm * round((heard_cm - self.minimum_cm) / self.step_cm)
+        if reading_cm <= self.minimum_cm:
+            return self.minimum_cm
+        if reading_cm > self.maximum_cm or reading_cm == self.no_echo_cm:
+            return self._no_echo(chance)
+        return reading_cm
+
+    def _unexpected_cm(self, end_cm: float, chance: random.Random) -> float:
+        """An exponential from the shortest reading on; what lies beyond the expected range is drawn again."""
+        if end_cm <= self.minimum_cm:
+            return self.minimum_cm
+        while True:
+            heard_cm = self.minimum_cm + chance.expovariate(self.unexpected_rate_per_m / 100.0)
+            if heard_cm <= end_cm:
+                return heard_cm
+
+    def _no_echo(self, chance: random.Random) -> float:
+        return self.second_cm if chance.random() < self.second_share else self.no_echo_cm
