@@ -1,0 +1,296 @@
+"""Range error over range (report figures 4.4, 4.13-4.21, 5.1 and 5.2).
+
+Errors of readings at true ranges enter, a figure leaves. At a fixed range the errors of a sensor with whole
+centimetres take few values, so each range shows how often each was read, as a bar whose width is its share.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from numpy.typing import NDArray
+
+from msp_range.page.style import GREY, INK, OURS, REFERENCE, SERIES, edges_between, new_figure
+
+_Array = NDArray[np.float64]
+
+MOST_RANGES = 45
+"""With more ranges than this they are taken as continuous and binned."""
+
+LINEAR_CM = 5.0
+"""Errors within this are to scale where the axis has to be compressed [cm]."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Readings of one sensor in one condition, each with its true range.
+
+    Parameters
+    ----------
+    label
+        Whose they are; on the panel where there is more than one.
+    true_range_cm
+        Where the target was [cm], shape (n,).
+    error_cm
+        Reading minus true range [cm], shape (n,); positive: reads long. NaN where `missed`.
+    missed
+        Readings that are no distance (the codes for no echo) and answers that did not come, shape (n,).
+    """
+
+    label: str
+    true_range_cm: _Array
+    error_cm: _Array
+    missed: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A curve to compare with: what is expected, or what the report has."""
+
+    label: str
+    range_cm: _Array
+    error_cm: _Array
+
+
+@dataclass(frozen=True)
+class ErrorAxes:
+    """What the panels of several pictures share, so that they can be compared side by side.
+
+    Parameters
+    ----------
+    limits_cm
+        Lowest and highest error [cm]; None: what the errors need.
+    lines
+        Dashed curves.
+    points
+        Marked points.
+    band_cm
+        Errors between plus and minus this are shaded [cm].
+    band_label
+        What the band is.
+    """
+
+    limits_cm: tuple[float, float] | None = None
+    lines: Sequence[Line] = ()
+    points: Sequence[Line] = ()
+    band_cm: float | None = None
+    band_label: str = ""
+    error_label: str = field(default="reading − true range [cm]")
+
+
+def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figure:
+    """One panel a sensor, one above the other.
+
+    Parameters
+    ----------
+    panels
+        At least one, each with at least one reading.
+    axes
+        Limits and what to compare with.
+    """
+    axes = axes or ErrorAxes()
+    limits_cm = axes.limits_cm or shared_limits_cm(panels, axes)
+    figure = new_figure(1.1 + 2.5 * len(panels) if len(panels) > 1 else 3.5)
+    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for each, row in zip(panels, rows, strict=True):
+        _panel(row, each, axes, limits_cm)
+        if len(panels) > 1:
+            row.set_title(each.label, pad=18.0)
+    rows[-1].set_xlabel("true range [cm]")
+    handles, labels = rows[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    return figure
+
+
+def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> tuple[float, float]:
+    """Limits of the error axis that show nearly all readings of all panels and every line [cm]."""
+    errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
+    low, high = -3.0, 3.0
+    if errors.size:
+        # One reading in 2000 at either end may fall outside, where it is counted and not drawn.
+        shown = np.quantile(errors, [0.0005, 0.9995])
+        low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
+    for line in (*axes.lines, *axes.points) if axes else ():
+        low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
+    return low, high
+
+
+def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, float]) -> None:
+    ranges_cm = np.unique(each.true_range_cm)
+    low, high = limits_cm
+    compressed = max(-low, high) > 6.0 * LINEAR_CM
+    if compressed:
+        row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=1.0)
+        ticks = [tick for tick in (-500, -200, -100, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500)]
+        row.yaxis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+        row.yaxis.set_minor_locator(NullLocator())
+        row.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+.0f}" if tick else "0"))
+    row.set_ylim(low, high)
+    row.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
+    if axes.band_cm is not None:
+        row.axhspan(
+            -axes.band_cm, axes.band_cm, color=REFERENCE, alpha=0.10, linewidth=0, label=axes.band_label, zorder=0
+        )
+    if ranges_cm.size <= MOST_RANGES:
+        _bars(row, each, ranges_cm, limits_cm)
+    else:
+        _cloud(row, each, limits_cm)
+    for number, line in enumerate(axes.lines):
+        row.plot(
+            line.range_cm,
+            line.error_cm,
+            linestyle=("--", "-.", ":")[number % 3],
+            color=(REFERENCE, SERIES[2][0], SERIES[3][0])[number % 3],
+            label=line.label,
+            zorder=4,
+        )
+    for line in axes.points:
+        row.plot(
+            line.range_cm,
+            line.error_cm,
+            linestyle="none",
+            marker="X",
+            markersize=7,
+            color=REFERENCE,
+            markeredgecolor="white",
+            label=line.label,
+            zorder=6,
+        )
+    row.set_ylabel(axes.error_label)
+
+
+def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, float]) -> None:
+    """Each range's errors as a histogram on its side, its mean and what was missed above."""
+    low, high = limits_cm
+    edges = edges_between(ranges_cm.tolist())
+    gaps = np.diff(edges)
+    room_cm = float(np.min(gaps)) * 0.82
+    lefts, bottoms, widths, heights, means, spreads = [], [], [], [], [], []
+    outliers_x, outliers_y = [], []
+    for range_cm in ranges_cm.tolist():
+        here = each.true_range_cm == range_cm
+        errors = each.error_cm[here & ~each.missed]
+        missed = int(np.count_nonzero(each.missed[here]))
+        row.text(
+            range_cm,
+            1.01,
+            f"{missed}/{np.count_nonzero(here)}" if missed else "0",
+            transform=row.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=6.5 if ranges_cm.size <= 16 else 5.0,
+            color=REFERENCE if missed else GREY,
+        )
+        if not errors.size:
+            continue
+        means.append((range_cm, float(np.mean(errors))))
+        spreads.append(1.96 * float(np.std(errors)) / np.sqrt(errors.size))
+        # Bars of 1 cm, centred where the readings of this range lie: half a centimetre off for a range of 304.5.
+        centre = float(np.median(errors))
+        steps, counts = np.unique(np.rint(errors - centre), return_counts=True)
+        shares = counts / errors.size
+        thin = shares * room_cm < 0.012 * (edges[-1] - edges[0])
+        for step, share, is_thin in zip(steps.tolist(), shares.tolist(), thin.tolist(), strict=True):
+            error_cm = centre + step
+            if is_thin or abs(error_cm) > 6.0 * LINEAR_CM:
+                outliers_x.append(range_cm)
+                outliers_y.append(min(max(error_cm, low), high))
+                continue
+            lefts.append(range_cm - share * room_cm / 2.0)
+            widths.append(share * room_cm)
+            bottoms.append(error_cm - 0.44)
+            heights.append(0.88)
+    row.bar(
+        lefts,
+        heights,
+        widths,
+        bottom=bottoms,
+        align="edge",
+        color=OURS,
+        alpha=0.55,
+        linewidth=0,
+        label="readings: width is the share",
+        zorder=2,
+    )
+    if outliers_x:
+        row.plot(
+            outliers_x,
+            outliers_y,
+            linestyle="none",
+            marker="_",
+            markersize=5,
+            markeredgewidth=1.2,
+            color=OURS,
+            alpha=0.9,
+            label="rare readings",
+            zorder=2,
+            clip_on=False,
+        )
+    if means:
+        x, y = zip(*means, strict=True)
+        row.errorbar(
+            x,
+            y,
+            yerr=spreads,
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            color=INK,
+            markerfacecolor="white",
+            markeredgewidth=1.1,
+            elinewidth=1.1,
+            capsize=2,
+            label="mean and its 95 % interval",
+            zorder=5,
+        )
+    row.text(
+        0.0, 1.01, "missed ", transform=row.transAxes, ha="right", va="bottom", fontsize=6.5, color=GREY
+    )
+    row.set_xlim(edges[0], edges[-1])
+    if ranges_cm.size <= 16:
+        row.set_xticks(ranges_cm)
+        row.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+    row.grid(axis="x", visible=False)
+
+
+def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float]) -> None:
+    """Every reading as a dot, and the mean of what is within the limits in bins of range."""
+    low, high = limits_cm
+    x, y = each.true_range_cm[~each.missed], each.error_cm[~each.missed]
+    row.plot(x, np.clip(y, low, high), ".", color=OURS, markersize=2, alpha=0.35, label="readings", rasterized=True)
+    inside = (y >= low) & (y <= high)
+    x, y = x[inside], y[inside]
+    if x.size:
+        edges = np.linspace(x.min(), x.max() + 1e-9, 25)
+        index = np.digitize(x, edges) - 1
+        kept = [i for i in range(24) if np.count_nonzero(index == i) >= 5]
+        centres = [float(np.mean(x[index == i])) for i in kept]
+        means = [float(np.mean(y[index == i])) for i in kept]
+        spreads = [1.96 * float(np.std(y[index == i])) / np.sqrt(np.count_nonzero(index == i)) for i in kept]
+        row.errorbar(
+            centres,
+            means,
+            yerr=spreads,
+            marker="o",
+            markersize=4,
+            color=INK,
+            markerfacecolor="white",
+            linewidth=1.0,
+            capsize=2,
+            label="mean in bins and its 95 % interval",
+            zorder=5,
+        )
+    missed = int(np.count_nonzero(each.missed))
+    row.text(
+        1.0,
+        1.01,
+        f"missed {missed} of {each.missed.size}",
+        transform=row.transAxes,
+        ha="right",
+        va="bottom",
+        fontsize=7,
+        color=REFERENCE if missed else GREY,
+    )

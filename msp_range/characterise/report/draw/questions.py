@@ -1,0 +1,133 @@
+"""The questions (does it matter?) as a forest plot: size, interval, what would be small enough, what could be seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from msp_range.page.style import GREEN, GREY, INK, PALE, REFERENCE, new_figure
+
+METRICS = {
+    "bias": "mean error:\ndifference [cm]",
+    "spread": "standard deviation:\nratio",
+    "missed": "missed readings:\nodds ratio",
+    "outliers": "outliers:\nodds ratio",
+}
+"""Metric -> heading of its panel; all but the first are ratios, where 1 is no effect."""
+
+VERDICTS = {"matters": (REFERENCE, "s", "full"), "does not matter": (GREEN, "o", "full"), "cannot tell": (GREY, "D", "none")}
+
+
+@dataclass(frozen=True)
+class Size:
+    """One effect: `low` and `high` None where the data give no end, `detectable` None where it is not known."""
+
+    metric: str
+    value: float
+    low: float | None
+    high: float | None
+    bound: float
+    detectable: float | None
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """A question: its words at the left, and the effects that were estimated."""
+
+    label: str
+    sizes: Sequence[Size]
+
+
+def draw_questions(rows: Sequence[Row]) -> Figure:
+    """A row a question, a panel a metric.
+
+    Parameters
+    ----------
+    rows
+        At least one; drawn from the top.
+    """
+    metrics = [metric for metric in METRICS if any(size.metric == metric for row in rows for size in row.sizes)]
+    figure = new_figure(1.5 + 0.42 * len(rows))
+    panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+    for metric, axes in zip(metrics, panels, strict=True):
+        sizes = [
+            (len(rows) - 1 - number, size)
+            for number, row in enumerate(rows)
+            for size in row.sizes
+            if size.metric == metric
+        ]
+        _panel(axes, metric, sizes, len(rows))
+    panels[0].set_yticks(range(len(rows)), [row.label for row in reversed(rows)], fontsize=8)
+    panels[0].tick_params(axis="y", length=0)
+    handles = [
+        panels[0].plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)[0]
+        for verdict, (colour, marker, fill) in VERDICTS.items()
+    ]
+    handles += [
+        panels[0].fill_between([], [], [], color=PALE, alpha=0.8, linewidth=0, label="too small to matter"),
+        panels[0].plot([], [], "|", color=INK, markersize=9, markeredgewidth=1.2, label="smallest that these data show")[0],
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, columnspacing=1.2, handletextpad=0.5)
+    return figure
+
+
+def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[int, Size]], rows: int) -> None:
+    is_ratio = metric != "bias"
+    none = 1.0 if is_ratio else 0.0
+    reach = _reach([size for _, size in sizes], is_ratio)
+    if is_ratio:
+        axes.set_xscale("log")
+        axes.set_xlim(1.0 / reach, reach)
+        ticks = [tick for tick in (0.001, 0.01, 0.1, 0.5, 1, 2, 10, 100, 1000) if 1.0 / reach <= tick <= reach]
+        if reach > 12.0:
+            ticks = [tick for tick in ticks if tick not in (0.5, 2)]
+        axes.xaxis.set_major_locator(FixedLocator(ticks))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+    else:
+        axes.set_xlim(-reach, reach)
+    left, right = axes.get_xlim()
+    axes.axvline(none, color=GREY, linewidth=1.0, zorder=1)
+    for y, size in sizes:
+        colour, marker, fill = VERDICTS[size.verdict]
+        low_bound = 1.0 / size.bound if is_ratio else -size.bound
+        axes.fill_between([low_bound, size.bound], y - 0.34, y + 0.34, color=PALE, alpha=0.8, linewidth=0, zorder=0)
+        if size.detectable is not None:
+            other = 1.0 / size.detectable if is_ratio else -size.detectable
+            for edge in (size.detectable, other):
+                if left <= edge <= right:
+                    axes.vlines(edge, y - 0.3, y + 0.3, color=INK, linewidth=1.1, zorder=2)
+        low = left if size.low is None else max(size.low, left)
+        high = right if size.high is None else min(size.high, right)
+        axes.plot([low, high], [y, y], color=colour, linewidth=1.6, zorder=3)
+        for edge, end, arrow in ((left, size.low, "<"), (right, size.high, ">")):
+            if end is None or (arrow == "<" and end < left) or (arrow == ">" and end > right):
+                axes.plot([edge], [y], marker=arrow, color=colour, markersize=5, clip_on=False, zorder=4)
+        if left <= size.value <= right:
+            axes.plot([size.value], [y], marker=marker, color=colour, fillstyle=fill, markersize=6, zorder=5,
+                      markerfacecolor="white" if fill == "none" else colour)  # fmt: skip
+    axes.set_ylim(-0.6, rows - 0.4)
+    axes.set_title(METRICS[metric], fontsize=8.5)
+    axes.grid(axis="y", visible=False)
+    axes.spines["left"].set_visible(False)
+
+
+def _reach(sizes: Sequence[Size], is_ratio: bool) -> float:
+    """How far the axis goes to either side: past values and bounds and, within reason, past intervals."""
+    if is_ratio:
+        far = [abs(np.log(each)) for size in sizes for each in (size.value, size.bound) if each and each > 0.0]
+        ends = [
+            abs(np.log(each))
+            for size in sizes
+            for each in (size.low, size.high, size.detectable)
+            if each is not None and each > 0.0 and np.isfinite(each)
+        ]
+        limit = max([*far, np.log(2.0)])
+        return float(np.exp(1.15 * min(max([limit, *ends]), max(2.0 * limit, np.log(100.0)))))
+    far = [abs(each) for size in sizes for each in (size.value, size.bound)]
+    ends = [abs(each) for size in sizes for each in (size.low, size.high, size.detectable) if each is not None]
+    return 1.15 * min(max([*far, *ends]), 3.0 * max(far))

@@ -1,0 +1,198 @@
+"""Which rows of the measured readings a picture is made of, and why there are none.
+
+Measured data and the sensor model enter; arrays for the drawing functions leave, or `Absent` with the reason that the
+page prints in the picture's place.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from msp_range.acoustics.air import speed_of_sound, time_of_flight
+from msp_range.characterise.findings import Findings
+from msp_range.characterise.report.draw.errors import Errors
+from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
+from msp_range.recording.csv_form import MeasuredData
+
+_Array = NDArray[np.float64]
+_Rows = NDArray[np.bool_]
+
+CODE_GATE_CM = 5.0
+"""A reading of 255 is the garbled code for no echo unless the true range is this near to 255 [cm]."""
+
+CONDITIONS = {
+    "baseline": "the baseline (nothing varied)",
+    "maximum_range": "the maximum range",
+    "field_of_view": "the field of view",
+    "material": "the target's material",
+    "temperature": "the temperature",
+    "vibration": "vibration",
+    "crosstalk_simultaneous": "two sensors that ping at once",
+    "crosstalk_sequential": "two sensors that ping in turn",
+    "temperature_compensation": "temperature compensation",
+}
+"""Experiments of a campaign by their word in the column `condition`, and how a sentence calls them."""
+
+
+class Absent(Exception):
+    """The data do not allow this picture; the message says why and what would."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture before it is turned into bytes: figure, caption, and what it shows in a sentence."""
+
+    figure: Figure
+    caption: str
+    alternative: str
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Measured data with every column that the pictures need, NaN or "" where the file has none."""
+
+    data: MeasuredData
+    model: SensorModel
+
+    def number(self, name: str) -> _Array:
+        """A column of numbers; NaN where it is absent, unknown, or holds words."""
+        if name in self.data and self.data[name].dtype.kind in "fiub":
+            return np.asarray(self.data[name], dtype=np.float64)
+        return np.full(len(self.data), np.nan)
+
+    def word(self, name: str) -> NDArray[np.str_]:
+        """A column of words; "" where it is absent."""
+        if name in self.data:
+            return np.asarray(self.data[name]).astype(str)
+        return np.full(len(self.data), "", dtype="<U1")
+
+    @cached_property
+    def true_cm(self) -> _Array:
+        """True ranges [cm]."""
+        return self.number("true_range_cm")
+
+    @cached_property
+    def reading_cm(self) -> _Array:
+        """Readings [cm]."""
+        return self.number("reading_cm")
+
+    @cached_property
+    def sensor(self) -> NDArray[np.str_]:
+        """Names of the sensors."""
+        return self.word("sensor")
+
+    @cached_property
+    def missed(self) -> _Rows:
+        """Rows without an answer, and those that read a code for no echo."""
+        reading_cm = self.reading_cm
+        garbled = (reading_cm == SATURATED_CM) & ~(np.abs(self.true_cm - SATURATED_CM) <= CODE_GATE_CM)
+        if self.model.reading_model.saturated_fraction == 0.0:
+            garbled[:] = False
+        return np.asarray(np.isnan(reading_cm) | (reading_cm >= self.model.maximum_cm) | garbled)
+
+    @cached_property
+    def _condition(self) -> NDArray[np.str_]:
+        return self.word("condition")
+
+    @cached_property
+    def has_conditions(self) -> bool:
+        """The data say which experiment a row belongs to."""
+        return bool(np.any(self._condition != ""))
+
+    def of(self, condition: str) -> _Rows:
+        """Rows of an experiment that have a true range.
+
+        Where no row says which experiment it belongs to, those on the axis count as the baseline, and those at
+        different angles as the field of view.
+
+        Raises
+        ------
+        Absent
+            There are none.
+        """
+        known = np.isfinite(self.true_cm)
+        if not np.any(known):
+            raise Absent("No row has a true range (column true_range_cm).")
+        incidence = self.number("incidence_deg")
+        if self.has_conditions:
+            rows = self._condition == condition
+        elif condition == "baseline":
+            rows = ~(np.abs(incidence) > 0.0)
+        elif condition == "field_of_view":
+            tilted = np.any(np.abs(incidence) > 0.0)
+            rows = np.isfinite(incidence) if tilted else np.zeros(len(self.data), dtype=bool)
+        else:
+            raise Absent(
+                f"The data do not say which experiment a reading belongs to (column condition): none is of "
+                f"{CONDITIONS.get(condition, condition)}."
+            )
+        rows = rows & known
+        if not np.any(rows):
+            raise Absent(f"No readings of {CONDITIONS.get(condition, condition)} are in the data.")
+        return np.asarray(rows)
+
+    def apparent_cm(self, rows: _Rows) -> float:
+        """Mean true range of some rows in the centimetres of a sensor that assumes its calibration temperature [cm].
+
+        Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
+        """
+        air_c = self.number("air_temperature_c")[rows]
+        true_m = self.true_cm[rows] / 100.0
+        echo_s = time_of_flight(true_m, np.where(np.isnan(air_c), self.model.calibration_temperature_c, air_c))
+        return float(np.mean(echo_s)) / 2.0 * speed_of_sound(self.model.calibration_temperature_c) * 100.0
+
+    def errors(self, rows: _Rows, label: str = "", reading_cm: _Array | None = None) -> Errors:
+        """Errors of some rows, for drawing.
+
+        Parameters
+        ----------
+        rows
+            Mask, with at least one row.
+        label
+            Whose they are.
+        reading_cm
+            In place of the readings as the sensor gave them [cm].
+        """
+        if not np.any(rows):
+            raise Absent("No such readings are in the data.")
+        reading_cm = self.reading_cm if reading_cm is None else reading_cm
+        missed = self.missed[rows]
+        error_cm = np.where(missed, np.nan, reading_cm[rows] - self.true_cm[rows])
+        return Errors(label, self.true_cm[rows], error_cm, missed)
+
+
+Maker = Callable[[Findings, Rows], Drawn]
+
+
+def summary(errors: Errors) -> str:
+    """Count, mean error of the bulk and missed readings of a picture, in a sentence."""
+    heard = errors.error_cm[~errors.missed]
+    n = errors.error_cm.size
+    missed = int(np.count_nonzero(errors.missed))
+    ranges = np.unique(errors.true_range_cm).size
+    text = f"{n:,} readings at {ranges} range{'s' if ranges != 1 else ''}; "
+    text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
+    if heard.size:
+        text += (
+            f"; median error {plus(float(np.median(heard)))} cm, 95 % of the others from "
+            f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
+        )
+    return text + "."
+
+
+def plus(number: float, digits: int = 1) -> str:
+    """A signed number with a true minus sign; no sign for what rounds to 0.
+
+    Examples
+    --------
+    >>> plus(-1.26), plus(0.04), plus(3.0)
+    ('−1.3', '0.0', '+3.0')
+    """
+    text = f"{number:+.{digits}f}"
+    if float(text) == 0.0:
+        return text[1:]
+    return text.replace("-", "−")
