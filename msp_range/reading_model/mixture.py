@@ -285,7 +285,14 @@ class ReadingModel:
         return log_either
 
 
-def log_hit(reading_cm: _Array, true_cm: _Array, sigma_cm: float | _Array, minimum_cm: int, maximum_cm: int) -> _Array:
+def log_hit(
+    reading_cm: _Array,
+    true_cm: _Array,
+    sigma_cm: float | _Array,
+    minimum_cm: int,
+    maximum_cm: int,
+    last_cm: _Array | None = None,
+) -> _Array:
     """log of the probability that a normal variable lies in the reading's interval (`ReadingModel`, eq 9).
 
     Exact in the tails: it is finite where the probability itself is too small for a float.
@@ -300,9 +307,12 @@ def log_hit(reading_cm: _Array, true_cm: _Array, sigma_cm: float | _Array, minim
         Standard deviation [cm].
     minimum_cm, maximum_cm
         The sensor's limits.
+    last_cm
+        For the probability of any reading from ``reading_cm`` to this one [cm], not smaller.
     """
+    last_cm = reading_cm if last_cm is None else last_cm
     lower = np.where(reading_cm == minimum_cm, -np.inf, reading_cm - 0.5)
-    upper = np.where(reading_cm == maximum_cm, np.inf, reading_cm + 0.5)
+    upper = np.where(last_cm == maximum_cm, np.inf, last_cm + 0.5)
     unheard = ~(true_cm < np.inf)
     centre = np.where(unheard, maximum_cm, true_cm)
     a, b = (lower - centre) / sigma_cm, (upper - centre) / sigma_cm
@@ -311,12 +321,17 @@ def log_hit(reading_cm: _Array, true_cm: _Array, sigma_cm: float | _Array, minim
     log_phi_a, log_phi_b = log_ndtr(np.where(right, -b, a)), log_ndtr(np.where(right, -a, b))
     with np.errstate(divide="ignore"):
         log_p: _Array = log_phi_b + np.log(-np.expm1(log_phi_a - log_phi_b))
-    log_p[unheard] = np.where(reading_cm[unheard] == maximum_cm, 0.0, -np.inf)
+    log_p[unheard] = np.where(last_cm[unheard] == maximum_cm, 0.0, -np.inf)
     return log_p
 
 
 def log_unexpected(
-    reading_cm: _Array, true_cm: _Array, rate_per_m: float | _Array, minimum_cm: int, maximum_cm: int
+    reading_cm: _Array,
+    true_cm: _Array,
+    rate_per_m: float | _Array,
+    minimum_cm: int,
+    maximum_cm: int,
+    last_cm: _Array | None = None,
 ) -> _Array:
     """log of the probability that the truncated exponential lies in the reading's interval (`ReadingModel`, eq 10).
 
@@ -330,11 +345,14 @@ def log_unexpected(
         lambda [1/m].
     minimum_cm, maximum_cm
         The sensor's limits.
+    last_cm
+        For the probability of any reading from ``reading_cm`` to this one [cm], not smaller.
     """
+    last_cm = reading_cm if last_cm is None else last_cm
     rate_per_cm = rate_per_m / 100.0
     end = np.fmin(true_cm, maximum_cm)
     lower = np.maximum(reading_cm - 0.5, minimum_cm)
-    width = np.maximum(np.minimum(reading_cm + 0.5, end) - lower, 0.0)
+    width = np.maximum(np.minimum(last_cm + 0.5, end) - lower, 0.0)
     length = np.maximum(end - minimum_cm, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         log_p = (

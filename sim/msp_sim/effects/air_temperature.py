@@ -1,0 +1,24 @@
+"""Air that is not at the temperature which the sensor assumes."""
+
+from collections.abc import Mapping
+
+from msp_range.acoustics.air import speed_of_sound
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    ratio = scene.assumed_m_s / speed_of_sound(scene["air_temperature_c"])
+    return Change(bias_cm=values["share"] * scene.range_cm * (ratio - 1.0))
+
+
+AIR_TEMPERATURE = Effect(
+    name="air_temperature",
+    sentence="Sound is slower in cold air, so the sensor reads too far in the cold and too near in the heat.",
+    physics="reading = z c(T_C) / c(T) with c = 20.05 sqrt(T) and T_C the sensor's calibration temperature, T the air's",
+    source="report eq 6 and 7; MB1242 datasheet: no compensation of its own",
+    parameters=(Parameter("share", "1", "share of it that nothing compensates; 1 for the bare sensor", -0.5, 1.5),),
+    needs=("true_range_cm", "air_temperature_c"),
+    channels=("bias",),
+    experiment="the same target at 0 and at 30 deg C: 5 % of the range between them",
+    act=_act,
+)

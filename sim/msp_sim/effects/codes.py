@@ -1,0 +1,137 @@
+"""Faults between a reading and the word that arrives: each turns a code into another.
+
+A fault befalls a share of the readings. To score what arrives, one asks which codes could have become it.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float64]
+CLOCK_FAULT = 0x8000
+"""Bit 15, which reads as one when the master samples while the sensor still stretches the clock."""
+
+
+class CodeFault(Protocol):
+    """One kind of fault.
+
+    Attributes
+    ----------
+    order
+        Faults happen in this order, from the sensor to the master.
+    """
+
+    @property
+    def order(self) -> int: ...
+
+    def arrives(self, code: _Array) -> _Array:
+        """What a code becomes."""
+        ...
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        """Ranges of codes (first, last) that become one of the codes from first to last; empty where last < first.
+
+        A fault that is not monotone answers for one code (first == last) and for all codes up to one (first = -inf).
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Coarser:
+    """Rounded to multiples of a step, and then to whole centimetres."""
+
+    step_cm: float
+
+    @property
+    def order(self) -> int:
+        return 0
+
+    def arrives(self, code: _Array) -> _Array:
+        return np.rint(np.floor(code / self.step_cm + 0.5) * self.step_cm)
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        return [(self._first_that_reaches(first), self._first_that_reaches(last + 1.0) - 1.0)]
+
+    def _first_that_reaches(self, code: _Array) -> _Array:
+        """The first whole code whose multiple is ``code`` or more."""
+        # Multiples round(i step) >= code from i = ceil((code - 1/2) / step) on; half way goes to the even one.
+        count = np.ceil((code - 0.5) / self.step_cm)
+        count = np.where(np.rint(count * self.step_cm) < code, count + 1.0, count)
+        reached = np.ceil((count - 0.5) * self.step_cm)
+        return np.where(self.arrives(reached) < code, reached + 1.0, reached)
+
+
+@dataclass(frozen=True)
+class Saturated:
+    """Cut to eight bits: 255 from there on."""
+
+    order = 1
+
+    def arrives(self, code: _Array) -> _Array:
+        return np.minimum(code, 255.0)
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        return [(np.where(first > 255.0, np.inf, first), np.where(last >= 255.0, np.inf, last))]
+
+
+@dataclass(frozen=True)
+class LostHighByte:
+    """The low byte alone: modulo 256."""
+
+    order = 2
+
+    def arrives(self, code: _Array) -> _Array:
+        return np.mod(code, 256.0)
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        first, last = np.maximum(first, 0.0), np.minimum(last, 255.0)
+        return [(first + high, np.where(last < first, -1.0, last + high)) for high in (0.0, 256.0, 512.0)]
+
+
+@dataclass(frozen=True)
+class OrEd:
+    """High and low byte OR-ed into one: 765 = 0x02FD becomes 0x02 | 0xFD = 255."""
+
+    order = 3
+
+    def arrives(self, code: _Array) -> _Array:
+        whole = code.astype(np.int64)
+        return ((whole >> 8) | (whole & 0xFF)).astype(np.float64)
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        if not (first == last).all():
+            return self._origins_below(np.minimum(last + 1.0, 256.0))
+        ranges = []
+        for high in (0, 1, 2):
+            arrives = (last >= 0.0) & (last <= 255.0) & ((np.clip(last, 0.0, 255.0).astype(np.int64) & high) == high)
+            for low_byte in (last, last - high) if high else (last,):
+                code = 256.0 * high + low_byte
+                ranges.append((code, np.where(arrives, code, -1.0)))
+        return ranges
+
+    def _origins_below(self, arrived: _Array) -> list[tuple[_Array, _Array]]:
+        """Codes that become less than ``arrived``."""
+        ranges = [(np.zeros_like(arrived), arrived - 1.0)]
+        for high, block in ((1, 2.0), (2, 4.0)):
+            # Low bytes in whole blocks of 2 or 4 stay within their block.
+            ranges.append((np.full_like(arrived, 256.0 * high), 256.0 * high + np.floor(arrived / block) * block - 1.0))
+        # Of a block that begins at 4 j, the codes 4 j and 4 j + 2 become 4 j + 2, which is less than 4 j + 3.
+        for before in (3.0, 1.0):
+            code = 512.0 + arrived - before
+            ranges.append((code, np.where(np.mod(arrived, 4.0) == 3.0, code, -1.0)))
+        return ranges
+
+
+@dataclass(frozen=True)
+class ClockFault:
+    """Bit 15 set."""
+
+    order = 4
+
+    def arrives(self, code: _Array) -> _Array:
+        return code + CLOCK_FAULT
+
+    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+        return [(first - CLOCK_FAULT, last - CLOCK_FAULT)]

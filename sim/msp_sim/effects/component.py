@@ -1,0 +1,123 @@
+"""Further components of the mixture: where readings lie that are neither hits nor the base's outliers.
+
+Each kind draws and scores one distribution, in whole centimetres clipped to the sensor's limits as hits are.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.reading_model.mixture import log_hit, log_unexpected
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Centre and standard deviation of n hits [cm], with all effects; and the sensor's limits."""
+
+    centre_cm: _Array
+    sigma_cm: _Array
+    minimum_cm: int
+    maximum_cm: int
+
+
+class Component(Protocol):
+    """One more component of the mixture."""
+
+    def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        """log of the probability of the codes from first to last, for n readings."""
+        ...
+
+    def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
+        """n readings [cm]."""
+        ...
+
+    def take(self, rows: Any) -> "Component":
+        """The same for some of the n readings."""
+        ...
+
+
+def take(values: Any, rows: Any) -> Any:
+    """Some rows of a column; a number stays."""
+    return values[rows] if isinstance(values, np.ndarray) else values
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal about a place.
+
+    Attributes
+    ----------
+    location_cm
+        The place [cm], or its distance from the hit where ``from_hit``.
+    sigma_cm
+        Standard deviation [cm]; None: that of the hits.
+    """
+
+    location_cm: Any
+    sigma_cm: float | None = None
+    from_hit: bool = False
+
+    def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        centre_cm, sigma_cm = self._place(hits)
+        return log_hit(first_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm, last_cm)
+
+    def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
+        centre_cm, sigma_cm = self._place(hits)
+        reading_cm = np.rint(centre_cm + sigma_cm * rng.standard_normal(centre_cm.size))
+        return np.maximum(np.fmin(reading_cm, hits.maximum_cm), hits.minimum_cm)
+
+    def take(self, rows: Any) -> "Normal":
+        return Normal(take(self.location_cm, rows), self.sigma_cm, self.from_hit)
+
+    def _place(self, hits: Hits) -> tuple[_Array, float | _Array]:
+        origin_cm = hits.centre_cm if self.from_hit else 0.0
+        centre_cm = np.broadcast_to(np.asarray(origin_cm + self.location_cm, dtype=float), hits.centre_cm.shape)
+        return centre_cm, hits.sigma_cm if self.sigma_cm is None else self.sigma_cm
+
+
+@dataclass(frozen=True)
+class FirstBefore:
+    """The first of events that come at a constant rate, given that one comes before the hit: exponential, cut there.
+
+    Attributes
+    ----------
+    rate_per_m
+        Events per metre of range that the sensor listens [1/m]; above 0 where the component has a share.
+    """
+
+    rate_per_m: Any
+
+    def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        rate = np.maximum(self.rate_per_m, 1e-12)
+        return log_unexpected(first_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm, last_cm)
+
+    def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
+        rate_per_cm = np.maximum(self.rate_per_m, 1e-12) / 100.0
+        length_cm = np.maximum(np.fmin(hits.centre_cm, hits.maximum_cm) - hits.minimum_cm, 0.0)
+        share = rng.random(length_cm.size)
+        heard_cm = hits.minimum_cm - np.log1p(share * np.expm1(-rate_per_cm * length_cm)) / rate_per_cm
+        reading_cm: _Array = np.minimum(np.rint(heard_cm), hits.maximum_cm)
+        return reading_cm
+
+    def take(self, rows: Any) -> "FirstBefore":
+        return FirstBefore(take(self.rate_per_m, rows))
+
+
+@dataclass(frozen=True)
+class Code:
+    """One code [cm]: a number for all readings, or one for each."""
+
+    code_cm: Any
+
+    def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        return np.where((self.code_cm >= first_cm) & (self.code_cm <= last_cm), 0.0, -np.inf)
+
+    def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
+        return np.broadcast_to(np.asarray(self.code_cm, dtype=float), hits.centre_cm.shape)
+
+    def take(self, rows: Any) -> "Code":
+        return Code(take(self.code_cm, rows))

@@ -1,0 +1,335 @@
+"""A reading model with effects: a sensor model file enters; readings, or their log-probabilities, leave.
+
+One object draws for the simulator and scores for the gap workflow, so an effect that was found flies as it was found.
+Contexts are columns by name, those of the CSV form; an effect rests where a context that it needs is not known.
+"""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.yaml_file import ConfigError
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
+from msp_sim.model.rows import Added, Faulty, Rows, RunOffset
+from msp_sim.model.streams import Streams
+
+_Array = NDArray[np.float64]
+CHUNK = 1 << 16
+"""Rows that are handled at a time: what fits into a processor's cache."""
+LARGEST_SHARE = 1.0 - 1e-12
+"""Of a component: its odds stay finite."""
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect with the values of its parameters, and the sensor, run or target that it is of."""
+
+    effect: Effect
+    values: Mapping[str, float]
+    of: str | None = None
+
+    @property
+    def stream(self) -> str:
+        """Name of its stream of chance."""
+        return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
+
+
+@dataclass(frozen=True)
+class Model:
+    """The base mixture of a sensor, and effects.
+
+    Examples
+    --------
+    >>> sensor = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
+    >>> model = Model.of(sensor).adding("range_scale", scale_pct=1.0)
+    >>> contexts = {"true_range_cm": np.full(3, 300.0)}
+    >>> print(np.exp(model.log_prob([300.0, 303.0, 306.0], contexts)).round(3))
+    [0.06  0.195 0.06 ]
+    """
+
+    sensor: SensorModel
+    effects: tuple[Active, ...] = ()
+
+    @classmethod
+    def of(cls, sensor: SensorModel) -> "Model":
+        """The model that a sensor model file describes.
+
+        Raises
+        ------
+        ConfigError
+            An entry of ``effects`` is not one of the catalogue, or its parameters are not.
+        """
+        return cls(sensor, tuple(_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)))
+
+    def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
+        """With one more effect of the catalogue; shapes that are left out are at their defaults."""
+        return replace(self, effects=(*self.effects, active(name, of, values)))
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Context columns that it reads."""
+        return frozenset({TRUE_RANGE}).union(*(each.effect.columns for each in self.effects))
+
+    def sample(self, contexts: Mapping[str, Any], chance: np.random.Generator | Streams) -> _Array:
+        """Draw one reading for each context.
+
+        Parameters
+        ----------
+        contexts
+            Columns of length n by name; ``true_range_cm`` is needed, NaN where nothing can be heard.
+        chance
+            A generator, or streams that go on where they were left.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Readings [cm], whole numbers.
+
+        Raises
+        ------
+        ValueError
+            ``true_range_cm`` is missing, or columns differ in length.
+        """
+        streams = chance if isinstance(chance, Streams) else Streams(chance)
+        return np.concatenate([rows.sample(streams) for _, rows in self.chunks(contexts)] or [np.zeros(0)])
+
+    def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> _Array:
+        """Natural logarithm of each reading's probability given its context.
+
+        Parameters
+        ----------
+        reading_cm
+            Readings [cm], shape (n,).
+        contexts
+            As for `sample`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            log p; -inf for what cannot be read.
+
+        Raises
+        ------
+        ValueError
+            As for `sample`, or the readings are not as many as the contexts.
+        """
+        reading = np.asarray(reading_cm, dtype=np.float64)
+        if TRUE_RANGE in contexts and np.shape(contexts[TRUE_RANGE]) != reading.shape:
+            shape = np.shape(contexts[TRUE_RANGE])
+            raise ValueError(
+                f"found readings of shape {reading.shape} and {TRUE_RANGE} of shape {shape}, expected the same"
+            )
+        return np.concatenate([rows.log_prob(reading[part]) for part, rows in self.chunks(contexts)] or [np.zeros(0)])
+
+    def rows(self, contexts: Mapping[str, Any]) -> Rows:
+        """The distribution of the reading of each context, all at once; `chunks` for many of them."""
+        return self._rows(self._columns(contexts))
+
+    def chunks(self, contexts: Mapping[str, Any]) -> Iterator[tuple[slice, Rows]]:
+        """The same in parts of `CHUNK` rows, with the place of each part."""
+        columns = self._columns(contexts)
+        size = columns[TRUE_RANGE].size
+        for start in range(0, size, CHUNK):
+            part = slice(start, min(start + CHUNK, size))
+            yield part, self._rows({name: column[part] for name, column in columns.items()})
+
+    def _columns(self, contexts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+        columns = {name: _column(name, contexts[name]) for name in self.needs if name in contexts}
+        if TRUE_RANGE not in columns:
+            raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
+        sizes = {name: column.size for name, column in columns.items()}
+        if len(set(sizes.values())) > 1:
+            raise ValueError(f"found context columns of different lengths: {sizes}")
+        return columns
+
+    def _rows(self, columns: Mapping[str, NDArray[Any]]) -> Rows:
+        """The base mixture for these columns, and on it what each effect changes."""
+        sensor, base = self.sensor, self.sensor.reading_model
+        weights = base.weights
+        scene = Scene(sensor, columns)
+        centre_cm = columns[TRUE_RANGE]
+        sigma_cm: Any = np.full(centre_cm.size, base.sigma_cm)
+        with np.errstate(divide="ignore"):
+            logs: list[Any] = list(np.log([weights.hit, weights.unexpected, weights.max, weights.random]))
+        added: list[Added] = []
+        faults: list[Faulty] = []
+        offsets: list[RunOffset] = []
+        for each in self.effects:
+            known = _known(scene, each)
+            if known is False:
+                continue
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                change = each.effect.act(scene, each.values)
+            if change.bias_cm is not None:
+                centre_cm = centre_cm + _where(known, change.bias_cm)
+            if change.log_spread is not None:
+                sigma_cm = sigma_cm * np.exp(_where(known, change.log_spread))
+            if change.run_offset_cm is not None:
+                offsets.append(RunOffset(change.run_offset_cm, np.where(known, columns["run"], ""), each.stream))
+            odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
+            for i, log_odds in enumerate(odds, start=1):
+                if log_odds is not None:
+                    logs[i] = logs[i] + _where(known, log_odds)
+            if change.component is not None:
+                share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
+                added.append(Added(share / (1.0 - share), change.component, each.stream))
+            if change.fault is not None:
+                faults.append(Faulty(_where(known, change.fault_share), change.fault, each.stream))
+        for deviation_cm, runs, _ in offsets:
+            sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
+        return Rows(
+            centre_cm,
+            sigma_cm,
+            (logs[0], logs[1], logs[2], logs[3]),
+            base.unexpected_rate_per_m,
+            base.saturated_fraction,
+            sensor.minimum_cm,
+            sensor.maximum_cm,
+            tuple(added),
+            tuple(sorted(faults, key=lambda faulty: faulty.fault.order)),
+            tuple(offsets),
+        )
+
+
+class Sampler:
+    """Draws readings one at a time, from streams of its own.
+
+    Parameters
+    ----------
+    model
+        What is drawn from.
+    rng
+        Source of chance.
+
+    Examples
+    --------
+    >>> model = load_model("configs/sensors/mb1242.yaml")
+    >>> sampler = Sampler(model, np.random.default_rng(1))
+    >>> type(sampler.sample_one({"true_range_cm": 300.0, "throttle": None}))
+    <class 'int'>
+    """
+
+    def __init__(self, model: Model, rng: np.random.Generator) -> None:
+        self._model = model
+        self._needs = model.needs
+        self._streams = Streams(rng)
+
+    def sample_one(self, context: Mapping[str, Any]) -> int:
+        """Draw one reading [cm].
+
+        Parameters
+        ----------
+        context
+            Values by column; None, NaN or "" where unknown.
+        """
+        columns = {name: _one(name, context.get(name)) for name in self._needs}
+        return int(self._model.sample(columns, self._streams)[0])
+
+
+def load_model(path: Path | str) -> Model:
+    """Read a sensor model file with its effects.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or says something impossible.
+    """
+    sensor = load_sensor_model(path)
+    try:
+        return Model.of(sensor)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def active(name: str, of: str | None, values: Mapping[str, float], place: str = "effect") -> Active:
+    """An effect of the catalogue with these values.
+
+    Raises
+    ------
+    ConfigError
+        There is none of this name, a parameter is missing, unknown or out of its bounds, or ``of`` is missing.
+    """
+    effect = CATALOGUE.get(name)
+    if effect is None:
+        near = _near(name, CATALOGUE)
+        raise ConfigError(f"{place}.name: found {name!r}, expected one that 'msp-sim effects' lists.{near}")
+    if (of is None) != (effect.of is None):
+        expected = (
+            f"the name of the {effect.of} that {name} is of" if effect.of else f"nothing: {name} is of all readings"
+        )
+        raise ConfigError(f"{place}.of: found {'nothing' if of is None else repr(of)}, expected {expected}")
+    known = {parameter.name: parameter for parameter in effect.parameters}
+    for key, value in values.items():
+        if key not in known:
+            raise ConfigError(f"{place}.parameters.{key}: unknown; {name} has {', '.join(known)}.{_near(key, known)}")
+        low, high, unit = known[key].low, known[key].high, known[key].unit
+        if not low <= value <= high:
+            raise ConfigError(f"{place}.parameters.{key}: found {value:g}, expected {low:g} to {high:g} [{unit}]")
+    for key, parameter in known.items():
+        if key not in values and parameter.null is not None:
+            raise ConfigError(f"{place}.parameters.{key}: this key is missing; expected {parameter.meaning}")
+    return Active(effect, {**effect.nulls(), **values}, of)
+
+
+def _entry(entry: Mapping[str, Any], place: str) -> Active:
+    """An entry of a model file's ``effects``."""
+    keys = ("name", "of", "parameters", "evidence")
+    for key in entry:
+        if key not in keys:
+            raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
+    parameters = entry.get("parameters", {})
+    if not isinstance(parameters, dict):
+        raise ConfigError(f"{place}.parameters: found {parameters!r}, expected names with numbers")
+    values = {}
+    for key, said in parameters.items():
+        value = said.get("value") if isinstance(said, dict) else said
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigError(
+                f"{place}.parameters.{key}: found {said!r}, expected a number, or a mapping with its 'value'"
+            )
+        values[str(key)] = float(value)
+    return active(str(entry.get("name")), entry.get("of"), values, place)
+
+
+def _known(scene: Scene, each: Active) -> Any:
+    """Whether the effect acts: True on all rows, an array, or False alone where a column is absent."""
+    known: Any = True
+    for column in each.effect.needs:
+        here = scene.known(column)
+        if here is False:
+            return False
+        known = here if known is True else known & here
+    if each.effect.of is not None:
+        if each.effect.of not in scene:
+            return False
+        known = known & (scene[each.effect.of] == each.of)
+    return known
+
+
+def _where(known: Any, change: Any) -> Any:
+    return change if known is True else np.where(known, change, 0.0)
+
+
+def _column(name: str, values: Any) -> NDArray[Any]:
+    column = np.asarray(values, dtype=None if name in WORD_COLUMNS else np.float64)
+    if column.ndim != 1:
+        raise ValueError(f"found {name} of shape {column.shape}, expected one dimension")
+    return column
+
+
+def _one(name: str, value: Any) -> NDArray[Any]:
+    if name in WORD_COLUMNS:
+        return np.array(["" if value is None else value])
+    return np.array([np.nan if value is None else value], dtype=np.float64)
+
+
+def _near(word: Any, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(str(word), list(known), n=1, cutoff=0.5)
+    return f" Did you mean {near[0]!r}?" if near else ""

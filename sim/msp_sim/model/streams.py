@@ -1,0 +1,40 @@
+"""One stream of chance for each part of a model, so that adding an effect leaves what the others draw as it was."""
+
+from zlib import crc32
+
+import numpy as np
+
+
+class Streams:
+    """Generators by name, all from one.
+
+    Parameters
+    ----------
+    rng
+        Four numbers are drawn from it, however many streams are used.
+
+    Examples
+    --------
+    >>> one, other = Streams(np.random.default_rng(1)), Streams(np.random.default_rng(1))
+    >>> _ = other["crosstalk"].random(5)
+    >>> one["hit"].random() == other["hit"].random()
+    True
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._entropy = [int(word) for word in rng.integers(2**32, size=4)]
+        self._streams: dict[str, np.random.Generator] = {}
+
+    def __getitem__(self, name: str) -> np.random.Generator:
+        """The stream of this name; it goes on where it was left."""
+        if name not in self._streams:
+            self._streams[name] = self._generator(name)
+        return self._streams[name]
+
+    def normal_of(self, name: str, key: str) -> float:
+        """One standard normal number that is the same each time for the same key."""
+        return float(self._generator(name, key).standard_normal())
+
+    def _generator(self, *names: str) -> np.random.Generator:
+        key = tuple(crc32(name.encode()) for name in names)
+        return np.random.default_rng(np.random.SeedSequence(self._entropy, spawn_key=key))
