@@ -1,0 +1,303 @@
+"""Other people's tables in the names and units of the CSV form.
+
+A map (a YAML file, or NAME=COLUMN*FACTOR on the command line) and a CSV file enter, measured data leaves. Columns are
+told by their header or, where that is empty or there twice, by their number from 1; tables that stand side by side in
+one file are parts of the map.
+"""
+
+import csv
+import difflib
+import gzip
+import io
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData
+from msp_range.recording.error import RecordingError
+from msp_range.yaml_file import ConfigError, Section, load
+
+Unit = Literal["m", "cm", "mm", "in", "ft", "deg", "rad", "C", "F", "K", "s", "ms", "us", "%", "1"]
+
+_LENGTHS_CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54, "ft": 30.48}
+_TIMES_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_KINDS: dict[str, dict[str, tuple[float, float]]] = {
+    "_cm": {unit: (factor, 0.0) for unit, factor in _LENGTHS_CM.items()},
+    "_cm_s": {unit: (factor, 0.0) for unit, factor in _LENGTHS_CM.items()},
+    "_deg": {"deg": (1.0, 0.0), "rad": (180.0 / math.pi, 0.0)},
+    "_c": {"C": (1.0, 0.0), "F": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)},
+    "_s": {unit: (factor, 0.0) for unit, factor in _TIMES_S.items()},
+    "_ms": {unit: (1e3 * factor, 0.0) for unit, factor in _TIMES_S.items()},
+    "_pct": {"%": (1.0, 0.0), "1": (100.0, 0.0)},
+}
+"""Ending of a column's name -> units that can be converted to it: (factor, offset)."""
+
+KNOWN = {**BASE_COLUMNS, **CONTEXT_COLUMNS}
+_OPTION = re.compile(r"\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
+
+
+class MappedColumn(Section):
+    """Where a column of the CSV form is found in a table."""
+
+    column: str | int | None = None
+    """Its header, or its number from 1."""
+
+    value: str | float | None = None
+    """Instead of a column: one value for all rows."""
+
+    unit: Unit | None = None
+    """Of the numbers; left out: the unit that the CSV form has."""
+
+    factor: float = Field(1.0)
+    """The numbers are multiplied by this, after the unit: -1 turns a sign."""
+
+    offset: float = Field(0.0)
+    """Added after that, in the CSV form's unit."""
+
+
+class Codes(Section):
+    """Readings that are no distance, in the numbers of the file."""
+
+    no_echo: tuple[float, ...] = ()
+    """Nothing heard: becomes the sensor's maximum."""
+
+    no_answer: tuple[float, ...] = ()
+    """No measurement: becomes an empty reading."""
+
+
+class Part(Section):
+    """One table of a file."""
+
+    columns: dict[str, str | int | MappedColumn] = Field(min_length=1)
+    """Column of the CSV form -> where it is; a name or a number alone is a column in the CSV form's unit."""
+
+    @field_validator("columns")
+    @classmethod
+    def _are_known(cls, columns: dict[str, str | int | MappedColumn]) -> dict[str, str | int | MappedColumn]:
+        for name, place in columns.items():
+            check(name, place if isinstance(place, MappedColumn) else MappedColumn(column=place))
+        return columns
+
+    def places(self) -> dict[str, MappedColumn]:
+        """Where each column is."""
+        return {
+            name: place if isinstance(place, MappedColumn) else MappedColumn(column=place)
+            for name, place in self.columns.items()
+        }
+
+
+class ColumnMap(Part):
+    """A map file."""
+
+    columns: dict[str, str | int | MappedColumn] = Field(default_factory=dict)
+    """Column of the CSV form -> where it is, in every part."""
+
+    parts: tuple[Part, ...] = ()
+    """Tables side by side in one file, whose rows come one table after the other; left out: one table."""
+
+    codes: Codes = Codes()
+    """Readings that are no distance."""
+
+    delimiter: str = Field(",", min_length=1, max_length=1)
+    """Between the cells."""
+
+
+def check(name: str, place: MappedColumn) -> None:
+    """Refuse what cannot be: a name that the CSV form does not have, or a unit that is not of its kind.
+
+    Raises
+    ------
+    ValueError
+        In a line.
+    """
+    if name not in KNOWN:
+        near = difflib.get_close_matches(name, KNOWN, n=1, cutoff=0.4)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"found the column name {name!r}, which the CSV form does not have.{hint}")
+    if (place.column is None) == (place.value is None):
+        raise ValueError(f"{name}: expected either a column or a value")
+    if place.unit is not None and place.unit not in (units := _units(name)):
+        known = ", ".join(units) or "none: leave it out"
+        raise ValueError(f"{name}: found the unit {place.unit!r}, expected one of {known}")
+
+
+def load_map(options: Sequence[str]) -> ColumnMap:
+    """The map that ``--map`` names: one file, or any number of NAME=COLUMN*FACTOR.
+
+    Raises
+    ------
+    ConfigError
+        A file that cannot be used, an option that is neither, or both kinds.
+
+    Examples
+    --------
+    >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).places()["reading_cm"].factor
+    100.0
+    """
+    if len(options) == 1 and "=" not in options[0]:
+        return load(options[0], ColumnMap)
+    columns: dict[str, str | int | MappedColumn] = {}
+    for option in options:
+        name, equals, place = option.partition("=")
+        if not equals:
+            raise ConfigError(f"--map {option}: expected one YAML file, or NAME=COLUMN*FACTOR as often as needed")
+        found = _OPTION.fullmatch(place)
+        try:
+            assert found is not None
+            mapped = MappedColumn(column=found["column"], factor=float(found["factor"] or 1.0))
+            check(name.strip(), mapped)
+        except (AssertionError, ValueError) as error:
+            text = str(error) or "expected NAME=COLUMN or NAME=COLUMN*FACTOR"
+            raise ConfigError(f"--map {option}: {text}") from None
+        columns[name.strip()] = mapped
+    return ColumnMap(columns=columns)
+
+
+def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> MeasuredData:
+    """Read someone's table.
+
+    Parameters
+    ----------
+    path
+        A CSV file with a header, also compressed (.gz).
+    column_map
+        Where its columns are.
+    maximum_cm
+        Reading that stands for no echo.
+
+    Returns
+    -------
+    MeasuredData
+        ``time_s`` is the row's number and ``sensor`` the file's name where the map does not say them.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, lacks a column, or a cell is no number; with file, line and column.
+    """
+    header, rows, lines = _table(path, column_map.delimiter)
+    # What already has a name of the CSV form keeps it.
+    known = [name for name in header if name in KNOWN and header.count(name) == 1]
+    shared = {name: MappedColumn(column=name) for name in known} | column_map.places()
+    parts = [shared | part.places() for part in column_map.parts] or [shared]
+    tables = [_part(path, header, rows, lines, places, column_map.codes, maximum_cm) for places in parts]
+    names = dict.fromkeys(name for table in tables for name in table)
+    sizes = [len(table["reading_cm"]) for table in tables]
+    joined: dict[str, Column] = {}
+    for name in names:
+        empty = "" if name in WORD_COLUMNS else math.nan
+        pieces = [table.get(name, np.full(size, empty)) for table, size in zip(tables, sizes, strict=True)]
+        joined[name] = np.concatenate(pieces)
+    joined.setdefault("time_s", np.arange(float(sum(sizes))))
+    joined.setdefault("sensor", np.full(sum(sizes), path.name.split(".")[0]))
+    return MeasuredData(joined)
+
+
+def _table(path: Path, delimiter: str) -> tuple[list[str], list[list[str]], list[int]]:
+    try:
+        content = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        reader = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), delimiter=delimiter)
+        header = [name.strip() for name in next(reader, [])]
+        rows, lines = [], []
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append([cell.strip() for cell in row])
+                lines.append(reader.line_num)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (EOFError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path}: not a CSV table in UTF-8: {error}") from None
+    if not header:
+        raise RecordingError(f"{path}: empty, expected a header")
+    return header, rows, lines
+
+
+def _part(
+    path: Path,
+    header: list[str],
+    rows: list[list[str]],
+    lines: list[int],
+    places: dict[str, MappedColumn],
+    codes: Codes,
+    maximum_cm: float,
+) -> dict[str, Column]:
+    if "reading_cm" not in places:
+        raise RecordingError(f"{path}: the map does not say where reading_cm is. Columns: {', '.join(header)}")
+    where = {name: _index(path, header, name, place) for name, place in places.items()}
+    at = where["reading_cm"]
+    # A table beside a longer one ends where all its cells are empty.
+    used = {index for index in where.values() if index is not None}
+    filled = [i for i, row in enumerate(rows) if any(index < len(row) and row[index] for index in used)]
+    table: dict[str, Column] = {}
+    for name, place in places.items():
+        index = where[name]
+        if index is None:
+            table[name] = _constant(path, name, place, len(filled))
+            continue
+        cells = [rows[i][index] if index < len(rows[i]) else "" for i in filled]
+        if name in WORD_COLUMNS:
+            table[name] = np.array(cells, dtype=str)
+            continue
+        numbers = np.array(
+            [
+                _number(path, lines[i], header[index] or f"number {index + 1}", cell)
+                for i, cell in zip(filled, cells, strict=True)
+            ]
+        )
+        converted = _converted(name, place, numbers)
+        if index == at and name == "reading_cm":
+            converted[np.isin(numbers, codes.no_echo)] = maximum_cm
+            converted[np.isin(numbers, codes.no_answer)] = math.nan
+        table[name] = converted
+    return table
+
+
+def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int | None:
+    if place.column is None:
+        return None
+    if isinstance(place.column, int):
+        if not 1 <= place.column <= len(header):
+            raise RecordingError(f"{path}: found {len(header)} columns, expected a number {place.column} for {name}")
+        return place.column - 1
+    count = header.count(place.column)
+    if count == 1:
+        return header.index(place.column)
+    if count:
+        raise RecordingError(f"{path}: the column {place.column!r} is there {count} times; give its number from 1")
+    near = difflib.get_close_matches(place.column, header, n=1, cutoff=0.4)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    there = ", ".join(each or "(no name)" for each in header)
+    raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
+
+
+def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
+    if name in WORD_COLUMNS:
+        return np.full(size, str(place.value))
+    return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value))))
+
+
+def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:
+    factor, offset = (1.0, 0.0) if place.unit is None else _units(name)[place.unit]
+    found: Column = (numbers * factor + offset) * place.factor + place.offset
+    # 18.350 m is 1835 cm and not 1835.0000000000002.
+    return np.round(found, 9)
+
+
+def _units(name: str) -> dict[str, tuple[float, float]]:
+    endings = sorted((ending for ending in _KINDS if name.endswith(ending)), key=len)
+    return _KINDS[endings[-1]] if endings else {}
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    try:
+        number = float(cell) if cell else math.nan
+    except ValueError:
+        number = math.inf
+    if math.isinf(number):
+        raise RecordingError(f"{path}:{line}: column {column!r}: found {cell!r}, expected a number, or nothing")
+    return number

@@ -1,0 +1,140 @@
+"""The readings to characterise from: files of measured data or recordings, one after the other, and what they are.
+
+Paths enter, one `MeasuredData` and the files' names, hashes and rows leave. What makes an analysis impossible is told
+here, before any: no true range, hardly any readings, another unit.
+"""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from msp_range.characterise.column_map import ColumnMap, read_mapped
+from msp_range.characterise.findings import Source
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, read_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.export import measured_data
+from msp_range.recording.reader import Recording, is_recording
+
+LEAST_READINGS = 30
+"""Fewer readings with a true range than this say nothing that would be worth a file."""
+WRONG_UNIT = 0.5
+"""Where more than this share of the readings is nowhere near the truth, they are in another unit or of another file."""
+
+
+class Gathered(NamedTuple):
+    """Measured data of all files together, the files, and what to know of them."""
+
+    data: MeasuredData
+    sources: tuple[Source, ...]
+    warnings: tuple[str, ...]
+
+
+def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None) -> Gathered:
+    """Read all files.
+
+    Parameters
+    ----------
+    paths
+        CSV files in the one form, recordings, or with `column_map` other people's tables.
+    sensor
+        Its limits: readings outside of them are no readings.
+    column_map
+        Names and units of the columns.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read, is named twice, or the data cannot be characterised from; in a line, with what to do.
+    """
+    tables: list[MeasuredData] = []
+    sources: list[Source] = []
+    for path in paths:
+        table = _read(path, sensor, column_map)
+        source = Source(path.name, hashlib.sha256(path.read_bytes()).hexdigest(), len(table))
+        same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
+        if same is not None:
+            raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
+        tables.append(table)
+        sources.append(source)
+    data = _joined(tables)
+    name = ", ".join(str(path) for path in paths)
+    data, warnings = _within_limits(data, sensor)
+    _check(name, data, sensor)
+    return Gathered(data, tuple(sources), tuple(warnings))
+
+
+def _read(path: Path, sensor: SensorModel, column_map: ColumnMap | None) -> MeasuredData:
+    if column_map is not None:
+        return read_mapped(path, column_map, sensor.maximum_cm)
+    return measured_data(Recording(path)) if is_recording(path) else read_csv(path)
+
+
+def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
+    names = dict.fromkeys(name for table in tables for name in table.columns)
+    columns: dict[str, Column] = {}
+    for name in names:
+        is_word = name in WORD_COLUMNS or any(name in table and table[name].dtype.kind == "U" for table in tables)
+        missing = "" if is_word else math.nan
+        pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
+        columns[name] = np.concatenate([piece.astype(str) if is_word else piece for piece in pieces])
+    return MeasuredData(columns)
+
+
+def _within_limits(data: MeasuredData, sensor: SensorModel) -> tuple[MeasuredData, list[str]]:
+    """Readings that the sensor cannot make are no answer."""
+    reading_cm = data["reading_cm"]
+    outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
+    if not outside.any() or outside.sum() > WRONG_UNIT * (~np.isnan(reading_cm)).sum():
+        return data, []
+    values = np.unique(reading_cm[outside])
+    shown = ", ".join(f"{value:g}" for value in values[:5]) + (" ..." if values.size > 5 else "")
+    warning = (
+        f"{outside.sum()} readings are outside of the sensor's {sensor.minimum_cm} to {sensor.maximum_cm} cm "
+        f"and count as no answer: {shown}"
+    )
+    columns = dict(data.columns) | {"reading_cm": np.where(outside, math.nan, reading_cm)}
+    return MeasuredData(columns), [warning]
+
+
+def _check(name: str, data: MeasuredData, sensor: SensorModel) -> None:
+    if "true_range_cm" not in data or np.isnan(data["true_range_cm"]).all():
+        raise RecordingError(
+            f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
+            "column, or name the column that it is in with --map true_range_cm=COLUMN"
+        )
+    answered = ~np.isnan(data["reading_cm"])
+    usable = answered & ~np.isnan(data["true_range_cm"])
+    if usable.sum() < LEAST_READINGS:
+        raise RecordingError(
+            f"{name}: found {int(usable.sum())} readings with a true range, expected at least {LEAST_READINGS}; "
+            "the report took 100 to 20000 a point"
+        )
+    reading_cm, true_cm = data["reading_cm"][usable], data["true_range_cm"][usable]
+    outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
+    heard = reading_cm != sensor.maximum_cm
+    ratio = float(np.median(reading_cm[heard] / np.maximum(true_cm[heard], 1e-9))) if heard.any() else 1.0
+    if outside.mean() > WRONG_UNIT or not 0.5 < ratio < 2.0:
+        raise RecordingError(
+            f"{name}: readings of {_span(reading_cm)} against true ranges of {_span(true_cm)} (median ratio "
+            f"{ratio:.3g}; the sensor reads {sensor.minimum_cm} to {sensor.maximum_cm} cm)."
+            + _unit_hint(reading_cm, true_cm, ratio)
+        )
+
+
+def _span(values: Column) -> str:
+    return f"{values.min():g} to {values.max():g}"
+
+
+def _unit_hint(reading_cm: Column, true_cm: Column, ratio: float) -> str:
+    for column, is_small in (("reading_cm", ratio), ("true_range_cm", 1.0 / ratio)):
+        for unit, factor in (("metres", 0.01), ("inches", 1 / 2.54), ("millimetres", 10.0), ("feet", 1 / 30.48)):
+            if 0.8 * factor < is_small < 1.25 * factor:
+                return f" Is {column} in {unit}? Then: --map {column}=COLUMN*{1 / factor:g}"
+    if float(np.median(true_cm)) < 12.0 and 0.5 < ratio < 2.0:
+        return " Are both in metres? Then: --map reading_cm=COLUMN*100 --map true_range_cm=COLUMN*100"
+    return " Both have to be centimetres of the same thing, and --sensor the sensor that read; --map converts."
