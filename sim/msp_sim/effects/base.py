@@ -48,6 +48,8 @@ class Parameter:
         Values of a shape among which a search begins.
     step
         A change that is small, for derivatives.
+    power
+        The power with which it enters where it is small; one of 2 has no slope at its null.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Parameter:
     default: float | None = None
     tried: tuple[float, ...] = ()
     step: float = 1e-3
+    power: int = 1
 
 
 class Scene:

@@ -4,6 +4,7 @@ A fault befalls a share of the readings. To score what arrives, one asks which c
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -40,27 +41,29 @@ class CodeFault(Protocol):
 
 @dataclass(frozen=True)
 class Coarser:
-    """Rounded to multiples of a step, and then to whole centimetres."""
+    """Rounded to multiples of a step, and then to whole centimetres; the sensor's limits stay as they are."""
 
     step_cm: float
-
-    @property
-    def order(self) -> int:
-        return 0
+    minimum_cm: int
+    maximum_cm: int
+    order = 0
 
     def arrives(self, code: _Array) -> _Array:
-        return np.rint(np.floor(code / self.step_cm + 0.5) * self.step_cm)
+        return self._arrivals[np.clip(code - self.minimum_cm, 0, self._arrivals.size - 1).astype(np.int64)]
 
     def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
-        return [(self._first_that_reaches(first), self._first_that_reaches(last + 1.0) - 1.0)]
+        reaches = np.searchsorted(self._arrivals, first, "left").astype(np.float64)
+        exceeds = np.searchsorted(self._arrivals, last, "right").astype(np.float64)
+        return [(self.minimum_cm + reaches, self.minimum_cm + exceeds - 1.0)]
 
-    def _first_that_reaches(self, code: _Array) -> _Array:
-        """The first whole code whose multiple is ``code`` or more."""
-        # Multiples round(i step) >= code from i = ceil((code - 1/2) / step) on; half way goes to the even one.
-        count = np.ceil((code - 0.5) / self.step_cm)
-        count = np.where(np.rint(count * self.step_cm) < code, count + 1.0, count)
-        reached = np.ceil((count - 0.5) * self.step_cm)
-        return np.where(self.arrives(reached) < code, reached + 1.0, reached)
+    @cached_property
+    def _arrivals(self) -> _Array:
+        """What each of the sensor's codes becomes; it never falls."""
+        code = np.arange(self.minimum_cm, self.maximum_cm + 1.0)
+        arrivals = np.rint(np.floor(code / self.step_cm + 0.5) * self.step_cm)
+        arrivals = np.clip(arrivals, self.minimum_cm, self.maximum_cm)
+        arrivals[[0, -1]] = code[[0, -1]]
+        return arrivals
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Model:
     >>> model = Model.of(sensor).adding("range_scale", scale_pct=1.0)
     >>> contexts = {"true_range_cm": np.full(3, 300.0)}
     >>> print(np.exp(model.log_prob([300.0, 303.0, 306.0], contexts)).round(3))
-    [0.06  0.195 0.06 ]
+    [0.061 0.195 0.061]
     """
 
     sensor: SensorModel

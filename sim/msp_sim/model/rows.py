@@ -162,8 +162,7 @@ class Rows:
         """Shares of the four kinds of the base, shape (4, n) or (4, 1)."""
         logs = np.array(np.broadcast_arrays(*(np.atleast_1d(each) for each in self.log_weights)))
         weights = np.exp(logs - logs.max(axis=0))
-        shares: _Array = weights / weights.sum(axis=0)
-        return shares if len(self) == shares.shape[1] else np.repeat(shares, len(self), axis=1)
+        return np.asarray(np.broadcast_to(weights / weights.sum(axis=0), (4, len(self))))
 
     def _log_after(self, faults: Sequence[Faulty], first: _Array, last: _Array) -> _Array:
         """log of the probability of the codes from first to last behind these faults."""
@@ -171,7 +170,7 @@ class Rows:
             return self._log_saturated(first, last)
         share, fault, _ = faults[-1]
         with np.errstate(divide="ignore"):
-            log_p = np.log1p(-share) + self._log_after(faults[:-1], first, last)
+            log_p: _Array = np.log1p(-share) + self._log_after(faults[:-1], first, last)
             log_share = np.log(share)
         for origin_first, origin_last in fault.origins(first, last):
             log_p = np.logaddexp(log_p, log_share + self._log_after(faults[:-1], origin_first, origin_last))
@@ -222,7 +221,10 @@ class Rows:
             odds = np.zeros(len(self))
             for each, component, _ in self.added:
                 odds += each
-                others += total * each * np.exp(component.log_prob(first, last, hits))
+                with np.errstate(invalid="ignore"):
+                    density = np.exp(component.log_prob(first, last, hits))
+                # Where it has no share, its parameters may be unknown.
+                others += np.where(each > 0.0, total * each * density, 0.0)
             total = total * (1.0 + odds)
         log_hits = log_hits + log_hit(first, self.centre_cm, self.sigma_cm, minimum_cm, maximum_cm, last)
         with np.errstate(divide="ignore"):

@@ -1,0 +1,30 @@
+"""A response that bends at some range."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(bias_cm=values["slope_pct"] / 100.0 * np.maximum(scene.range_cm - values["from_cm"], 0.0))
+
+
+BEND = Effect(
+    name="bend",
+    sentence="From some range on the readings grow faster or slower than before.",
+    physics="z + slope max(z - from, 0); several of them are a piecewise linear curve",
+    source="piecewise linear calibration, as the report's literature proposes",
+    parameters=(
+        Parameter("slope_pct", "%", "change of the slope", -20.0, 20.0),
+        Parameter(
+            "from_cm", "cm", "range from which on", 0.0, 1000.0, None, 200.0, (100.0, 150.0, 200.0, 300.0, 400.0)
+        ),
+    ),
+    needs=("true_range_cm",),
+    channels=("bias",),
+    experiment="ranges in steps of 20 cm against a tape measure",
+    act=_act,
+    also=("a bent reference",),
+)

@@ -1,0 +1,23 @@
+"""A bus master that samples too early."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.codes import ClockFault
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(fault=ClockFault(), fault_share=values["share"])
+
+
+CLOCK_FAULT = Effect(
+    name="clock_fault",
+    sentence="The computer reads the bus before the sensor is ready, and 3 m arrive as more than 300 m.",
+    physics="bit 15 reads as one: 32768 + reading",
+    source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
+    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    needs=(),
+    channels=("code",),
+    experiment="the same wall with dtparam=i2c_arm_baudrate at 100000 and at 50000",
+    act=_act,
+)

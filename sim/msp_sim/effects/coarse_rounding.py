@@ -1,0 +1,27 @@
+"""Readings on a coarser grid than the sensor's."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.codes import Coarser
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
+    return Change(fault=fault, fault_share=values["share"])
+
+
+COARSE_ROUNDING = Effect(
+    name="coarse_rounding",
+    sentence="Something on the way rounds the readings to inches or to steps of several centimetres.",
+    physics="rounded to multiples of a step, then to whole centimetres; the sensor's limits stay",
+    source="drivers and loggers that convert units",
+    parameters=(
+        Parameter("share", "1", "1 where every reading is rounded", 0.0, 1.0),
+        Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, (2.0, 2.54, 5.0, 10.0)),
+    ),
+    needs=(),
+    channels=("code",),
+    experiment="a target moved slowly: the readings go up in steps",
+    act=_act,
+)

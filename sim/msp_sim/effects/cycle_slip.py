@@ -1,0 +1,28 @@
+"""An echo that is noticed some periods late."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.component import Normal
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    half_wavelength_cm = 100.0 * scene.assumed_m_s / scene.sensor.frequency_hz / 2.0
+    slip_cm = values["cycles"] * half_wavelength_cm
+    return Change(component=Normal(slip_cm, from_hit=True), share=values["share"])
+
+
+CYCLE_SLIP = Effect(
+    name="cycle_slip",
+    sentence="Now and then the first waves of an echo are missed, and the reading jumps by whole wavelengths.",
+    physics="hits later by n periods, n lambda / 2 in range: 0.41 cm a period at 42 kHz",
+    source="zero-crossing and threshold detectors on tone bursts",
+    parameters=(
+        Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
+        Parameter("cycles", "1", "periods that are missed", -40.0, 40.0, None, 6.0, (4.0, 8.0, 16.0)),
+    ),
+    needs=("true_range_cm",),
+    channels=("component",),
+    experiment="a histogram of ten thousand readings of one target: a second peak beside the first",
+    act=_act,
+)

@@ -1,0 +1,29 @@
+"""A surface nearer than the sensor can hear, which reads as no echo."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.component import Code
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    inside = scene.range_cm < values["depth_cm"]
+    return Change(component=Code(scene.sensor.maximum_cm), share=np.where(inside, values["share"], 0.0))
+
+
+DEAD_ZONE_MAXIMUM = Effect(
+    name="dead_zone_maximum",
+    sentence="Very near the ground the sensor hears nothing but its own ringing, and reports that there is no ground.",
+    physics="no echo in place of a hit, for a share of the readings of surfaces within the zone",
+    source="range finders that blank their own ring-down",
+    parameters=(
+        Parameter("share", "1", "share of such readings", 0.0, 1.0),
+        Parameter("depth_cm", "cm", "how far the zone reaches", 1.0, 200.0, None, 30.0, (25.0, 30.0, 40.0, 60.0)),
+    ),
+    needs=("true_range_cm",),
+    channels=("component",),
+    experiment="a plate from 10 to 60 cm in steps of 2 cm",
+    act=_act,
+)

@@ -1,0 +1,23 @@
+"""Ranges that are cut to whole centimetres, not rounded."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(bias_cm=-0.5 * values["share"])
+
+
+FLOORING = Effect(
+    name="flooring",
+    sentence="The sensor cuts off fractions of a centimetre in place of rounding them: half a centimetre too near.",
+    physics="floor(x) = round(x - 1/2): an offset of half a step, whatever the noise",
+    source="integer arithmetic",
+    parameters=(Parameter("share", "1", "1 where every reading is cut", 0.0, 1.0),),
+    needs=("true_range_cm",),
+    channels=("bias",),
+    experiment="none tells it from an offset of -0.5 cm; both are calibration",
+    act=_act,
+    also=("an offset of -0.5 cm",),
+)

@@ -1,0 +1,23 @@
+"""The high byte lost."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.codes import LostHighByte
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(fault=LostHighByte(), fault_share=values["share"])
+
+
+LOST_HIGH_BYTE = Effect(
+    name="lost_high_byte",
+    sentence="Half of a reading is lost on the bus: 300 arrives as 44, and no echo (765) as 253.",
+    physics="reading modulo 256",
+    source="drivers that read one byte of two",
+    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    needs=(),
+    channels=("code",),
+    experiment="a wall at 300 cm: 44",
+    act=_act,
+)

@@ -1,0 +1,23 @@
+"""Echoes missed for no reason that is known."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(log_odds_missed=values["log_odds"])
+
+
+MISSED = Effect(
+    name="missed",
+    sentence="More (or fewer) pings than usual come back without an echo.",
+    physics="log odds of a reading of the maximum against a hit",
+    source="report 4.3.2: 765 now and then",
+    parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
+    needs=(),
+    channels=("missed",),
+    experiment="a thousand readings of a wall at 1 m",
+    act=_act,
+    base="reading_model.weights.max",
+)

@@ -1,0 +1,23 @@
+"""A material that swallows the ping."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(log_odds_missed=values["log_odds"])
+
+
+MISSED_BY_TARGET = Effect(
+    name="missed_by_target",
+    sentence="One kind of ground swallows the ping: over it echoes are missed more often.",
+    physics="log odds of a missed echo over one target; for its share of the energy see acoustics.materials",
+    source="report eq 4 and 4.3.4: plywood, asphalt and concrete alike; snow and grass reflect far less",
+    parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
+    needs=(),
+    channels=("missed",),
+    experiment="this target and a plate side by side at the same range",
+    act=_act,
+    of="target",
+)

@@ -1,0 +1,30 @@
+"""An echo that went twice."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.component import Normal
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    twice_cm = 2.0 * scene.range_cm
+    heard = twice_cm < scene.sensor.maximum_cm
+    return Change(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
+
+
+MULTIPATH = Effect(
+    name="multipath",
+    sentence="The sound bounces between ground and vehicle, and the second echo is taken: about twice the height.",
+    physics="hits at 2 z in place of z, where that is within reach",
+    source="echo sounding over hard ground; the vehicle's own belly is the second mirror",
+    parameters=(
+        Parameter("share", "1", "share of the readings", 0.0, 1.0),
+        Parameter("sigma_cm", "cm", "scatter of the second echo", 0.1, 50.0, None, 3.0, (3.0,)),
+    ),
+    needs=("true_range_cm",),
+    channels=("component",),
+    experiment="a hard floor at 1 m, with and without a plate about the sensor",
+    act=_act,
+)

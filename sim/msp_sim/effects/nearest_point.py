@@ -1,0 +1,27 @@
+"""The nearest point that the beam covers."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    half_angle_rad = scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0)
+    tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
+    beyond_rad = np.maximum(tilt_rad - half_angle_rad, 0.0)
+    return Change(bias_cm=values["share"] * scene.range_cm * (1.0 / np.cos(beyond_rad) - 1.0))
+
+
+NEAREST_POINT = Effect(
+    name="nearest_point",
+    sentence="Beyond what the beam covers, a rough surface answers from the beam's edge, the nearest point in it.",
+    physics="z / cos(incidence - half angle) beyond the beam's half angle at that range, z within it",
+    source="geometry of a cone; msp_range.acoustics.slant.nearest_range_in_beam; needs a surface rough on 8 mm",
+    parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
+    needs=("true_range_cm", "incidence_deg"),
+    channels=("bias",),
+    experiment="gravel at angles below and beyond the breakaway angle: no error below, growing beyond",
+    act=_act,
+)

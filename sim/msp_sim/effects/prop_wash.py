@@ -1,0 +1,22 @@
+"""Short readings from the rotors' wash."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(log_odds_short=values["log_odds"] * scene["throttle"])
+
+
+PROP_WASH = Effect(
+    name="prop_wash",
+    sentence="With more throttle the rotors' noise is taken for an echo more often, and the sensor reads short.",
+    physics="log odds of an unexpected (short) reading grow in proportion to the throttle",
+    source="field reports: climbs in altitude hold, fine on the bench; rotor noise gives short readings",
+    parameters=(Parameter("log_odds", "1", "log odds at full throttle over those at none", -10.0, 10.0),),
+    needs=("throttle",),
+    channels=("short",),
+    experiment="the vehicle tied down over a floor, throttle in steps",
+    act=_act,
+)

@@ -1,0 +1,23 @@
+"""Readings that nothing explains."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(log_odds_random=values["log_odds"])
+
+
+RANDOM_READINGS = Effect(
+    name="random_readings",
+    sentence="More (or fewer) readings than usual are anywhere at all.",
+    physics="log odds of a random reading against a hit",
+    source="report eq 12",
+    parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
+    needs=(),
+    channels=("random",),
+    experiment="a thousand readings of a wall at 1 m",
+    act=_act,
+    base="reading_model.weights.random",
+)

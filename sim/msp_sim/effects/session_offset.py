@@ -1,0 +1,24 @@
+"""A session in which everything was measured from another zero."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(bias_cm=values["offset_cm"])
+
+
+SESSION_OFFSET = Effect(
+    name="session_offset",
+    sentence="On one day everything reads too far or too near by the same amount: something was set up differently.",
+    physics="a constant added to every range of one run",
+    source="geometry; the reference's zero is set anew for each session",
+    parameters=(Parameter("offset_cm", "cm", "how much too far this session reads", -50.0, 50.0),),
+    needs=("true_range_cm",),
+    channels=("bias",),
+    experiment="the session again, with the reference set up anew",
+    act=_act,
+    of="run",
+    also=("the reference's zero in that session",),
+)

@@ -1,0 +1,33 @@
+"""The range along a tilted beam, which is longer than the height."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
+    slant_cm = scene.range_cm / np.cos(tilt_rad)
+    if "slant_range_cm" in scene:
+        said_cm = scene["slant_range_cm"]
+        slant_cm = np.where(np.isnan(said_cm), slant_cm, said_cm)
+    return Change(bias_cm=values["share"] * (slant_cm - scene.range_cm))
+
+
+SLANT_RANGE = Effect(
+    name="slant_range",
+    sentence="A tilted sensor measures along its beam, which is longer than the distance straight to the surface.",
+    physics=(
+        "z / cos(incidence), or slant_range_cm where that is known, in place of the perpendicular z; share -1 where "
+        "the truth is along the beam and the sensor reads the perpendicular"
+    ),
+    source="report eq 8",
+    parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
+    needs=("true_range_cm", "incidence_deg"),
+    channels=("bias",),
+    experiment="tilt the sensor to both sides before a wall: the error grows with the square of the angle",
+    act=_act,
+    reads=("slant_range_cm",),
+)

@@ -1,0 +1,31 @@
+"""A target that is too small to answer as a wall does."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    wavelength_m = scene.assumed_m_s / scene.sensor.frequency_hz
+    area_m2 = (np.maximum(scene["target_size_cm"], 0.1) / 100.0) ** 2
+    far = np.maximum(scene.range_cm, 1.0) / 100.0 * wavelength_m / (2.0 * area_m2)
+    weaker_db = 20.0 * np.log10(np.maximum(far, 1.0))
+    return Change(log_odds_missed=values["log_odds_per_10db"] * weaker_db / 10.0)
+
+
+SMALL_TARGET = Effect(
+    name="small_target",
+    sentence="A small target sends back less than a wall, and from far away its echo is missed.",
+    physics=(
+        "beyond z = 2 A / lambda a square plate of area A answers 20 log(z lambda / 2 A) dB weaker than a wall; log "
+        "odds of a missed echo grow by the same for each 10 dB"
+    ),
+    source="msp_range.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is a choice",
+    parameters=(Parameter("log_odds_per_10db", "1", "growth of the log odds for 10 dB", 0.0, 50.0),),
+    needs=("true_range_cm", "target_size_cm"),
+    channels=("missed",),
+    experiment="plates of 20, 10 and 5 cm at growing range",
+    act=_act,
+)

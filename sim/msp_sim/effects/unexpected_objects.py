@@ -1,0 +1,23 @@
+"""Things in the beam that are nearer than the surface."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(log_odds_short=values["log_odds"])
+
+
+UNEXPECTED_OBJECTS = Effect(
+    name="unexpected_objects",
+    sentence="More (or fewer) things than usual get into the beam before the ground does.",
+    physics="log odds of an unexpected reading against a hit",
+    source="report eq 10",
+    parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
+    needs=(),
+    channels=("short",),
+    experiment="an empty hall and a furnished one",
+    act=_act,
+    base="reading_model.weights.unexpected",
+)
