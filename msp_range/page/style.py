@@ -9,8 +9,9 @@ needs no display.
 import io
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -41,6 +42,9 @@ WIDTH_IN = 7.4
 
 DPI = 150
 
+_LETTER_IN, _HANDLE_IN = 0.064, 0.6
+"""Width of a letter and of what stands before a label, in a legend [in]."""
+
 _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -55,6 +59,7 @@ _STYLE = {
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
+    "axes.formatter.use_mathtext": True,
     "axes.unicode_minus": True,
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
@@ -121,6 +126,33 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = 
     )
 
 
+def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
+    """A legend under the axes, in as many columns as the width has room for.
+
+    Parameters
+    ----------
+    figure
+        With axes that have labelled artists.
+    handles
+        What to explain; None: what the first axes has, in its order.
+    """
+    if handles is None:
+        handles = figure.axes[0].get_legend_handles_labels()[0]
+    labels = [str(handle.get_label()) for handle in handles]
+    columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
+    # As few columns as the same number of lines needs.
+    columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+
+
+def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
+    """Whether the labels, filled in column by column, have room beside each other."""
+    deep, extra = divmod(len(labels), columns)
+    ends = list(itertools.accumulate(deep + (column < extra) for column in range(columns)))
+    widest = [max(map(len, labels[start:end])) for start, end in zip([0, *ends], ends, strict=False)]
+    return sum(_LETTER_IN * letters + _HANDLE_IN for letters in widest) < figure.get_figwidth()
+
+
 def edges_between(centres: list[float]) -> list[float]:
     """Borders half way between sorted values, the outer ones as far out as their neighbours; for bars of equal rank.
 
@@ -134,17 +166,3 @@ def edges_between(centres: list[float]) -> list[float]:
         return [centres[0] - half, centres[0] + half]
     inner = [(left + right) / 2.0 for left, right in itertools.pairwise(centres)]
     return [2.0 * centres[0] - inner[0], *inner, 2.0 * centres[-1] - inner[-1]]
-
-
-def rounded(number: float, error: float) -> str:
-    """A number to the digit that its error leaves meaning to (two digits of the error), for captions.
-
-    Examples
-    --------
-    >>> rounded(3.14159, 0.0123), rounded(127.3, 25.0), rounded(2.5, math.nan)
-    ('3.142', '127', '2.5')
-    """
-    if not (math.isfinite(error) and error > 0.0):
-        return f"{number:.3g}"
-    digits = max(1 - math.floor(math.log10(error)), 0)
-    return f"{number:.{digits}f}"

@@ -29,7 +29,12 @@ COLD_BELOW_C, HOT_ABOVE_C = 15.0, 30.0
 def entries(rows: Rows) -> Iterator[Entry]:
     """The chapter's pictures in its order; ranges and materials that the report does not have come after its own."""
     yield "figure_4_04_range_error", "Figure 4.4: range error, all ranges", _baseline
-    for number, masked, kind in ((5, False, "in order"), (6, False, "histogram"), (7, True, "in order"), (8, True, "histogram")):
+    for number, masked, kind in (
+        (5, False, "in order"),
+        (6, False, "histogram"),
+        (7, True, "in order"),
+        (8, True, "histogram"),
+    ):
         what = "maximum range measurements" if kind == "in order" else "maximum range histogram"
         without = ", missed reports masked" if masked else ""
         name = f"figure_4_{number:02d}_maximum_range"
@@ -51,7 +56,10 @@ def entries(rows: Rows) -> Iterator[Entry]:
         name = f"figure_4_{number}_{kind}"
         yield name, f"Figure 4.{number}: range error, {kind} temperature", partial(_temperature, kind=kind)
     yield "figure_4_19_vibration", "Figure 4.19: range error, vibration", _vibration
-    for number, condition, how in ((20, "crosstalk_simultaneous", "simultaneous"), (21, "crosstalk_sequential", "sequential")):
+    for number, condition, how in (
+        (20, "crosstalk_simultaneous", "simultaneous"),
+        (21, "crosstalk_sequential", "sequential"),
+    ):
         title = f"Figure 4.{number}: range error, two sensors, {how} transmission"
         yield f"figure_4_{number}_{how}", title, partial(_crosstalk, condition=condition)
 
@@ -110,8 +118,8 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
         caption = (
             f"There {_are(len(found.peaks_before), 'peak')}: "
             + ", ".join(f"{peak.reading_cm:g} cm ({100.0 * peak.share:.2g} %)" for peak in found.peaks_before)
-            + f". {found.no_echo:,} readings of {rows.model.maximum_cm} and {found.saturated:,} of 255 are missed echoes. "
-            "The report sees the same two codes, and the histogram multi-modal for them."
+            + f". {found.no_echo:,} readings of {rows.model.maximum_cm} and {found.saturated:,} of 255 are missed "
+            "echoes. The report sees the same two codes, and the histogram multi-modal for them."
         )
     return Drawn(figure, caption, "How often each centimetre was read at the longest range.")
 
@@ -222,7 +230,9 @@ def _material(findings: Findings, rows: Rows, material: str) -> Drawn:
     if material in REPORT_MATERIALS:
         caption += " The report: plywood, asphalt and concrete cannot be told apart."
     return Drawn(
-        draw_errors([errors], ErrorAxes(limits_cm=limits)), caption, f"Range error over true range, target of {material}."
+        draw_errors([errors], ErrorAxes(limits_cm=limits)),
+        caption,
+        f"Range error over true range, target of {material}.",
     )
 
 
@@ -254,7 +264,9 @@ def _temperature(findings: Findings, rows: Rows, kind: str) -> Drawn:
         "cold": " The report: 47 °F in the box, readings somewhat too far.",
     }[kind]
     return Drawn(
-        draw_errors([errors], ErrorAxes(limits_cm=limits)), caption, f"Range error over true range, {kind} air at the sensor."
+        draw_errors([errors], ErrorAxes(limits_cm=limits)),
+        caption,
+        f"Range error over true range, {kind} air at the sensor.",
     )
 
 
@@ -292,7 +304,9 @@ def _crosstalk(findings: Findings, rows: Rows, condition: str) -> Drawn:
 
 def _answers(findings: Findings, name: str, level: str | None) -> str:
     """What the questions of an experiment were answered, one sentence each."""
-    answers = [each.answer for each in findings.questions if each.name == name and (level is None or each.level == level)]
+    answers = [
+        each.answer for each in findings.questions if each.name == name and (level is None or each.level == level)
+    ]
     return "".join(f" {answer}" for answer in answers)
 
 

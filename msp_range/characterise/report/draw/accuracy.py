@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from msp_range.page.style import GREEN, GREY, INK, OURS, PALE, PURPLE, REFERENCE, SERIES, new_figure
+from msp_range.page.style import GREEN, GREY, INK, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure
 
 _Array = NDArray[np.float64]
 
@@ -56,9 +56,18 @@ def draw_linearity(linearity: Linearity) -> Figure:
         half = 2.0 * linearity.reference_std_cm
         axes.axhspan(-half, half, color=PALE, alpha=0.5, linewidth=0, label="± 2 standard deviations of the reference")
     axes.errorbar(
-        true_cm, linearity.reading_cm - true_cm, yerr=1.96 * linearity.reading_std_cm, linestyle="none", marker="o",
-        markersize=4.0, color=OURS, elinewidth=0.9, capsize=0, label="mean of a point, 95 % by its readings", zorder=3,
-    )  # fmt: skip
+        true_cm,
+        linearity.reading_cm - true_cm,
+        yerr=1.96 * linearity.reading_std_cm,
+        linestyle="none",
+        marker="o",
+        markersize=4.0,
+        color=OURS,
+        elinewidth=0.9,
+        capsize=0,
+        label="mean of a point, 95 % by its readings",
+        zorder=3,
+    )
     if linearity.line_cm is not None:
         offset_cm, scale = linearity.line_cm
         axes.plot(span, offset_cm + (scale - 1.0) * span, "--", color=REFERENCE, label="straight line", zorder=4)
@@ -68,24 +77,33 @@ def draw_linearity(linearity: Linearity) -> Figure:
         axes.plot(span, curve - span, "-", color=GREEN, label="calibration that is kept", zorder=5)
         inside = (knots[:, 0] >= span[0]) & (knots[:, 0] <= span[-1])
         axes.plot(
-            knots[inside, 0], knots[inside, 1] - knots[inside, 0], linestyle="none", marker="s", markersize=5,
-            color=GREEN, markeredgecolor="white", zorder=6,
-        )  # fmt: skip
+            knots[inside, 0],
+            knots[inside, 1] - knots[inside, 0],
+            linestyle="none",
+            marker="s",
+            markersize=5,
+            color=GREEN,
+            markeredgecolor="white",
+            zorder=6,
+        )
     axes.set_xlabel("true range [cm], in air of the calibration temperature")
     axes.set_ylabel("mean reading − true range [cm]")
     if side is not None:
         forms = [form.replace(" ", "\n", 1) for form, _ in linearity.held_out]
         rms = [rms_cm for _, rms_cm in linearity.held_out]
-        bars = side.bar(range(len(rms)), rms, width=0.7, color=[
-            GREEN if form == linearity.kept else PALE for form, _ in linearity.held_out
-        ])  # fmt: skip
+        bars = side.bar(
+            range(len(rms)),
+            rms,
+            width=0.7,
+            color=[GREEN if form == linearity.kept else PALE for form, _ in linearity.held_out],
+        )
         side.bar_label(bars, [f"{value:.2f}" for value in rms], fontsize=8, padding=2)
         side.set_xticks(range(len(rms)), forms, fontsize=7)
         side.set_ylabel("rms on points left out [cm]")
         side.margins(y=0.15)
         side.grid(axis="x", visible=False)
         side.set_title("kept: " + linearity.kept, fontsize=8)
-    figure.legend(loc="outside lower center", ncols=4)
+    legend_below(figure)
     return figure
 
 
@@ -130,19 +148,29 @@ def draw_boxes(boxes: Sequence[BoxOfAir]) -> Figure:
     figure = new_figure(3.6)
     for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
         axes.axhline(0.0, color=GREY, linewidth=0.9)
-        axes.plot(box.range_cm, box.uniform_cm, ":", color=REFERENCE, linewidth=1.8, label="that air all the way (eq 7)")
+        axes.plot(
+            box.range_cm, box.uniform_cm, ":", color=REFERENCE, linewidth=1.8, label="that air all the way (eq 7)"
+        )
         axes.plot(box.range_cm, box.gradient_cm, "-.", color=PURPLE, label="linear fall to the room's at the target")
         axes.plot(box.range_cm, box.confined_cm, "-", color=GREEN, label="that air in the box only")
         axes.errorbar(
-            box.range_cm, box.shift_cm, yerr=[box.shift_cm - box.low_cm, box.high_cm - box.shift_cm], linestyle="none",
-            marker="o", markersize=4.5, color=INK, markerfacecolor="white", capsize=2.5, elinewidth=1.0, zorder=5,
+            box.range_cm,
+            box.shift_cm,
+            yerr=[box.shift_cm - box.low_cm, box.high_cm - box.shift_cm],
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            color=INK,
+            markerfacecolor="white",
+            capsize=2.5,
+            elinewidth=1.0,
+            zorder=5,
             label="measured, minus room temperature",
-        )  # fmt: skip
+        )
         axes.set_title(f"{box.label}\nair that explains it: {box.depth_cm:.0f} cm", fontsize=8.5)
         axes.set_xlabel("true range [cm]")
     figure.axes[0].set_ylabel("shift of the mean error [cm]")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    legend_below(figure)
     return figure
 
 
@@ -168,20 +196,35 @@ def draw_compensated(rows: Compensated) -> Figure:
     axes.axhline(0.0, color=GREY, linewidth=0.9)
     aside = 0.12 * (float(np.min(np.diff(rows.range_cm))) if rows.range_cm.size > 1 else 20.0)
     for x, before, after, low, high, colour, marker, who in (
-        (rows.range_cm - aside, rows.before_cm, rows.after_cm, rows.before_low_cm, rows.before_high_cm, *SERIES[0], "ours"),
+        (
+            rows.range_cm - aside,
+            rows.before_cm,
+            rows.after_cm,
+            rows.before_low_cm,
+            rows.before_high_cm,
+            *SERIES[0],
+            "ours",
+        ),
         (rows.range_cm + aside, rows.report_before_cm, rows.report_after_cm, None, None, *SERIES[5], "the report's"),
     ):
         axes.vlines(x, before, after, color=colour, linewidth=1.0, alpha=0.6)
         axes.plot(x, before, linestyle="none", marker=marker, color=colour, markersize=6, label=f"{who}, uncompensated")
         axes.plot(
-            x, after, linestyle="none", marker=marker, markersize=6, color=colour, markerfacecolor="white",
-            markeredgewidth=1.4, label=f"{who}, compensated",
-        )  # fmt: skip
+            x,
+            after,
+            linestyle="none",
+            marker=marker,
+            markersize=6,
+            color=colour,
+            markerfacecolor="white",
+            markeredgewidth=1.4,
+            label=f"{who}, compensated",
+        )
         if low is not None and high is not None:
             for y, bottom, top in ((before, low, high), (after, rows.after_low_cm, rows.after_high_cm)):
                 axes.errorbar(x, y, yerr=[y - bottom, top - y], linestyle="none", color=colour, capsize=3, elinewidth=1)
     axes.set_xticks(rows.range_cm, [f"{each:g}" for each in rows.range_cm])
     axes.set_xlabel("true range [cm]")
     axes.set_ylabel("mean error [cm]")
-    figure.legend(loc="outside lower center", ncols=4)
+    legend_below(figure)
     return figure

@@ -7,7 +7,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from msp_range.page.style import GREEN, GREY, INK, ORANGE, OURS, PALE, REFERENCE, edges_between, new_figure
+from msp_range.page.style import (
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    OURS,
+    PALE,
+    REFERENCE,
+    edges_between,
+    legend_below,
+    new_figure,
+)
 
 _Array = NDArray[np.float64]
 
@@ -68,9 +79,14 @@ def draw_sweep(sweep: Sweep) -> Figure:
     _shares(top, sweep, low, high)
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="eq 8: along the axis, r₀ / cos θ", zorder=4)
     top.plot(
-        np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4,
+        np.degrees(theta),
+        nearest_cm,
+        "-",
+        color=GREEN,
+        linewidth=1.3,
+        zorder=4,
         label=f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°",
-    )  # fmt: skip
+    )
     top.set_ylim(low, high)
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -79,7 +95,12 @@ def draw_sweep(sweep: Sweep) -> Figure:
     width = 0.86 * float(np.min(np.diff(edges)))
     bottom.bar(sweep.angle_deg, 100.0 * sweep.reliable, width=width, color=OURS, alpha=0.75, zorder=2)
     bottom.bar(
-        sweep.angle_deg, 100.0 * (1.0 - sweep.reliable), width=width, bottom=100.0 * sweep.reliable, color=PALE, zorder=2
+        sweep.angle_deg,
+        100.0 * (1.0 - sweep.reliable),
+        width=width,
+        bottom=100.0 * sweep.reliable,
+        color=PALE,
+        zorder=2,
     )
     bottom.set_ylim(0.0, 100.0)
     bottom.set_yticks([0, 50, 100])
@@ -94,7 +115,7 @@ def draw_sweep(sweep: Sweep) -> Figure:
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
     bottom.grid(axis="x", visible=False)
-    figure.legend(loc="outside lower center", ncols=3)
+    legend_below(figure)
     return figure
 
 
@@ -112,9 +133,17 @@ def _shares(top, sweep: Sweep, low: float, high: float) -> None:  # type: ignore
         widths.extend((shares * room).tolist())
         bottoms.extend((values - 0.44).tolist())
     top.bar(
-        lefts, 0.88, widths, bottom=bottoms, align="edge", color=OURS, alpha=0.6, linewidth=0, zorder=2,
+        lefts,
+        0.88,
+        widths,
+        bottom=bottoms,
+        align="edge",
+        color=OURS,
+        alpha=0.6,
+        linewidth=0,
+        zorder=2,
         label="readings: width is the share",
-    )  # fmt: skip
+    )
 
 
 def _breakaway(top, bottom, sweep: Sweep) -> None:  # type: ignore[no-untyped-def]
@@ -130,10 +159,18 @@ def _breakaway(top, bottom, sweep: Sweep) -> None:  # type: ignore[no-untyped-de
                 axes.axvspan(min(last, end), max(last, end), color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
             axes.axvline(last, color=INK, linewidth=1.3, zorder=5)
         top.text(
-            last, 0.985, f" {abs(last):.1f}°", transform=top.get_xaxis_transform(), fontsize=8.5, weight="bold",
-            ha="left" if last < 0 else "right", va="top", color=INK, zorder=6,
+            last,
+            0.985,
+            f" {abs(last):.1f}°",
+            transform=top.get_xaxis_transform(),
+            fontsize=8.5,
+            weight="bold",
+            ha="left" if last < 0 else "right",
+            va="top",
+            color=INK,
+            zorder=6,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )  # fmt: skip
+        )
         labelled = True
     if labelled:
         top.plot([], [], "-", color=INK, linewidth=1.3, label="breakaway: last reliable angle")
@@ -187,9 +224,15 @@ def draw_beam(beam: Beam) -> Figure:
     figure = new_figure(4.0)
     axes = figure.subplots()
     axes.fill_between(
-        beam.equation_cm, beam.equation_deg - beam.step_deg, beam.equation_deg + beam.step_deg, color=PALE, alpha=0.6,
-        linewidth=0, label=f"± one step of the motor, {beam.step_deg:g}°", zorder=1,
-    )  # fmt: skip
+        beam.equation_cm,
+        beam.equation_deg - beam.step_deg,
+        beam.equation_deg + beam.step_deg,
+        color=PALE,
+        alpha=0.6,
+        linewidth=0,
+        label=f"± one step of the motor, {beam.step_deg:g}°",
+        zorder=1,
+    )
     axes.plot(beam.equation_cm, beam.equation_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
     axes.plot(beam.used_cm, beam.used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
     x = [row.range_cm for row in beam.rows]
@@ -197,32 +240,59 @@ def draw_beam(beam: Beam) -> Figure:
     low = [row.measured_deg - (row.measured_deg if row.low_deg is None else row.low_deg) for row in beam.rows]
     high = [(row.measured_deg if row.high_deg is None else row.high_deg) - row.measured_deg for row in beam.rows]
     axes.errorbar(
-        x, y, yerr=[low, high], linestyle="none", marker="o", markersize=6, color=OURS, capsize=3, zorder=6,
+        x,
+        y,
+        yerr=[low, high],
+        linestyle="none",
+        marker="o",
+        markersize=9,
+        color=OURS,
+        capsize=4,
+        zorder=6,
         label="measured, up to the next angle tried",
-    )  # fmt: skip
+    )
     pairs = [(row.range_cm, row.report_deg) for row in beam.rows if row.report_deg is not None]
     if pairs:
         axes.plot(
-            [range_cm for range_cm, _ in pairs], [angle for _, angle in pairs], linestyle="none", marker="X",
-            markersize=8, color=REFERENCE, markeredgecolor="white", label="the report's", zorder=7,
-        )  # fmt: skip
+            [range_cm for range_cm, _ in pairs],
+            [angle for _, angle in pairs],
+            linestyle="none",
+            marker="X",
+            markersize=7,
+            color=REFERENCE,
+            markeredgecolor="white",
+            label="the report's",
+            zorder=7,
+        )
     left_out = [(row.range_cm, row.left_out_deg) for row in beam.rows if row.left_out_deg is not None]
     if left_out:
         axes.plot(
-            [range_cm for range_cm, _ in left_out], [angle for _, angle in left_out], linestyle="none", marker="D",
-            markersize=7, markerfacecolor="none", markeredgewidth=1.4, color=ORANGE, zorder=5,
+            [range_cm for range_cm, _ in left_out],
+            [angle for _, angle in left_out],
+            linestyle="none",
+            marker="D",
+            markersize=9,
+            markerfacecolor="none",
+            markeredgewidth=1.6,
+            color=ORANGE,
+            zorder=8,
             label="predicted from the others",
-        )  # fmt: skip
+        )
     silent = [row.range_cm for row in beam.rows if row.left_out_deg is None]
     for range_cm in silent if left_out else ():
         axes.annotate(
-            "the others predict\nno echo here", (range_cm, 0.0), xytext=(0, 6), textcoords="offset points", ha="center",
-            fontsize=7, color=GREY,
-        )  # fmt: skip
+            "the others predict\nno echo here",
+            (range_cm, 0.0),
+            xytext=(0, 6),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+            color=GREY,
+        )
     top = max([*y, *(angle for _, angle in pairs), *(angle for _, angle in left_out)])
     axes.set_ylim(0.0, 1.2 * top)
     axes.set_xlim(0.0, float(np.max(beam.used_cm)) if beam.used_cm.size else max(x) * 1.2)
     axes.set_xlabel("perpendicular range [cm]")
     axes.set_ylabel("half angle of the beam [deg]")
-    figure.legend(loc="outside lower center", ncols=3)
+    legend_below(figure)
     return figure

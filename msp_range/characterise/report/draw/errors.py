@@ -6,6 +6,7 @@ centimetres take few values, so each range shows how often each was read, as a b
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from msp_range.page.style import GREY, INK, OURS, REFERENCE, SERIES, edges_between, new_figure
+from msp_range.page.style import GREY, INK, OURS, REFERENCE, SERIES, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]
 
@@ -98,17 +99,18 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
     for each, row in zip(panels, rows, strict=True):
         _panel(row, each, axes, limits_cm)
         if len(panels) > 1:
-            row.set_title(each.label, pad=18.0)
+            row.set_title(each.label, pad=24.0)
     rows[-1].set_xlabel("true range [cm]")
-    handles, labels = rows[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
+    handles = {str(handle.get_label()): handle for row in rows for handle in row.get_legend_handles_labels()[0]}
+    legend_below(figure, list(handles.values()))
     return figure
 
 
 def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> tuple[float, float]:
     """Limits of the error axis that show nearly all readings of all panels and every line [cm]."""
     errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
-    low, high = -3.0, 3.0
+    low, high = -3.2, 3.2
     if errors.size:
         # One reading in 2000 at either end may fall outside, where it is counted and not drawn.
         shown = np.quantile(errors, [0.0005, 0.9995])
@@ -123,11 +125,11 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
     low, high = limits_cm
     compressed = max(-low, high) > 6.0 * LINEAR_CM
     if compressed:
-        row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=1.0)
-        ticks = [tick for tick in (-500, -200, -100, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500)]
+        row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
+        ticks = (-500, -200, -100, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500)
         row.yaxis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
         row.yaxis.set_minor_locator(NullLocator())
-        row.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+.0f}" if tick else "0"))
+    row.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
     row.set_ylim(low, high)
     row.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if axes.band_cm is not None:
@@ -135,106 +137,87 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
             -axes.band_cm, axes.band_cm, color=REFERENCE, alpha=0.10, linewidth=0, label=axes.band_label, zorder=0
         )
     if ranges_cm.size <= MOST_RANGES:
-        _bars(row, each, ranges_cm, limits_cm)
+        _bars(row, each, ranges_cm, limits_cm, compressed)
     else:
         _cloud(row, each, limits_cm)
     for number, line in enumerate(axes.lines):
-        row.plot(
-            line.range_cm,
-            line.error_cm,
-            linestyle=("--", "-.", ":")[number % 3],
-            color=(REFERENCE, SERIES[2][0], SERIES[3][0])[number % 3],
-            label=line.label,
-            zorder=4,
-        )
+        colour, dashes = ((REFERENCE, "--"), (SERIES[2][0], "-."), (SERIES[3][0], ":"))[number % 3]
+        row.plot(line.range_cm, line.error_cm, dashes, color=colour, label=line.label, zorder=4)
     for line in axes.points:
-        row.plot(
-            line.range_cm,
-            line.error_cm,
-            linestyle="none",
-            marker="X",
-            markersize=7,
-            color=REFERENCE,
-            markeredgecolor="white",
-            label=line.label,
-            zorder=6,
-        )
+        looks: dict[str, Any] = {"marker": "X", "markersize": 7, "color": REFERENCE, "markeredgecolor": "white"}
+        row.plot(line.range_cm, line.error_cm, linestyle="none", label=line.label, zorder=6, **looks)
     row.set_ylabel(axes.error_label)
 
 
-def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, float]) -> None:
-    """Each range's errors as a histogram on its side, its mean and what was missed above."""
+def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, float], compressed: bool) -> None:
+    """Each range's errors as a histogram on its side, its mean, and how many were missed above.
+
+    Where the axis is compressed the errors have several peaks: there the median stands for the mean, and what lies
+    beyond the part that is to scale is drawn as ticks and counted.
+    """
     low, high = limits_cm
     edges = edges_between(ranges_cm.tolist())
-    gaps = np.diff(edges)
-    room_cm = float(np.min(gaps)) * 0.82
-    lefts, bottoms, widths, heights, means, spreads = [], [], [], [], [], []
-    outliers_x, outliers_y = [], []
+    room_cm = float(np.min(np.diff(edges))) * 0.82
+    thinnest_cm = 0.008 * (edges[-1] - edges[0])
+    bars: list[tuple[float, float, float]] = []
+    far: list[tuple[float, float]] = []
+    middles: list[tuple[float, float, float]] = []
     for range_cm in ranges_cm.tolist():
         here = each.true_range_cm == range_cm
         errors = each.error_cm[here & ~each.missed]
-        missed = int(np.count_nonzero(each.missed[here]))
-        row.text(
-            range_cm,
-            1.01,
-            f"{missed}/{np.count_nonzero(here)}" if missed else "0",
-            transform=row.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            fontsize=6.5 if ranges_cm.size <= 16 else 5.0,
-            color=REFERENCE if missed else GREY,
+        _count_above(
+            row, range_cm, int(np.count_nonzero(each.missed[here])), int(np.count_nonzero(here)), ranges_cm.size, 0
         )
+        if compressed:
+            beyond = int(np.count_nonzero(np.abs(errors) > LINEAR_CM))
+            _count_above(row, range_cm, beyond, int(np.count_nonzero(here)), ranges_cm.size, 1)
         if not errors.size:
             continue
-        means.append((range_cm, float(np.mean(errors))))
-        spreads.append(1.96 * float(np.std(errors)) / np.sqrt(errors.size))
-        # Bars of 1 cm, centred where the readings of this range lie: half a centimetre off for a range of 304.5.
-        centre = float(np.median(errors))
-        steps, counts = np.unique(np.rint(errors - centre), return_counts=True)
-        shares = counts / errors.size
-        thin = shares * room_cm < 0.012 * (edges[-1] - edges[0])
-        for step, share, is_thin in zip(steps.tolist(), shares.tolist(), thin.tolist(), strict=True):
-            error_cm = centre + step
-            if is_thin or abs(error_cm) > 6.0 * LINEAR_CM:
-                outliers_x.append(range_cm)
-                outliers_y.append(min(max(error_cm, low), high))
-                continue
-            lefts.append(range_cm - share * room_cm / 2.0)
-            widths.append(share * room_cm)
-            bottoms.append(error_cm - 0.44)
-            heights.append(0.88)
-    row.bar(
-        lefts,
-        heights,
-        widths,
-        bottom=bottoms,
-        align="edge",
-        color=OURS,
-        alpha=0.55,
-        linewidth=0,
-        label="readings: width is the share",
-        zorder=2,
-    )
-    if outliers_x:
+        spread = 0.0 if compressed else 1.96 * float(np.std(errors)) / np.sqrt(errors.size)
+        middles.append((range_cm, float(np.median(errors) if compressed else np.mean(errors)), spread))
+        # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
+        centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
+        steps, counts = np.unique(np.rint(errors - centre_cm), return_counts=True)
+        for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
+            error_cm = centre_cm + step
+            if (compressed and abs(error_cm) > LINEAR_CM) or not low < error_cm < high:
+                far.append((range_cm, min(max(error_cm, low), high)))
+            else:
+                bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
+    if bars:
+        x, y, width = (np.array(column) for column in zip(*bars, strict=True))
+        row.bar(
+            x - width / 2.0,
+            0.88,
+            width,
+            bottom=y - 0.44,
+            align="edge",
+            color=OURS,
+            alpha=0.6,
+            linewidth=0,
+            label="readings: width is the share",
+            zorder=2,
+        )
+    if far:
+        x, y = zip(*far, strict=True)
         row.plot(
-            outliers_x,
-            outliers_y,
+            x,
+            y,
             linestyle="none",
             marker="_",
-            markersize=5,
-            markeredgewidth=1.2,
+            markersize=6,
+            markeredgewidth=1.0,
             color=OURS,
-            alpha=0.9,
-            label="rare readings",
             zorder=2,
             clip_on=False,
+            label="readings farther off" if compressed else "readings outside",
         )
-    if means:
-        x, y = zip(*means, strict=True)
+    if middles:
+        x, y, spread = zip(*middles, strict=True)
         row.errorbar(
             x,
             y,
-            yerr=spreads,
+            yerr=None if compressed else spread,
             linestyle="none",
             marker="o",
             markersize=4.5,
@@ -243,17 +226,45 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             markeredgewidth=1.1,
             elinewidth=1.1,
             capsize=2,
-            label="mean and its 95 % interval",
             zorder=5,
+            label="median" if compressed else "mean and its 95 % interval",
         )
-    row.text(
-        0.0, 1.01, "missed ", transform=row.transAxes, ha="right", va="bottom", fontsize=6.5, color=GREY
-    )
+    for line, text in enumerate(("missed ", f"over ±{LINEAR_CM:g} cm ") if compressed else ("missed ",)):
+        row.annotate(
+            text,
+            (0.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 2 + 9 * line),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=6.5,
+            color=GREY,
+            annotation_clip=False,
+        )
     row.set_xlim(edges[0], edges[-1])
     if ranges_cm.size <= 16:
         row.set_xticks(ranges_cm)
         row.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
     row.grid(axis="x", visible=False)
+
+
+def _count_above(row: Axes, range_cm: float, count: int, of: int, ranges: int, line: int) -> None:
+    """A count over the axes at a range, on the first or second line."""
+    if count == 0 and ranges > 30:
+        return
+    row.annotate(
+        f"{count}/{of}" if count and ranges <= 16 else str(count),
+        (range_cm, 1.0),
+        xycoords=row.get_xaxis_transform(),
+        xytext=(0, 2 + 9 * line),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=6.5 if ranges <= 16 else 5.5,
+        color=REFERENCE if count else GREY,
+        annotation_clip=False,
+    )
 
 
 def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float]) -> None:

@@ -1,20 +1,34 @@
 """The four densities of the mixture as fitted (report figures 5.3-5.6), all of them together, and how well they fit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from msp_range.page.style import GREEN, GREY, INK, ORANGE, OURS, PURPLE, REFERENCE, new_figure, note
+from msp_range.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note
 
 _Array = NDArray[np.float64]
 
 KINDS = ("hit", "unexpected", "max", "random")
 
 _LOOKS = {"hit": (OURS, "-"), "unexpected": (ORANGE, "--"), "max": (PURPLE, "-"), "random": (GREEN, "-.")}
+
+_READ: dict[str, Any] = {
+    "linestyle": "none",
+    "markersize": 4.5,
+    "color": INK,
+    "markerfacecolor": "white",
+    "elinewidth": 1.0,
+    "capsize": 2.5,
+    "zorder": 5,
+}
+"""Looks of what was read, beside what was fitted."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +60,12 @@ def draw_hit(densities: Densities) -> Figure:
     """The measurement noise (5.3): the Gaussian's probability of each centimetre, beside the share that was read."""
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["hit"]
-    shown = _bulk(k, p, 1e-5)
+    shown = _bulk(p, 1e-5)
     axes.bar(k[shown], p[shown], width=0.9, color=OURS, alpha=0.45, label="fitted: integral over each centimetre")
     if densities.counts is not None:
-        near = densities.counts * shown
-        _observed(axes, k[shown], near[shown], float(np.sum(near)))
+        near = densities.counts[shown]
+        total = float(np.sum(near))
+        _dots(axes, k[shown], near / max(total, 1.0), near, total, "share read, and its 95 % interval")
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return _finish(figure, axes, "probability of a centimetre")
@@ -61,16 +76,13 @@ def draw_unexpected(densities: Densities) -> Figure:
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["unexpected"]
     inside = k <= densities.true_range_cm + 0.5
-    end = 0.5 + densities.true_range_cm
     axes.fill_between(k[inside], 0.0, p[inside], step="mid", color=ORANGE, alpha=0.35, linewidth=0)
     axes.step(k[inside], p[inside], where="mid", color=ORANGE, label="fitted, if a reading is of this kind")
-    if densities.counts is not None:
-        # Where the hits begin nothing else can be told from them.
-        hits = _bulk(k, densities.density["hit"], 1e-7)
-        before = k < float(k[hits][0]) if np.any(hits) else inside
-        _binned(axes, densities, before, _kinds_expected(densities, before, "unexpected"), "unexpected")
+    # Where the hits begin nothing else can be told from them.
+    hits = _bulk(densities.density["hit"], 1e-7)
+    _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "unexpected")
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
-    axes.set_xlim(0.0, end * 1.06)
+    axes.set_xlim(0.0, (0.5 + densities.true_range_cm) * 1.06)
     return _finish(figure, axes, "probability of a centimetre")
 
 
@@ -87,47 +99,66 @@ def draw_max(densities: Densities, codes: dict[float, float]) -> Figure:
     figure, axes = _axes()
     k = densities.reading_cm
     values = list(codes)
-    axes.vlines(values, 0.0, [100.0 * codes[value] for value in values], color=PURPLE, linewidth=9, alpha=0.5)
-    axes.plot([], [], color=PURPLE, linewidth=6, alpha=0.5, label="fitted point mass")
-    if densities.counts is not None:
-        total = float(np.sum(densities.counts))
-        for value in values:
+    total = 0.0 if densities.counts is None else float(np.sum(densities.counts))
+    axes.bar(
+        values, [100.0 * codes[value] for value in values], width=14.0, color=PURPLE, alpha=0.5, label="fitted mass"
+    )
+    for value in values:
+        words = f"{value:g} cm\nfitted {100.0 * codes[value]:.2f} %"
+        if densities.counts is not None and total:
             count = float(np.sum(densities.counts[k == value]))
             low, high = _share_interval(count, total)
+            share = count / total
             axes.errorbar(
-                [value], [100.0 * count / total], yerr=[[100.0 * (count / total - low)], [100.0 * (high - count / total)]],
-                marker="o", markersize=6, color=INK, markerfacecolor="white", capsize=4, linestyle="none", zorder=5,
+                [value],
+                [100.0 * share],
+                yerr=[[100.0 * (share - low)], [100.0 * (high - share)]],
+                marker="o",
                 label="read, and its 95 % interval" if value == values[0] else None,
-            )  # fmt: skip
-    for value in values:
+                **_READ,
+            )
+            words += f"\nread {100.0 * share:.2f} %"
+        side = -1 if value > 0.85 * k[-1] else 1
         axes.annotate(
-            f"{value:g} cm", (value, 100.0 * codes[value]), xytext=(9, 0), textcoords="offset points", fontsize=8.5
+            words,
+            (value, 100.0 * codes[value]),
+            xytext=(14 * side, 0),
+            textcoords="offset points",
+            fontsize=8,
+            va="top",
+            ha="right" if side < 0 else "left",
         )
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
-    axes.set_xlim(0.0, float(k[-1]) * 1.1)
-    axes.margins(y=0.2)
+    axes.set_xlim(0.0, float(k[-1]) * 1.06)
+    axes.margins(y=0.15)
     return _finish(figure, axes, "share of all readings [%]")
 
 
 def draw_random(densities: Densities) -> Figure:
-    """Random readings (5.6): the same for each centimetre that the sensor can report, from its minimum and not from 0."""
+    """Random readings (5.6): the same for each centimetre that the sensor can report, from its minimum and not 0."""
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["random"]
     axes.fill_between(k, 0.0, p, step="mid", color=GREEN, alpha=0.3, linewidth=0)
     axes.step(k, p, where="mid", color=GREEN, label="fitted, if a reading is of this kind")
-    if densities.counts is not None:
-        hits = _bulk(k, densities.density["hit"], 1e-7)
-        after = (k > float(k[hits][-1])) & (k < k[-1]) if np.any(hits) else k < k[-1]
-        _binned(axes, densities, after, _kinds_expected(densities, after, "random"), "random")
-    for edge in (k[0], k[-1]):
-        axes.annotate(f"{edge:g} cm", (edge, float(p[0])), xytext=(0, 6), textcoords="offset points", ha="center", fontsize=8)
+    # Beyond the hits only random readings and codes are left.
+    hits = _bulk(densities.density["hit"], 1e-7)
+    _binned(axes, densities, (k > k[hits][-1]) & (k < k[-1]), "random")
+    for edge, side in ((k[0], "right"), (k[-1], "left")):
+        axes.annotate(
+            f"{edge:g} cm",
+            (edge, 0.0),
+            xytext=(-4 if side == "right" else 4, 4),
+            textcoords="offset points",
+            ha=side,
+            fontsize=8,
+        )
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
-    axes.set_xlim(0.0, float(k[-1]) * 1.06)
+    axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
     axes.margins(y=0.25)
     return _finish(figure, axes, "probability of a centimetre")
 
 
-def draw_mixture(densities: Densities, total: _Array) -> Figure:
+def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) -> Figure:
     """All four together on a logarithmic scale, with what was read.
 
     Parameters
@@ -136,34 +167,49 @@ def draw_mixture(densities: Densities, total: _Array) -> Figure:
         Of the fitted model.
     total
         Probability of each reading by the whole model, codes in it, shape (k,).
+    codes
+        Readings that are codes for no echo [cm].
     """
-    figure = new_figure(4.0)
+    figure = new_figure(4.2)
     axes = figure.subplots()
     k = densities.reading_cm
-    least = 1e-7
+    is_code = np.isin(k, codes)
+    parts = {kind: densities.weight[kind] * densities.density[kind] for kind in KINDS}
+    plain = np.concatenate([p[~is_code & (p > 0.0)] for kind, p in parts.items() if kind in ("random", "unexpected")])
+    least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
     if densities.counts is not None:
         n = float(np.sum(densities.counts))
-        least = 0.2 / n
-        seen = densities.counts > 0
-        axes.plot(
-            k[seen], densities.counts[seen] / n, linestyle="none", marker="o", markersize=3.0, color=GREY, zorder=2,
-            markeredgewidth=0, alpha=0.8, label=f"share read ({n:,.0f} readings; a dot a centimetre)",
-        )  # fmt: skip
-    for kind in KINDS:
+        single = _bulk(densities.density["hit"], 1e-6) | is_code
+        _dots(axes, k[single], densities.counts[single] / n, densities.counts[single], n, f"read ({n:,.0f} readings)")
+        # Rare readings in bins: a centimetre that was read once says less than it seems to.
+        for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
+            if single[stretch[0]]:
+                continue
+            for cells in np.array_split(stretch, max(stretch.size // 25, 1)):
+                count = float(np.sum(densities.counts[cells]))
+                _dots(
+                    axes,
+                    k[cells].mean(keepdims=True),
+                    np.array([count / n / cells.size]),
+                    np.array([count]),
+                    n,
+                    None,
+                    cells.size,
+                )
+    for kind, p in parts.items():
         colour, dashes = _LOOKS[kind]
-        p = densities.weight[kind] * densities.density[kind]
         label = f"{kind}, weight {densities.weight[kind]:.3g}"
         if kind == "max":
-            axes.vlines(k[p > 0], least, p[p > 0], color=colour, linewidth=5, alpha=0.6, label=label, zorder=3)
+            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=label, zorder=3)
         else:
-            axes.plot(k, np.where(p > least / 10, p, np.nan), dashes, color=colour, label=label, zorder=3)
-    axes.plot(k, total, color=INK, linewidth=0.8, label="all together", zorder=4)
+            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=label, zorder=3)
+    axes.plot(k, np.where(is_code, np.nan, total), color=INK, linewidth=0.8, label="all together", zorder=4)
     axes.set_yscale("log")
     axes.set_ylim(least, 2.0)
     axes.set_xlim(0.0, float(k[-1]) * 1.03)
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel("probability of a centimetre")
-    figure.legend(loc="outside lower center", ncols=3)
+    legend_below(figure)
     return figure
 
 
@@ -181,88 +227,92 @@ def draw_pit(counts: _Array, p_value: float) -> Figure:
     axes = figure.subplots()
     bins, n = counts.size, float(np.sum(counts))
     left = np.arange(bins) / bins
-    low, high = binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins)
+    low, high = 100.0 * (binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins) - 1.0)
     axes.axhspan(low, high, color=REFERENCE, alpha=0.15, linewidth=0, label="95 % of each bar if the model is right")
-    axes.axhline(1.0, color=REFERENCE, linewidth=1.0)
-    heights = counts / (n / bins)
-    axes.bar(left, heights, width=0.94 / bins, align="edge", color=OURS, alpha=0.75, label=f"{n:,.0f} readings", zorder=2)
-    reach = max(float(np.max(np.abs(heights - 1.0))), 1.0 - low) * 1.35
-    axes.set_ylim(max(0.0, 1.0 - reach), 1.0 + reach)
+    axes.axhline(0.0, color=REFERENCE, linewidth=1.0)
+    excess = 100.0 * (counts / (n / bins) - 1.0)
+    axes.bar(
+        left, excess, width=0.94 / bins, align="edge", color=OURS, alpha=0.75, label=f"{n:,.0f} readings", zorder=2
+    )
+    reach = max(float(np.max(np.abs(excess))), high) * 1.3
+    axes.set_ylim(-reach, reach)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("probability that the fitted model gives to a smaller reading (randomised within a centimetre)")
-    axes.set_ylabel("readings over expected")
+    axes.set_ylabel("readings more than expected [%]")
     axes.grid(axis="x", visible=False)
     note(axes, f"p of uniform = {p_value:.2g}")
-    figure.legend(loc="outside lower center", ncols=2)
+    legend_below(figure)
     return figure
 
 
-def _axes():  # type: ignore[no-untyped-def]
+def _axes() -> tuple[Figure, Axes]:
     figure = new_figure(3.2)
     return figure, figure.subplots()
 
 
-def _finish(figure: Figure, axes, label: str) -> Figure:  # type: ignore[no-untyped-def]
+def _finish(figure: Figure, axes: Axes, label: str) -> Figure:
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:.3g}"))
     axes.grid(axis="x", visible=False)
-    figure.legend(loc="outside lower center", ncols=3)
+    legend_below(figure)
     return figure
 
 
-def _bulk(k: _Array, p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
-    """Readings whose probability is not next to nothing; where the model has no peak, all."""
-    if not np.max(p) > 0.0:
-        return np.ones(k.size, dtype=bool)
+def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
+    """Readings whose probability is not next to nothing beside the peak's."""
     return np.asarray(p > share_of_peak * np.max(p))
 
 
-def _observed(axes, k: _Array, counts: _Array, total: float) -> None:  # type: ignore[no-untyped-def]
-    share = counts / max(total, 1.0)
-    intervals = np.array([_share_interval(float(count), total) for count in counts])
+def _dots(
+    axes: Axes, k: _Array, share: _Array, counts: _Array, total: float, label: str | None, cells: int = 1
+) -> None:
+    """Shares that were read, each with its interval, as one centimetre of `cells`."""
+    intervals = np.array([_share_interval(float(count), total) for count in counts]).reshape(-1, 2) / cells
+    shown = counts > 0
     axes.errorbar(
-        k, share, yerr=[share - intervals[:, 0], intervals[:, 1] - share], linestyle="none", marker="o", markersize=4.5,
-        color=INK, markerfacecolor="white", elinewidth=1.0, capsize=2.5, zorder=5,
-        label="share read, and its 95 % interval",
-    )  # fmt: skip
+        k[shown],
+        share[shown],
+        yerr=[(share - intervals[:, 0])[shown], (intervals[:, 1] - share)[shown]],
+        marker="o",
+        label=label,
+        **_READ,
+    )
 
 
-def _kinds_expected(densities: Densities, where: NDArray[np.bool_], kind: str) -> float:
-    """Share of the readings in a stretch that are of a kind, by the fitted model."""
-    parts = {each: float(np.sum(densities.weight[each] * densities.density[each][where])) for each in KINDS}
-    total = sum(parts.values())
-    return parts[kind] / total if total > 0.0 else 0.0
+def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: str) -> None:
+    """What was read in a stretch, in broad bins, as the density of one kind.
 
-
-def _binned(axes, densities: Densities, where: NDArray[np.bool_], share: float, kind: str) -> None:  # type: ignore[no-untyped-def]
-    """What was read in a stretch, in broad bins, without what the model says is of another kind.
-
-    The readings of a kind cannot be told one by one: each bin's count is taken times the share of the kind in it.
+    The readings of a kind cannot be told one by one: a bin's count is taken times the share that the kind has in it by
+    the fitted model, and the codes are left out.
     """
-    assert densities.counts is not None
-    k = densities.reading_cm[where]
-    n = float(np.sum(densities.counts))
-    weight = densities.weight[kind]
-    if k.size < 2 or weight <= 0.0 or share <= 0.0:
+    if densities.counts is None:
         return
-    bins = np.array_split(np.arange(k.size), max(min(k.size // 20, 16), 1))
-    counts = densities.counts[where]
+    parts = {each: densities.weight[each] * densities.density[each] for each in KINDS}
+    where = where & (parts["max"] == 0.0)
+    n, weight = float(np.sum(densities.counts)), densities.weight[kind]
+    places = np.flatnonzero(where)
+    if places.size < 2 or weight <= 0.0:
+        return
     shown = False
-    for cells in bins:
-        of_all = sum(float(np.sum(densities.weight[each] * densities.density[each][where][cells])) for each in KINDS)
-        of_kind = float(np.sum(weight * densities.density[kind][where][cells]))
-        scale = of_kind / of_all / (weight * cells.size) if of_all > 0.0 else 0.0
-        count = float(np.sum(counts[cells]))
+    for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
+        of_all = sum(float(np.sum(part[cells])) for part in parts.values())
+        if of_all <= 0.0:
+            continue
+        scale = float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size)
+        count = float(np.sum(densities.counts[cells]))
         low, high = _share_interval(count, n)
-        centre = float(np.mean(k[cells]))
         value = scale * count / n
         axes.errorbar(
-            [centre], [value], yerr=[[value - scale * low], [scale * high - value]], marker="o", markersize=4.5, color=INK,
-            markerfacecolor="white", elinewidth=1.0, capsize=2.5, linestyle="none", zorder=5,
-            label=None if shown else "read, in bins, by the model's share of this kind",
-        )  # fmt: skip
+            [float(np.mean(densities.reading_cm[cells]))],
+            [value],
+            yerr=[[value - scale * low], [scale * high - value]],
+            marker="o",
+            label=None if shown else "read, in bins, times the model's share of this kind",
+            **_READ,
+        )
         shown = True
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from msp_range.page.style import GREEN, GREY, INK, PALE, REFERENCE, new_figure
+from msp_range.page.style import GREEN, GREY, INK, PALE, REFERENCE, legend_below, new_figure
 
 METRICS = {
     "bias": "mean error:\ndifference [cm]",
@@ -18,7 +18,11 @@ METRICS = {
 }
 """Metric -> heading of its panel; all but the first are ratios, where 1 is no effect."""
 
-VERDICTS = {"matters": (REFERENCE, "s", "full"), "does not matter": (GREEN, "o", "full"), "cannot tell": (GREY, "D", "none")}
+VERDICTS = {
+    "matters": (REFERENCE, "s", "full"),
+    "does not matter": (GREEN, "o", "full"),
+    "cannot tell": (GREY, "D", "none"),
+}
 
 
 @dataclass(frozen=True)
@@ -62,16 +66,19 @@ def draw_questions(rows: Sequence[Row]) -> Figure:
         ]
         _panel(axes, metric, sizes, len(rows))
     panels[0].set_yticks(range(len(rows)), [row.label for row in reversed(rows)], fontsize=8)
-    panels[0].tick_params(axis="y", length=0)
+    for axes in panels:
+        axes.tick_params(axis="y", length=0)
     handles = [
         panels[0].plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)[0]
         for verdict, (colour, marker, fill) in VERDICTS.items()
     ]
     handles += [
         panels[0].fill_between([], [], [], color=PALE, alpha=0.8, linewidth=0, label="too small to matter"),
-        panels[0].plot([], [], "|", color=INK, markersize=9, markeredgewidth=1.2, label="smallest that these data show")[0],
+        panels[0].plot(
+            [], [], "|", color=INK, markersize=9, markeredgewidth=1.2, label="smallest that these data show"
+        )[0],
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, columnspacing=1.2, handletextpad=0.5)
+    legend_below(figure, handles)
     return figure
 
 
@@ -89,7 +96,16 @@ def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[int, Size]], rows: int
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
     else:
+        far = 6.0 * max([size.bound for _, size in sizes])
+        if reach > 2.0 * far:
+            # One large effect would hide the small ones: to scale up to here, compressed beyond.
+            axes.set_xscale("symlog", linthresh=far / 3.0, linscale=0.9)
+            reach *= 1.3
+            ticks = [tick for tick in (-200, -100, -20, -5, -1, 0, 1, 5, 20, 100, 200) if abs(tick) <= reach]
+            axes.xaxis.set_major_locator(FixedLocator(ticks))
+            axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlim(-reach, reach)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
     left, right = axes.get_xlim()
     axes.axvline(none, color=GREY, linewidth=1.0, zorder=1)
     for y, size in sizes:
@@ -108,8 +124,16 @@ def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[int, Size]], rows: int
             if end is None or (arrow == "<" and end < left) or (arrow == ">" and end > right):
                 axes.plot([edge], [y], marker=arrow, color=colour, markersize=5, clip_on=False, zorder=4)
         if left <= size.value <= right:
-            axes.plot([size.value], [y], marker=marker, color=colour, fillstyle=fill, markersize=6, zorder=5,
-                      markerfacecolor="white" if fill == "none" else colour)  # fmt: skip
+            axes.plot(
+                [size.value],
+                [y],
+                marker=marker,
+                color=colour,
+                fillstyle=fill,
+                markersize=6,
+                zorder=5,
+                markerfacecolor="white" if fill == "none" else colour,
+            )
     axes.set_ylim(-0.6, rows - 0.4)
     axes.set_title(METRICS[metric], fontsize=8.5)
     axes.grid(axis="y", visible=False)

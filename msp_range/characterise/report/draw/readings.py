@@ -1,13 +1,15 @@
 """Many readings at one range (report figures 4.5-4.8): in the order in which they came, and how often each was read."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from msp_range.page.style import GREY, INK, ORANGE, OURS, REFERENCE, new_figure, note
+from msp_range.page.style import GREY, INK, ORANGE, OURS, REFERENCE, legend_below, new_figure, note
 
 _Array = NDArray[np.float64]
 
@@ -42,12 +44,13 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes = figure.subplots()
     number = np.arange(1, fixed.reading_cm.size + 1)
     heard = ~fixed.missed & np.isfinite(fixed.reading_cm)
-    # Above some thousand the dots would be a bar of one colour: let the ground shine through.
-    alpha = min(1.0, max(0.08, 2000.0 / max(number.size, 1)))
-    axes.plot(
-        number[heard], fixed.reading_cm[heard], linestyle="none", marker="o", markersize=2.2, markeredgewidth=0,
-        color=OURS, alpha=alpha, zorder=3,
-    )  # fmt: skip
+    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": OURS}
+    if masked:
+        # Thousands of dots would be a bar of one colour: let the ground shine through.
+        alpha = min(1.0, max(0.08, 2000.0 / number.size))
+        axes.plot(number[heard], fixed.reading_cm[heard], markersize=2.2, alpha=alpha, zorder=3, **dots)
+    else:
+        axes.plot(number[heard], fixed.reading_cm[heard], markersize=1.8, zorder=3, **dots)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", linewidth=1.1, zorder=4)
     handles = [
         axes.plot([], [], "o", color=OURS, markersize=4, label="reading")[0],
@@ -59,16 +62,25 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
         outside = np.count_nonzero((fixed.kept_cm < low) | (fixed.kept_cm > high))
         if outside:
             note(axes, f"{outside} readings ({100 * outside / fixed.kept_cm.size:.2g} %) lie outside of this picture")
+        inside = heard & (fixed.reading_cm >= low) & (fixed.reading_cm <= high)
+        handles += _running_mean(axes, number[inside], fixed.reading_cm[inside])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         codes = [(code, number[fixed.missed & (fixed.reading_cm == code)]) for code in _codes(fixed)]
         for code, where in codes:
-            axes.plot(where, np.full(where.size, code), linestyle="none", marker="|", markersize=9, color=ORANGE, zorder=3)
+            axes.plot(
+                where, np.full(where.size, code), linestyle="none", marker="|", markersize=9, color=ORANGE, zorder=3
+            )
             share = 100.0 * where.size / number.size
             axes.text(
-                1.005, code, f"{code:g} cm:\n{where.size} ({share:.2g} %)", transform=axes.get_yaxis_transform(),
-                va="center", fontsize=7.5, color=INK,
-            )  # fmt: skip
+                1.005,
+                code,
+                f"{code:g} cm:\n{where.size} ({share:.2g} %)",
+                transform=axes.get_yaxis_transform(),
+                va="center",
+                fontsize=7.5,
+                color=INK,
+            )
         if codes:
             handles.append(axes.plot([], [], "|", color=ORANGE, markersize=9, label="code for no echo")[0])
         axes.set_ylim(bottom=0.0)
@@ -76,7 +88,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes.set_xlabel("reading, in order")
     axes.set_ylabel("reading [cm]")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    legend_below(figure, handles)
     return figure
 
 
@@ -109,9 +121,19 @@ def draw_histogram(
             expected = fitted[k] * fixed.reading_cm.size
             band = 1.96 * np.sqrt(np.maximum(expected, 0.0))
             axes.errorbar(
-                k, expected, yerr=band, linestyle="none", marker="o", markersize=4, color=INK, markerfacecolor="white",
-                elinewidth=1.0, capsize=2.5, label="fitted model, and 95 % of counts", zorder=5,
-            )  # fmt: skip
+                k,
+                expected,
+                yerr=band,
+                linestyle="none",
+                marker="o",
+                markersize=4,
+                color=INK,
+                markerfacecolor="white",
+                elinewidth=1.0,
+                capsize=2.5,
+                label="fitted model, and 95 % of counts",
+                zorder=5,
+            )
         axes.set_xlim(low, high)
         axes.set_ylim(bottom=0.0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -128,9 +150,14 @@ def draw_histogram(
         axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else ""))
         for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
             axes.annotate(
-                f"{value:g} cm\n{count} ({100.0 * count / readings.size:.2g} %)", (value, count), xytext=(0, 4),
-                textcoords="offset points", ha="center", fontsize=7.5, color=INK,
-            )  # fmt: skip
+                f"{value:g} cm\n{count} ({100.0 * count / readings.size:.2g} %)",
+                (value, count),
+                xytext=(0, 4),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7.5,
+                color=INK,
+            )
     axes.axvline(
         fixed.true_range_cm, color=REFERENCE, linestyle="--", label=f"true range, {fixed.true_range_cm:g} cm", zorder=4
     )
@@ -141,8 +168,18 @@ def draw_histogram(
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel("readings" if masked else "readings (logarithmic)")
     axes.grid(axis="x", visible=False)
-    figure.legend(loc="outside lower center", ncols=4)
+    legend_below(figure)
     return figure
+
+
+def _running_mean(axes: Axes, number: _Array, reading_cm: _Array) -> list[Any]:
+    """Means of a fiftieth of the readings each, which show a drift that single centimetres hide."""
+    each = number.size // 50
+    if each < 10:
+        return []
+    ends = each * 50
+    x, y = (column[:ends].reshape(50, each).mean(axis=1) for column in (number, reading_cm))
+    return axes.plot(x, y, "-", color=INK, linewidth=1.2, zorder=5, label=f"mean of {each} readings")
 
 
 def _codes(fixed: FixedRange) -> list[float]:
