@@ -130,7 +130,7 @@ def fit_line(x: _Array, y: _Array, variance: _Array) -> Line:
 
     def fit(between: float) -> tuple[_Array, _Array, float]:
         weight = 1.0 / (variance + between + 1e-12)
-        covariance: _Array = np.linalg.inv((design * weight[:, None]).T @ design)
+        covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
         coefficients: _Array = covariance @ ((design * weight[:, None]).T @ y)
         residual = y - design @ coefficients
         return coefficients, covariance, float(weight @ residual**2)
@@ -234,12 +234,12 @@ def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
         return None
     x, y = data.true_cm, data.reading_cm
     between = fit_line(x, y, data.variance_cm2).between_cm2 if x.size > 2 else 0.0
-    places: _Array = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1))
+    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
     # Hat functions; the outer ones go on beyond the ends as straight lines.
     design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])
     root_weight = 1.0 / np.sqrt(data.variance_cm2 + between + 1e-12)
     values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
-    return places, values
+    return places, values.astype(np.float64)
 
 
 def _extended(x: _Array, places: _Array, values: _Array) -> _Array:

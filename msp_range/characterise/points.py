@@ -206,7 +206,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     level = _levels(known, condition, words["target"], numbers["air_temperature_c"])
     truth = known["true_range_cm"]
     place = _places(truth)
-    incidence = np.where(condition == "field_of_view", np.nan_to_num(numbers["incidence_deg"]), 0.0)
+    incidence = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
     keys = np.array(
         list(
             zip(
