@@ -6,6 +6,7 @@ readings that are of the wall; the breakaway lies between the last reliable angl
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from scipy import stats
@@ -236,11 +237,10 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
     low, high = slope - half, slope + half
     reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
-    if low > 0.5 and high > 0.8:
-        return Oblique("slant", estimate, slant_rms, nearest_rms, reason)
-    if high < 0.5 and low < 0.2:
-        return Oblique("nearest", estimate, slant_rms, nearest_rms, reason)
-    return Oblique("unknown", estimate, slant_rms, nearest_rms, reason + ", which is neither")
+    if low <= 0.5 <= high:
+        return Oblique("unknown", estimate, slant_rms, nearest_rms, reason + ", which may be nearer to either")
+    verdict: Literal["slant", "nearest"] = "slant" if low > 0.5 else "nearest"
+    return Oblique(verdict, estimate, slant_rms, nearest_rms, reason)
 
 
 def _degrees(angle_rad: float | None) -> float | None:

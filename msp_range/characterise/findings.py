@@ -276,7 +276,7 @@ class MaximumRange:
     peaks_before, peaks_after
         Peaks of the histogram, the largest first.
     peak
-        Where the masked histogram has its peak [cm]; the mode of whole centimetres, its interval from resampling.
+        Where the masked histogram has its peak [cm]: the most frequent reading, and those that are not surely rarer.
     report_peak_cm
         The report's.
     """
@@ -348,6 +348,7 @@ class Oblique:
     ----------
     verdict
         For `oblique_reading`.
+        The nearer of the two where its interval leaves no doubt which that is.
     share_of_slant
         Slope of (reading - perpendicular) over (slant - perpendicular): 1 is the slant range, 0 the nearest point.
     """

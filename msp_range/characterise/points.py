@@ -39,6 +39,22 @@ VARIED = {
 }
 """What a reading's experiment is where no column `condition` says it: a column that is known and not zero."""
 
+SETTINGS = (
+    "target_size_cm",
+    "vibration_hz",
+    "external_level_db",
+    "external_duty",
+    "external_distance_cm",
+    "external_frequency_khz",
+)
+"""Columns of which every value is a set-up of its own."""
+SOURCE_DISTANCE_CM = 30.0
+"""Where the level of an external source is given [cm]."""
+CLASS_DB = 20.0
+"""Width of the classes of sound level at the sensor that external sources are sorted into [dB]."""
+NEAR_KHZ = 1.0
+"""A source within this of the ping's frequency is on it."""
+
 _Array = NDArray[np.float64]
 
 
@@ -203,19 +219,13 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     numbers = {name: _numbers(known, name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
     condition = conditions(known)
     words = {name: known[name] if name in known else np.full(size, "") for name in ("sensor", "run", "target")}
-    level = _levels(known, condition, words["target"], numbers["air_temperature_c"])
+    level = _levels(known, condition, words["target"], numbers["air_temperature_c"], sensor_model.frequency_hz)
     truth = known["true_range_cm"]
     place = _places(truth)
     incidence = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
-    keys = np.array(
-        list(
-            zip(
-                *(_codes(each) for each in (condition, words["sensor"], words["run"], level, place, incidence)),
-                strict=True,
-            )
-        ),
-        dtype=np.int64,
-    )
+    settings = [np.nan_to_num(_numbers(known, name), nan=-1.0) for name in SETTINGS]
+    different = (condition, words["sensor"], words["run"], words["target"], level, place, incidence, *settings)
+    keys = np.column_stack([_codes(each) for each in different])
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     step_cm = step_of(known["reading_cm"])
     members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
@@ -272,7 +282,7 @@ def step_of(reading_cm: _Array) -> float:
 
 
 def _levels(
-    data: MeasuredData, condition: NDArray[np.str_], target: NDArray[np.str_], air_c: _Array
+    data: MeasuredData, condition: NDArray[np.str_], target: NDArray[np.str_], air_c: _Array, frequency_hz: float
 ) -> NDArray[np.str_]:
     """What the experiment varies, as a word for each row."""
     level = np.full(len(data), "", dtype="U48")
@@ -283,8 +293,7 @@ def _levels(
     rows = condition == "vibration"
     level[rows] = [_word(each, "Hz") for each in _numbers(data, "vibration_hz")[rows]]
     rows = condition == "external_interference"
-    loud, duty = _numbers(data, "external_level_db")[rows], _numbers(data, "external_duty")[rows]
-    level[rows] = ["quiet" if math.isnan(a) or b == 0.0 else _word(a, "dB") for a, b in zip(loud, duty, strict=True)]
+    level[rows] = _external_words(data.select(rows), frequency_hz)
     return level
 
 
@@ -297,6 +306,21 @@ def _temperature_words(air_c: _Array) -> list[str]:
     return [_word(float(np.round(means[i])), "C") for i in group]
 
 
+def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
+    """Class of the sound level at the sensor: the source's, less 20 dB for each ten times its distance."""
+    source_db, duty = _numbers(data, "external_level_db"), _numbers(data, "external_duty")
+    distance_cm = np.nan_to_num(_numbers(data, "external_distance_cm"), nan=SOURCE_DISTANCE_CM)
+    level_db = source_db - 20.0 * np.log10(np.maximum(distance_cm, 1.0) / SOURCE_DISTANCE_CM)
+    lowest_db = CLASS_DB * np.floor((level_db + CLASS_DB / 2) / CLASS_DB) - CLASS_DB / 2
+    off_khz = np.abs(np.nan_to_num(_numbers(data, "external_frequency_khz") - frequency_hz / 1e3))
+    return [
+        "quiet"
+        if math.isnan(low) or share == 0.0
+        else f"{low:.0f} to {low + CLASS_DB:.0f} dB at the sensor" + (", another frequency" if off > NEAR_KHZ else "")
+        for low, share, off in zip(lowest_db.tolist(), duty.tolist(), off_khz.tolist(), strict=True)
+    ]
+
+
 def _places(truth_cm: _Array) -> _Array:
     """True range of each row's point: itself at a bench, the middle of a bin where it changes all the time."""
     _, which, counts = np.unique(truth_cm, return_inverse=True, return_counts=True)
@@ -305,10 +329,9 @@ def _places(truth_cm: _Array) -> _Array:
     return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
 
 
-def _codes(column: NDArray[np.str_] | _Array) -> list[int]:
+def _codes(column: NDArray[np.str_] | _Array) -> NDArray[np.int64]:
     """A whole number for each different value."""
-    codes: list[int] = np.unique(column, return_inverse=True)[1].ravel().tolist()
-    return codes
+    return np.unique(column, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def _numbers(data: MeasuredData, name: str) -> _Array:

@@ -9,11 +9,13 @@ point at equal ranges; shares of readings get the variance between points where 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.optimize import brentq
 
 from msp_range.characterise.estimates import CONFIDENCE, Z, detectable, holm
 from msp_range.characterise.findings import Effect, Estimate, Metric, Point, Question, Verdict
@@ -29,6 +31,11 @@ SHARE_BOUND = 0.01
 """... or by less than one reading in a hundred."""
 STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
 """Spread that whole centimetres have of themselves; a smaller one is as good as this."""
+FEW_RANGES = 4
+MORE_THAN_CHANCE = 1.5
+"""Variance between points, over that of chance, from which on points and not readings are counted in a share's test."""
+LEAST_SCATTER_CM = 0.05
+"""Equal readings at two points are no proof that set-ups never differ: the scatter is taken to be at least so much."""
 METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
 
 _Array = NDArray[np.float64]
@@ -81,6 +88,7 @@ class _Raw(NamedTuple):
     p_value: float
     bound: float
     small_share: bool
+    detectable: Callable[[float], float] | None = None
 
 
 def questions(points: Sequence[Point]) -> tuple[Question, ...]:
@@ -172,24 +180,29 @@ def _log_spread(point: Point) -> float | None:
 
 
 def _paired(question: Question, value: Callable[[Point], float | None], bound: float) -> _Raw | None:
-    """Mean difference at equal ranges; its scatter from range to range is the error."""
+    """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, from set-up
+    to set-up."""
     varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
-    differences = np.array([varied[each] - reference[each] for each in sorted(varied.keys() & reference.keys())])
+    common = sorted(varied.keys() & reference.keys())
+    differences = np.array([np.mean(varied[each]) - np.mean(reference[each]) for each in common])
+    if len(common) < FEW_RANGES:
+        of_points = np.array([one - np.mean(reference[each]) for each in common for one in varied[each]])
+        differences = of_points if of_points.size > differences.size else differences
     if differences.size < 2:
         return None
-    error = max(float(differences.std(ddof=1)), 1e-6) / math.sqrt(differences.size)
+    error = math.hypot(float(differences.std(ddof=1)), LEAST_SCATTER_CM) / math.sqrt(differences.size)
     mean, freedom = float(differences.mean()), differences.size - 1
     p_value = 2.0 * float(stats.t.sf(abs(mean) / error, freedom))
     return _Raw(mean, error, freedom, differences.size, "points", p_value, bound, False)
 
 
-def _by_range(points: Sequence[Point], value: Callable[[Point], float | None]) -> dict[float, float]:
+def _by_range(points: Sequence[Point], value: Callable[[Point], float | None]) -> dict[float, list[float]]:
     found: dict[float, list[float]] = {}
     for point in points:
         one = value(point)
         if one is not None:
             found.setdefault(round(point.true_range_cm, 1), []).append(one)
-    return {range_cm: float(np.mean(each)) for range_cm, each in found.items()}
+    return found
 
 
 def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point], int]) -> _Raw | None:
@@ -203,26 +216,40 @@ def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point
     c, m = sum(map(count, reference)), sum(map(of, reference))
     b, d = n - a, m - c
     value = math.log((a + 0.5) * (d + 0.5) / ((b + 0.5) * (c + 0.5)))
-    over = max(_overdispersion(varied, count, of), _overdispersion(reference, count, of), 1.0)
-    error = math.sqrt(over * sum(1.0 / (each + 0.5) for each in (a, b, c, d)))
+    over, over_reference = _overdispersion(varied, count, of), _overdispersion(reference, count, of)
+    error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
     freedom = len(varied) + len(reference) - 2.0
-    if over > 1.5 and freedom >= 1.0:
+    if max(over, over_reference) > MORE_THAN_CHANCE and freedom >= 1.0:
         p_value = 2.0 * float(stats.t.sf(abs(value) / error, freedom))
     else:
         freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
     difference = a / n - c / m
-    width = 1.645 * math.sqrt(over * ((a + 0.5) * (b + 0.5) / n**3 + (c + 0.5) * (d + 0.5) / m**3))
+    width = 1.645 * math.sqrt(over * (a + 0.5) * (b + 0.5) / n**3 + over_reference * (c + 0.5) * (d + 0.5) / m**3)
     small = abs(difference) + width < SHARE_BOUND
-    return _Raw(value, error, freedom, n + m, "readings", p_value, math.log(ODDS_BOUND), small)
+    shown = partial(_detectable_odds, (c + 0.5) / (m + 1.0), n / over, m / over_reference)
+    return _Raw(value, error, freedom, n + m, "readings", p_value, math.log(ODDS_BOUND), small, shown)
+
+
+def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
+    """Logarithm of the smallest odds ratio above 1 that these many readings show with 80 % probability."""
+    z = float(stats.norm.ppf(1.0 - level / 2.0) + stats.norm.ppf(0.8))
+
+    def excess(other: float) -> float:
+        return other - share - z * math.sqrt(other * (1.0 - other) / n + share * (1.0 - share) / m)
+
+    if excess(1.0) <= 0.0:
+        return math.inf
+    other = min(float(brentq(excess, share, 1.0)), 1.0 - 1e-9)
+    return math.log(other / (1.0 - other)) - math.log(share / (1.0 - share))
 
 
 def _overdispersion(points: Sequence[Point], count: Callable[[Point], int], of: Callable[[Point], int]) -> float:
-    """Variance of the points' counts over that of chance."""
+    """Variance of the points' counts over that of chance, at least 1."""
     share = sum(map(count, points)) / sum(map(of, points))
     if len(points) < 2 or not 0.0 < share < 1.0:
         return 1.0
     squares = sum((count(p) - share * of(p)) ** 2 / (share * (1.0 - share) * of(p)) for p in points)
-    return squares / (len(points) - 1)
+    return max(squares / (len(points) - 1), 1.0)
 
 
 def _p_alike(raw: _Raw) -> float:
@@ -242,7 +269,8 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
     # e^500 is a number still, and 'anything' enough.
     value, low, high = (math.exp(min(max(each, -500.0), 500.0)) for each in ends) if is_ratio else ends
     verdict: Verdict = "does not matter" if alike < LEVEL else "matters" if different < LEVEL else "cannot tell"
-    shown = detectable(raw.error, raw.freedom if math.isfinite(raw.freedom) else 1e9, LEVEL / tests)
+    level = LEVEL / tests
+    shown = detectable(raw.error, raw.freedom, level) if raw.detectable is None else raw.detectable(level)
     return Effect(
         metric=metric,
         estimate=Estimate(value, low, high, "" if is_ratio else "cm", raw.n, raw.of),
@@ -250,7 +278,7 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
         p_adjusted=different,
         bound=bound,
         verdict=verdict,
-        smallest_detectable=math.exp(min(shown, 500.0)) if is_ratio else shown,
+        smallest_detectable=None if math.isinf(shown) else math.exp(min(shown, 500.0)) if is_ratio else shown,
     )
 
 
@@ -273,6 +301,8 @@ def _answered(question: Question) -> Question:
             f"{subject}: does not matter beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and "
             f"{ODDS_BOUND:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and foreign readings"
         )
+        seen = [_size(each) for each in question.effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
+        answer += f"; within that there is {'; '.join(seen)}" if seen else ""
     else:
         open_ = [each for each in question.effects if each.verdict == "cannot tell"]
         answer = f"{subject}: cannot tell: " + "; ".join(_doubt(each) for each in open_)

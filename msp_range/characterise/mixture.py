@@ -1,0 +1,117 @@
+"""The mixture of Thrun fitted to the undisturbed readings, and how well it fits (report 5.2.1).
+
+Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
+is `msp_range.reading_model.fit`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from msp_range.characterise.findings import Estimate, Mixture, MixtureParameter
+from msp_range.characterise.points import PointReadings
+from msp_range.correction.calibration import Calibration
+from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit_result import FitError, FitResult
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.pit import goodness_of_fit
+from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
+
+UNIT = {
+    "sigma_cm": "cm",
+    "unexpected_rate_per_m": "1/m",
+    "sigma_growth_cm_per_m": "cm/m",
+    "max_growth_per_m": "1/m",
+}
+
+
+class Fitted(NamedTuple):
+    """What was found, and what goes into the file."""
+
+    found: Mixture
+    parameters: MixtureParameters
+
+
+def fit_mixture(
+    points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
+) -> Fitted | str:
+    """Fit the mixture to readings at known ranges.
+
+    Parameters
+    ----------
+    points
+        Undisturbed, on the axis.
+    calibration
+        Of the sensor.
+    sensor
+        Limits and codes, and the parameters to compare with.
+    rng
+        For the randomised goodness of fit.
+
+    Returns
+    -------
+    Fitted or str
+        The reason where it cannot be fitted.
+    """
+    reading_cm = np.concatenate([point.reading_cm for point in points] or [np.empty(0)])
+    apparent_cm = np.concatenate([point.apparent_cm for point in points] or [np.empty(0)])
+    answered = ~np.isnan(reading_cm)
+    reading_cm, expected_cm = reading_cm[answered], calibration.forward(apparent_cm[answered])
+    grid = ReadingGrid.of(sensor)
+    if sensor.reading_model.saturated_fraction == 0.0:
+        grid = replace(grid, second_no_echo_cm=None)
+    whole = grid.nearest(reading_cm)
+    notes = []
+    if not np.array_equal(whole, reading_cm):
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
+    try:
+        result = fit(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
+        good = goodness_of_fit(result, whole, expected_cm, rng)
+    except (FitError, ValueError) as error:
+        return str(error)
+    notes.append(good.note)
+    notes += [_of_bound(name) for name in result.at_bound]
+    notes += [f"{name}: these readings do not say what it is" for name in result.not_identified]
+    found = Mixture(
+        parameters=tuple(_parameter(name, result, sensor.reading_model) for name in result.names),
+        readings=result.readings,
+        log_likelihood=result.log_likelihood,
+        pit_counts=good.pit_histogram,
+        pit_p_value=good.chi_square_p_value,
+        conditional=_conditional(result),
+        notes=tuple(notes),
+    )
+    return Fitted(found, result.parameters)
+
+
+def _of_bound(name: str) -> str:
+    return f"{name}: at the end of what it can be; a kind of reading that was not seen here may still come in flight"
+
+
+def _parameter(name: str, result: FitResult, before: MixtureParameters) -> MixtureParameter:
+    low, high = result.interval(name)
+    value = result.estimates[name]
+    estimate = Estimate(
+        value,
+        low if math.isfinite(low) else None,
+        high if math.isfinite(high) else None,
+        UNIT.get(name, ""),
+        result.readings,
+    )
+    is_weight = name in ("hit", "unexpected", "max", "random")
+    started = getattr(before.weights if is_weight else before, name, None)
+    return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started)
+
+
+def _conditional(result: FitResult) -> str:
+    grown = [
+        text
+        for name, text in (("sigma_growth_cm_per_m", "the spread"), ("max_growth_per_m", "the odds of a missed echo"))
+        if result.estimates.get(name, 0.0) != 0.0
+    ]
+    if not result.growth_trials:
+        return "not tried: all readings are of one range"
+    return f"{' and '.join(grown)} grow with range (by BIC)" if grown else "nothing grows with range (by BIC)"
