@@ -347,6 +347,68 @@ def collect(
     print(f"{table}: {rows} readings; {left} of {len(points)} points are left")
 
 
+@app.command()
+@tell_mistakes
+def characterise(
+    data: Annotated[
+        list[Path], typer.Argument(metavar="DATA...", help="measured readings (.csv) or recordings (.mcap)")
+    ],
+    out: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model file to make")],
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
+    ] = None,
+    sensor: Annotated[
+        Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
+    ] = Path("configs/sensors/mb1242.yaml"),
+    column_map: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
+        ),
+    ] = None,
+    reference_std_cm: Annotated[
+        float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
+    ] = None,
+    date: Annotated[str | None, typer.Option(help="for the record, instead of today (YYYY-MM-DD)")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of the randomised goodness of fit")] = 1,
+) -> None:
+    """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
+    from numpy.random import default_rng
+    from rich.console import Console
+
+    from msp_range.characterise.characterise import characterise as analyse
+    from msp_range.characterise.column_map import load_map
+    from msp_range.characterise.gather import gather
+    from msp_range.characterise.model_file import changed, write_model
+    from msp_range.characterise.publish import check_free, publish
+    from msp_range.characterise.show import show
+    from msp_range.clock import SystemClock, date_of
+    from msp_range.reading_model.sensor_model import load_sensor_model
+
+    check_free(out, report)
+    started = load_sensor_model(sensor)
+    mapping = load_map(column_map) if column_map else None
+    progress = Console(stderr=True)
+    with progress.status("reading") as status:
+        gathered = gather(data, started, mapping)
+        findings, changes = analyse(
+            gathered,
+            started,
+            date=date or date_of(SystemClock().utc()),
+            rng=default_rng(seed),
+            reference_std_cm=reference_std_cm,
+            say=status.update,
+        )
+        model = changed(started, findings, changes)
+        write_model(out, model, findings, changes, sensor.name)
+        if report is not None:
+            status.update("drawing the report")
+            page = publish(findings, gathered.data, model, report)
+    console = Console()
+    show(findings, console)
+    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"), markup=False)
+
+
 def main() -> None:
     """Entry point of the command."""
     app()

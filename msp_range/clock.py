@@ -42,6 +42,17 @@ class SystemClock:
         return time.time()
 
 
+def date_of(utc_s: float) -> str:
+    """The day of a time since 1970-01-01 UTC, ISO 8601.
+
+    Examples
+    --------
+    >>> date_of(1.7e9)
+    '2023-11-14'
+    """
+    return time.strftime("%Y-%m-%d", time.gmtime(utc_s))
+
+
 class VirtualClock:
     """A clock that jumps: sleeping costs nothing, and the same calls give the same times on every run."""
 

@@ -3,6 +3,7 @@
 What the data do not allow is left as the starting model has it, and the findings say why.
 """
 
+import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -30,6 +31,7 @@ from msp_range.reading_model.sensor_model import (
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments whose readings are of the sensor alone: what calibration and mixture are fitted to."""
 COMPENSATION = "temperature_compensation"
+KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
 """Points with fewer readings than this are told of."""
 WARM_C = 2.0
@@ -186,6 +188,9 @@ def _warnings(
     rows: Sequence[tuple[float, float]],
 ) -> list[str]:
     told = list(gathered.warnings)
+    for word in sorted({p.condition for p in points} - KNOWN_CONDITIONS):
+        near = difflib.get_close_matches(word, KNOWN_CONDITIONS, n=1)
+        told.append(f"no analysis knows the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
     unknown = len(gathered.data) - sum(p.reading_cm.size for p in points)
     if unknown:
         told.append(f"{unknown} rows have no true range and were left out")

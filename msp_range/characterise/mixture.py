@@ -74,7 +74,7 @@ def fit_mixture(
         return str(error)
     notes.append(good.note)
     notes += [_of_bound(name) for name in result.at_bound]
-    notes += [f"{name}: these readings do not say what it is" for name in result.not_identified]
+    notes += [f"{name}: these readings do not say what it is; the one before is kept" for name in result.not_identified]
     found = Mixture(
         parameters=tuple(_parameter(name, result, sensor.reading_model) for name in result.names),
         readings=result.readings,
@@ -84,7 +84,8 @@ def fit_mixture(
         conditional=_conditional(result),
         notes=tuple(notes),
     )
-    return Fitted(found, result.parameters)
+    unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
+    return Fitted(found, result.parameters.model_copy(update=unknown))
 
 
 def _of_bound(name: str) -> str:
