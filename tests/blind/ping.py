@@ -63,6 +63,8 @@ class Ping:
     """Chance that the transducer is not driven: the receiver then listens to the room alone."""
     passers_per_m: Array = field(init=False)
     """Objects in the beam for each metre of it."""
+    locked_s: Array = field(init=False)
+    """When an amplifier that has locked up on a spike lets go, which counts as the echo; NaN: it has not."""
     tick_s: Array = field(init=False)
     saturated: float = 0.2
     """Share of no-echo readings that arrive as one byte, 255."""
@@ -88,6 +90,7 @@ class Ping:
             "click_hz": 0.0,
             "misfire": 0.0,
             "passers_per_m": 0.0,
+            "locked_s": np.nan,
             "tick_s": self.receiver.tick_s,
         }
         for name, value in neutral.items():
@@ -133,28 +136,30 @@ class Ping:
     def heard_s(self, rng: np.random.Generator) -> Array:
         """When the threshold is first crossed [s]; infinite where it is not."""
         n, receiver = len(self.range_m), self.receiver
-        amplitude, arrival_s = self.echo(rng)
-        first = receiver.crossing_s(amplitude, arrival_s, self.noise_pa, rng)
+        # A stream for each source of chance, so that one more echo leaves the rest as it was.
+        fading, noise, other_noise, passing, firing, clicking, alarm = rng.spawn(7)
+        amplitude, arrival_s = self.echo(fading)
+        first = receiver.crossing_s(amplitude, arrival_s, self.noise_pa, noise)
         for pressures, edges in self.others:
-            np.minimum(first, receiver.crossing_s(pressures, edges, self.noise_pa, rng), out=first)
+            np.minimum(first, receiver.crossing_s(pressures, edges, self.noise_pa, other_noise), out=first)
         if self.passers_per_m.any():
-            depth_m = rng.exponential(1.0 / np.maximum(self.passers_per_m, 1e-12))
+            depth_m = passing.exponential(1.0 / np.maximum(self.passers_per_m, 1e-12))
             np.minimum(first, np.where(depth_m < self.range_m, 2.0 * depth_m * self.slowness(), np.inf), out=first)
-        silent = rng.random(n) < self.misfire
-        first[silent] = np.inf
+        first[firing.random(n) < self.misfire] = np.inf
         opens_s = 20.0 * receiver.tick_s
         clicks = np.where(self.click_hz > 0.0, 1.0 / np.maximum(self.click_hz, 1e-12), np.inf)
-        np.minimum(first, opens_s + rng.standard_exponential(n) * clicks, out=first)
-        np.minimum(first, receiver.false_alarm_s(self.noise_pa, rng), out=first)
+        np.minimum(first, opens_s + clicking.standard_exponential(n) * clicks, out=first)
+        np.minimum(first, receiver.false_alarm_s(self.noise_pa, alarm), out=first)
         for crossing_s in self.crossings_s:
             np.minimum(first, crossing_s, out=first)
-        return first
+        return np.where(np.isnan(self.locked_s), first, self.locked_s)
 
     def listen(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Readings [cm], shape (n,)."""
-        reading_cm = self.receiver.count_cm(self.heard_s(rng), self.tick_s)
+        hearing, reporting = rng.spawn(2)
+        reading_cm = self.receiver.count_cm(self.heard_s(hearing), self.tick_s)
         none = reading_cm >= NO_ECHO_CM
-        reading_cm[none & (rng.random(len(none)) < self.saturated)] = SHORT_NO_ECHO_CM
+        reading_cm[none & (reporting.random(len(none)) < self.saturated)] = SHORT_NO_ECHO_CM
         return reading_cm
 
 
