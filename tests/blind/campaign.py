@@ -68,13 +68,15 @@ class Surroundings:
     misfire: float = 0.001
     click_hz: float = 0.0
     passers_per_m: float = 0.0
+    lock_up: float = 0.0
+    """Chance that the amplifier locks up on a spike and reports when it recovers, at any time."""
     saturated: float = 0.2
     tape_cm: float = 0.1
     """Standard deviation of where a target really stands."""
 
 
 QUIET = Surroundings()
-BUSY = Surroundings(misfire=0.02, click_hz=1.0, passers_per_m=0.02, saturated=0.3)
+BUSY = Surroundings(misfire=0.02, click_hz=0.2, passers_per_m=0.02, lock_up=0.01, saturated=0.3)
 """People, insects, a bad supply: all four densities of the report's mixture occur."""
 
 
@@ -259,14 +261,20 @@ def _read(
     rough = np.array([p.rough_air for p in points])[row]
     ping.eddies_k *= rough
     ping.fade *= np.sqrt(rough / 2.0 + 0.5)
-    ping.misfire[:] = surroundings.misfire
-    ping.click_hz[:] = surroundings.click_hz
-    ping.passers_per_m[:] = surroundings.passers_per_m
-    ping.saturated = surroundings.saturated
+    _surround(ping, surroundings, rng)
     _vibrate(ping, np.array([p.vibration_hz for p in points])[row], rng)
     _neighbour(ping, np.asarray(columns["neighbour_lag_ms"], dtype=float) / 1000.0)
     _transmitter(ping, columns, rng)
     return ping.listen(rng)
+
+
+def _surround(ping: Ping, surroundings: Surroundings, rng: np.random.Generator) -> None:
+    ping.misfire[:] = surroundings.misfire
+    ping.click_hz[:] = surroundings.click_hz
+    ping.passers_per_m[:] = surroundings.passers_per_m
+    ping.saturated = surroundings.saturated
+    recovers_s = rng.uniform(20.0, 765.0, ping.range_m.size) * ping.receiver.tick_s
+    ping.locked_s = np.where(rng.random(ping.range_m.size) < surroundings.lock_up, recovers_s, np.nan)
 
 
 def _vibrate(ping: Ping, vibration_hz: NDArray[np.float64], rng: np.random.Generator) -> None:
@@ -328,10 +336,7 @@ def over_ranges(
     ping = Ping(receiver or Receiver(), (true_cm + surroundings.tape_cm * rng.standard_normal(count)) / 100.0)
     ping.eddies_k *= rough_air
     ping.fade *= np.sqrt(rough_air / 2.0 + 0.5)
-    ping.misfire[:] = surroundings.misfire
-    ping.click_hz[:] = surroundings.click_hz
-    ping.passers_per_m[:] = surroundings.passers_per_m
-    ping.saturated = surroundings.saturated
+    _surround(ping, surroundings, rng)
     return {
         "time_s": 0.1 * np.arange(count),
         "sensor": np.full(count, "sensor_1"),
