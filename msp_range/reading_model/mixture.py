@@ -211,6 +211,14 @@ class ReadingModel:
         beyond_m = (self._within(true_range_cm) - WEIGHTS_RANGE_CM) / 100.0
         return expit(logit(share) + parameters.max_growth_per_m * beyond_m)
 
+    def log_weights(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
+        """log of the shares of hit, unexpected, max and random, but for a common summand: numbers or arrays."""
+        hit, unexpected, max_, random = self._shares
+        here = self.max_weight(true_range_cm)
+        # The odds of `max` against the others.
+        log_max = logit(here) + _log(1.0 - max_) if np.ndim(here) else _log(max_)
+        return _log(hit), _log(unexpected), log_max, _log(random)
+
     def _within(self, true_range_cm: Any) -> Any:
         """The range on which the parameters may depend: what is not heard is as far as the sensor can reach."""
         return np.maximum(np.fmin(true_range_cm, self.maximum_cm), 0.0)

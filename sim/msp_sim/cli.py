@@ -262,15 +262,30 @@ def sample(
     """Draw one reading a row of a CSV from a sensor model."""
     from numpy.random import default_rng
 
-    from msp_range.reading_model.mixture import ReadingModel
-    from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.recording.csv_form import read_csv, write_csv
+    from msp_sim.model.model import load_model
 
-    readings = ReadingModel.of(load_sensor_model(model))
+    readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
-    reading_cm = readings.sample({"true_range_cm": given["true_range_cm"]}, default_rng(seed))
+    reading_cm = readings.sample(given.columns, default_rng(seed))
     write_csv(out, {**given.columns, "reading_cm": reading_cm})
     print(f"{out}: {len(given)} readings", file=sys.stderr)
+    for effect in readings.effects:
+        absent = [name for name in effect.effect.needs if name not in given]
+        if absent:
+            print(f"{effect.stream} does not act: there is no column {', '.join(absent)}", file=sys.stderr)
+
+
+@app.command()
+@tell_mistakes
+def effects(
+    as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
+) -> None:
+    """List the effects that a sensor model file may name: what each is, what it needs, and what would show it."""
+    from msp_sim.effects import CATALOGUE
+    from msp_sim.effects.listing import as_data, as_text
+
+    print(json.dumps(as_data(CATALOGUE), indent=2) if as_json else as_text(CATALOGUE))
 
 
 @app.command()

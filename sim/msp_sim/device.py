@@ -57,7 +57,9 @@ class Timing:
 
     def ranging_s(self, reading_cm: int) -> float:
         """Time from the ping until the sensor acknowledges again [s]."""
-        return self.no_echo_s if reading_cm == NO_ECHO_CM else self.ready_s + self.s_per_cm * reading_cm
+        # A word that is no range, such as one behind a clock fault, takes no longer than the cycle.
+        whole_s = self.ready_s + self.s_per_cm * reading_cm
+        return self.no_echo_s if reading_cm == NO_ECHO_CM else min(whole_s, self.no_echo_s)
 
 
 FAULT_KINDS = {

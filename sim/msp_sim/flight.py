@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from collections.abc import Generator as Steps
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from numpy.random import Generator, SeedSequence, default_rng
 
@@ -24,25 +24,31 @@ from msp_range.correction.temperature import FileSource
 from msp_range.health import Severity
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Status
-from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.autopilot import LoopbackAutopilot
 from msp_sim.bus import EmulatedBus
 from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.model.model import Model
+from msp_sim.model.sampler import Sampler
 from msp_sim.scenario import Scenario
 from msp_sim.vehicle import Pose
 from msp_sim.world import Beam, Ping, World
 
+RUN = "flight"
+"""Run of the readings of a simulated flight: one session."""
 LEVEL_M = 0.15
 """Where the ground below the sensors differs by more than this, one fused distance has no truth to compare with [m]."""
+
+
+KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, float]], None]
+"""Takes a sensor's name, the time of a ping in the flight [s], what it met, and further context by column."""
 
 
 class EmulatedSensor:
     """One sensor's pings: what they meet, and what the sensor makes of it.
 
-    The sensor counts the echo's delay in centimetres of air at its calibration temperature; the reading model draws
-    from the range that it so believes in. At an angle it reads the slant range or the nearest point, as its model
-    says; where that is unknown, the nearest point.
+    What a ping meets is the context from which the sensor's model draws the reading. Where it hears nothing within its
+    beam, the true range is unknown to the model.
 
     Parameters
     ----------
@@ -55,7 +61,9 @@ class EmulatedSensor:
     generator
         Its chance.
     keep
-        Called with (time of the ping in the flight [s], truth) for each ping.
+        Called with (time of the ping in the flight [s], truth, further context) for each ping.
+    others
+        Time [s] and true range [cm] of the last ping of each sensor of the vehicle, by name; kept up to date here.
     """
 
     def __init__(
@@ -65,32 +73,40 @@ class EmulatedSensor:
         world: World,
         pose: Callable[[float], Pose],
         generator: Generator,
-        keep: Callable[[str, float, Ping], None],
+        keep: KeepTruth,
+        others: dict[str, tuple[float, float | None]],
     ) -> None:
         self._name = sensor.name
         self._beam = Beam(sensor.position_m, sensor.boresight, model.beam.half_angle_rad)
-        self._readings = ReadingModel.of(model)
-        self._slant = model.oblique_reading == "slant"
-        self._calibration_m_s = speed_of_sound(model.calibration_temperature_c)
+        self._readings = Sampler(Model.of(model), generator)
         self._world = world
         self._pose = pose
-        self._generator = generator
         self._keep = keep
+        self._others = others
+        self._previous_cm: float | None = None
 
     def echo(self, ping_s: float) -> int:
         """The reading [cm] of a ping at a time of the flight [s]."""
-        ping = self._world.ping(self._pose(ping_s), self._beam)
-        self._keep(self._name, ping_s, ping)
-        return self._readings.sample_one(self._believed_cm(ping), self._generator)
-
-    def _believed_cm(self, ping: Ping) -> float | None:
-        range_cm = ping.slant_range_cm if self._slant else ping.true_range_cm
-        if not ping.heard or range_cm is None:
-            return None
-        speed_m_s = speed_of_sound(ping.air_temperature_c)
-        # The sound meets the surface when the vehicle has moved on: the range is that of half the time of flight.
-        range_cm += (ping.range_rate_cm_s or 0.0) * range_cm / 100 / speed_m_s
-        return range_cm * self._calibration_m_s / speed_m_s
+        pose = self._pose(ping_s)
+        ping = self._world.ping(pose, self._beam)
+        extra: dict[str, float] = {"uptime_s": ping_s}
+        if pose.throttle is not None:
+            extra["throttle"] = pose.throttle
+        neighbours = [each for name, each in self._others.items() if name != self._name]
+        if neighbours:
+            neighbour_s, neighbour_cm = max(neighbours)
+            extra["neighbour_lag_ms"] = 1e3 * (ping_s - neighbour_s)
+            if neighbour_cm is not None:
+                extra["neighbour_range_cm"] = neighbour_cm
+        self._others[self._name] = (ping_s, ping.true_range_cm)
+        self._keep(self._name, ping_s, ping, extra)
+        context: dict[str, Any] = ping._asdict() | extra
+        context["sensor"], context["run"] = self._name, RUN
+        context["previous_reading_cm"] = self._previous_cm
+        if not ping.heard:
+            context["true_range_cm"] = None
+        self._previous_cm = reading_cm = self._readings.sample_one(context)
+        return reading_cm
 
 
 def emulated_bus(
@@ -100,15 +116,16 @@ def emulated_bus(
     pose: Callable[[float], Pose],
     now: Callable[[], float],
     seed: SeedSequence,
-    keep: Callable[[str, float, Ping], None],
+    keep: KeepTruth,
     faults: dict[str, list[Fault]],
 ) -> Bus:
     """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
     devices = []
+    others: dict[str, tuple[float, float | None]] = {}
     for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):
         model = models[sensor.name]
         for_readings, for_faults = of_sensor.spawn(2)
-        emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep)
+        emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
         timing = Timing(model.timing.ready_s, model.timing.s_per_cm, model.timing.cycle_s)
         chance = random.Random(int(for_faults.generate_state(1)[0]))
         devices.append(MB1242(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
@@ -192,8 +209,8 @@ class FlightLog:
         self._truths: dict[str, Ping] = {}
         self._steps_m: dict[str, float] = {}
 
-    def keep_truth(self, sensor: str, ping_s: float, ping: Ping) -> None:
-        """Note what a ping met, at a time of the flight [s]."""
+    def keep_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
+        """Note what a ping met, at a time of the flight [s], and further context."""
         self._truths[sensor] = ping
         below_m = self._world.height_above_ground(self._pose(ping_s)).down_axis_m
         if sensor in self._downward and ping.slant_range_cm is not None and below_m is not None:
@@ -203,7 +220,7 @@ class FlightLog:
         if self._recorder is not None:
             unsaid = ("heard", "slant_range_cm")
             truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
-            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
+            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth | dict(extra))
 
     def take(self, step: Step) -> None:
         """Note what a reading became."""

@@ -16,6 +16,10 @@ from msp_range.yaml_file import Section
 from msp_sim.profiles import Positive, Segment, Track, altitude
 
 GRAVITY_M_S2 = 9.80665
+HOVER_THROTTLE = 0.5
+"""At which the thrust carries the weight: a usual layout."""
+IDLE_THROTTLE = 0.1
+"""Of a vehicle that stands with its rotors turning, assumed."""
 SWAYS_FULLY_AT_M = 0.5
 """Height above the surface from which on the whole sway shows; a vehicle that stands does not sway [m]."""
 
@@ -33,6 +37,8 @@ class Pose(NamedTuple):
         Euler angles, intrinsic z-y'-x'' as in `msp_range.geometry` [rad].
     velocity_ned_m_s
         North, east and down [m/s].
+    throttle
+        0 to 1; None where it is not known.
     """
 
     time_s: float
@@ -41,6 +47,7 @@ class Pose(NamedTuple):
     pitch_rad: float
     yaw_rad: float
     velocity_ned_m_s: Vector
+    throttle: float | None = None
 
 
 class Sway(Section):
@@ -120,6 +127,12 @@ class Attitude:
         return Angles(roll_rad, pitch_rad, yaw_rad)
 
 
+def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
+    """Thrust over weight, in units of the throttle at which the vehicle hovers; drag is left out."""
+    thrust_m_s2 = math.hypot(north_m_s2, east_m_s2, GRAVITY_M_S2 + up_m_s2)
+    return min(HOVER_THROTTLE * thrust_m_s2 / GRAVITY_M_S2, 1.0)
+
+
 def _swings(rms_deg: float, period_s: float, generator: Generator) -> list[tuple[float, float, float]]:
     """Amplitude [rad], angular rate [rad/s] and phase [rad] of three sinusoids of equal power."""
     rates = 2 * math.pi / period_s * generator.uniform(0.7, 1.4, 3)
@@ -177,7 +190,7 @@ class Vehicle:
         """The vehicle at ``time_s``; before 0 and after the end it rests."""
         north_m, north_m_s, north_m_s2 = self._north.at(time_s)
         east_m, east_m_s, east_m_s2 = self._east.at(time_s)
-        height_m, climb_m_s, _ = self._height.at(time_s)
+        height_m, climb_m_s, climb_m_s2 = self._height.at(time_s)
         elevation_m = self._start_elevation_m + height_m
         above_surface_m = elevation_m - self._elevation_m(north_m, east_m)
         sways = min(max(above_surface_m / SWAYS_FULLY_AT_M, 0.0), 1.0)
@@ -189,6 +202,7 @@ class Vehicle:
             pitch_rad,
             yaw_rad,
             (north_m_s, east_m_s, -climb_m_s),
+            _throttle(north_m_s2, east_m_s2, climb_m_s2) if above_surface_m > 0.0 else IDLE_THROTTLE,
         )
 
     def clearance_m(self, time_s: float) -> float:

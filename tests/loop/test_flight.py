@@ -6,14 +6,19 @@ import socket
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from pymavlink.dialects.v20 import common
+from scipy.stats import kstest
 from typer.testing import CliRunner
 
 from msp_range.clock import SystemClock, VirtualClock
+from msp_range.recording.export import measured_data
+from msp_range.recording.reader import Recording
 from msp_sim.cli import app
 from msp_sim.flight import Flight, Simulation
+from msp_sim.model.model import load_model
 from msp_sim.scenario import load_scenario
 from msp_sim.summary import summarise
 
@@ -176,6 +181,22 @@ def test_another_model_flies(tmp_path: Path) -> None:
     for sensor in summary["sensors"].values():
         assert sensor["rejected"] == {}
         assert sensor["error_before"]["rms_cm"] < 1.5
+
+
+def test_effects_fly_as_they_are_scored(tmp_path: Path) -> None:
+    """Readings of a flight with effects, as the bridge recorded them, follow their model given the recorded context."""
+    path = SCENARIOS.parent / "sensors" / "mb1242_in_flight.yaml"
+    run("fly", SCENARIOS / "demo.yaml", "--model", path, "--out", tmp_path / "f")
+    data = measured_data(Recording(tmp_path / "f" / "flight.mcap"))
+    # A reading of a ping that the sensor did not take is the one before.
+    data = data.select(~np.isnan(data["true_range_cm"]) & ~np.isnan(data["reading_cm"]))
+    model = load_model(path)
+    rows = model.rows(data.columns)
+    p = np.exp(rows.log_prob(data["reading_cm"]))
+    transformed = np.exp(rows.log_below(data["reading_cm"])) + p * np.random.default_rng(1).random(p.size)
+    assert kstest(transformed, "uniform").pvalue > 1e-3
+    plain = load_model(SCENARIOS.parent / "sensors" / "mb1242.yaml").log_prob(data["reading_cm"], data.columns)
+    assert np.log(p).mean() > plain.mean() + 0.02
 
 
 @pytest.mark.real_time

@@ -72,7 +72,8 @@ class Scene:
     sensor
         Its model file.
     contexts
-        Columns by name, of length n: numbers with NaN, words with "" where unknown. Plain numbers for one reading.
+        Columns by name, of length n: numbers with NaN, words with "" where unknown. For one reading a number or a
+        word each, None where unknown.
     """
 
     def __init__(self, sensor: SensorModel, contexts: Mapping[str, Any]) -> None:
@@ -99,10 +100,10 @@ class Scene:
 
     def optional(self, column: str, otherwise: float) -> Any:
         """A column with a value in place of what is unknown."""
-        if column not in self._contexts:
-            return otherwise
-        values = self._contexts[column]
-        return np.where(np.isnan(values), otherwise, values)
+        known = self.known(column)
+        if known is True or known is False:
+            return self._contexts[column] if known else otherwise
+        return np.where(known, self._contexts[column], otherwise)
 
     def known(self, column: str) -> Any:
         """True where a column says something; False alone where the column is absent."""
@@ -112,12 +113,10 @@ class Scene:
 
 
 def _says(column: str, values: Any) -> Any:
-    if column in WORD_COLUMNS:
-        return values != ""
-    if isinstance(values, np.ndarray):
-        finite = np.isfinite(values)
-        return True if finite.all() else finite
-    return values is not None and abs(values) < np.inf
+    if not isinstance(values, np.ndarray):
+        return bool(values) if column in WORD_COLUMNS else values is not None and abs(values) < np.inf
+    said = values != "" if column in WORD_COLUMNS else np.isfinite(values)
+    return True if said.all() else said
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,7 @@ from msp_sim.effects.base import Change, Effect, Parameter, Scene
 
 def _act(scene: Scene, values: Mapping[str, float]) -> Change:
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
-    slant_cm = scene.range_cm / np.cos(tilt_rad)
-    if "slant_range_cm" in scene:
-        said_cm = scene["slant_range_cm"]
-        slant_cm = np.where(np.isnan(said_cm), slant_cm, said_cm)
+    slant_cm = scene.optional("slant_range_cm", scene.range_cm / np.cos(tilt_rad))
     return Change(bias_cm=values["share"] * (slant_cm - scene.range_cm))
 
 

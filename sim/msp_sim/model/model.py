@@ -7,12 +7,14 @@ Contexts are columns by name, those of the CSV form; an effect rests where a con
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
@@ -61,16 +63,26 @@ class Model:
     def of(cls, sensor: SensorModel) -> "Model":
         """The model that a sensor model file describes.
 
+        Where it says that a canted sensor reads the slant range, that effect is among its effects.
+
         Raises
         ------
         ConfigError
             An entry of ``effects`` is not one of the catalogue, or its parameters are not.
         """
-        return cls(sensor, tuple(_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)))
+        effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
+        if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
+            effects.append(active("slant_range", None, {"share": 1.0}))
+        return cls(sensor, tuple(effects))
 
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """With one more effect of the catalogue; shapes that are left out are at their defaults."""
         return replace(self, effects=(*self.effects, active(name, of, values)))
+
+    @cached_property
+    def base(self) -> ReadingModel:
+        """The base mixture."""
+        return ReadingModel.of(self.sensor)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -151,18 +163,16 @@ class Model:
 
     def _rows(self, columns: Mapping[str, NDArray[Any]]) -> Rows:
         """The base mixture for these columns, and on it what each effect changes."""
-        sensor, base = self.sensor, self.sensor.reading_model
-        weights = base.weights
+        sensor, base = self.sensor, self.base
         scene = Scene(sensor, columns)
-        centre_cm = columns[TRUE_RANGE]
-        sigma_cm: Any = np.full(centre_cm.size, base.sigma_cm)
-        with np.errstate(divide="ignore"):
-            logs: list[Any] = list(np.log([weights.hit, weights.unexpected, weights.max, weights.random]))
+        centre_cm = base.calibration.forward(columns[TRUE_RANGE])
+        logs: list[Any] = list(base.log_weights(centre_cm))
+        sigma_cm = np.broadcast_to(base.sigma_cm(centre_cm), centre_cm.shape)
         added: list[Added] = []
         faults: list[Faulty] = []
         offsets: list[RunOffset] = []
         for each in self.effects:
-            known = _known(scene, each)
+            known = acts(scene, each)
             if known is False:
                 continue
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -188,8 +198,8 @@ class Model:
             centre_cm,
             sigma_cm,
             (logs[0], logs[1], logs[2], logs[3]),
-            base.unexpected_rate_per_m,
-            base.saturated_fraction,
+            base.parameters.unexpected_rate_per_m,
+            base.parameters.saturated_fraction,
             sensor.minimum_cm,
             sensor.maximum_cm,
             tuple(added),
@@ -198,39 +208,19 @@ class Model:
         )
 
 
-class Sampler:
-    """Draws readings one at a time, from streams of its own.
-
-    Parameters
-    ----------
-    model
-        What is drawn from.
-    rng
-        Source of chance.
-
-    Examples
-    --------
-    >>> model = load_model("configs/sensors/mb1242.yaml")
-    >>> sampler = Sampler(model, np.random.default_rng(1))
-    >>> type(sampler.sample_one({"true_range_cm": 300.0, "throttle": None}))
-    <class 'int'>
-    """
-
-    def __init__(self, model: Model, rng: np.random.Generator) -> None:
-        self._model = model
-        self._needs = model.needs
-        self._streams = Streams(rng)
-
-    def sample_one(self, context: Mapping[str, Any]) -> int:
-        """Draw one reading [cm].
-
-        Parameters
-        ----------
-        context
-            Values by column; None, NaN or "" where unknown.
-        """
-        columns = {name: _one(name, context.get(name)) for name in self._needs}
-        return int(self._model.sample(columns, self._streams)[0])
+def acts(scene: Scene, each: Active) -> Any:
+    """Where an effect has the context that it needs: True or False for all rows, or an array."""
+    known: Any = True
+    for column in each.effect.needs:
+        here = scene.known(column)
+        if here is False:
+            return False
+        known = here if known is True else known & here
+    if each.effect.of is not None:
+        if each.effect.of not in scene:
+            return False
+        known = known & (scene[each.effect.of] == each.of)
+    return known
 
 
 def load_model(path: Path | str) -> Model:
@@ -298,21 +288,6 @@ def _entry(entry: Mapping[str, Any], place: str) -> Active:
     return active(str(entry.get("name")), entry.get("of"), values, place)
 
 
-def _known(scene: Scene, each: Active) -> Any:
-    """Whether the effect acts: True on all rows, an array, or False alone where a column is absent."""
-    known: Any = True
-    for column in each.effect.needs:
-        here = scene.known(column)
-        if here is False:
-            return False
-        known = here if known is True else known & here
-    if each.effect.of is not None:
-        if each.effect.of not in scene:
-            return False
-        known = known & (scene[each.effect.of] == each.of)
-    return known
-
-
 def _where(known: Any, change: Any) -> Any:
     return change if known is True else np.where(known, change, 0.0)
 
@@ -322,12 +297,6 @@ def _column(name: str, values: Any) -> NDArray[Any]:
     if column.ndim != 1:
         raise ValueError(f"found {name} of shape {column.shape}, expected one dimension")
     return column
-
-
-def _one(name: str, value: Any) -> NDArray[Any]:
-    if name in WORD_COLUMNS:
-        return np.array(["" if value is None else value])
-    return np.array([np.nan if value is None else value], dtype=np.float64)
 
 
 def _near(word: Any, known: Iterable[str]) -> str:

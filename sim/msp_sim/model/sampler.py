@@ -1,0 +1,114 @@
+"""Readings drawn one at a time, for an emulated sensor: the distribution and the draws of `Model.sample`.
+
+A context enters as plain values, a reading leaves. Where effects shift, widen or reweigh the base mixture, no array is
+made; what adds components or faults takes the way of `Model.sample` with one row. Both take the same numbers from the
+same streams.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.reading_model.sensor_model import SATURATED_CM
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
+from msp_sim.model.model import Model, acts
+from msp_sim.model.streams import Streams
+
+
+class Sampler:
+    """Draws one model's readings, one after the other.
+
+    Parameters
+    ----------
+    model
+        What is drawn from.
+    rng
+        Source of chance.
+
+    Examples
+    --------
+    >>> from msp_sim.model.model import load_model
+    >>> sampler = Sampler(load_model("configs/sensors/mb1242.yaml"), np.random.default_rng(1))
+    >>> sampler.sample_one({"true_range_cm": 300.0, "air_temperature_c": None}) in range(20, 766)
+    True
+    """
+
+    def __init__(self, model: Model, rng: np.random.Generator) -> None:
+        self._model = model
+        self._needs = model.needs
+        self._streams = Streams(rng)
+        self._plain = not any(
+            {"component", "code"} & set(each.effect.channels) or "run" in each.effect.needs for each in model.effects
+        )
+
+    def sample_one(self, context: Mapping[str, Any]) -> int:
+        """Draw one reading [cm].
+
+        Parameters
+        ----------
+        context
+            Values by column; None, NaN or "" where unknown. A true range that is unknown cannot be heard.
+        """
+        if self._plain:
+            return self._draw(context)
+        columns = {name: _column(name, context.get(name)) for name in self._needs}
+        return int(self._model.sample(columns, self._streams)[0])
+
+    def _draw(self, context: Mapping[str, Any]) -> int:
+        base, streams = self._model.base, self._streams
+        range_cm = context.get(TRUE_RANGE)
+        centre_cm = math.nan if range_cm is None else base.calibration.forward(float(range_cm))
+        sigma_cm, (hit, nearer, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
+        if self._model.effects:
+            scene = Scene(self._model.sensor, context)
+            for each in self._model.effects:
+                if not acts(scene, each):
+                    continue
+                change = each.effect.act(scene, each.values)
+                centre_cm += change.bias_cm or 0.0
+                sigma_cm *= math.exp(change.log_spread or 0.0)
+                nearer += change.log_odds_short or 0.0
+                missed += change.log_odds_missed or 0.0
+                random += change.log_odds_random or 0.0
+        heard_cm = centre_cm + sigma_cm * streams["hit"].standard_normal()
+        kind, place = streams["kind"].random(), streams["place"].random()
+        streams["race"].standard_exponential()
+        saturated = streams["saturated"].random() < base.parameters.saturated_fraction
+        return self._reading_cm(heard_cm, centre_cm, kind, place, saturated, (hit, nearer, missed, random))
+
+    def _reading_cm(
+        self,
+        heard_cm: float,
+        centre_cm: float,
+        kind: float,
+        place: float,
+        saturated: bool,
+        log_weights: tuple[float, float, float, float],
+    ) -> int:
+        minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
+        most = max(log_weights)
+        hit, nearer, missed, random = (math.exp(each - most) for each in log_weights)
+        kind *= hit + nearer + missed + random
+        if kind >= hit:
+            if kind < hit + nearer:
+                rate_per_cm = self._model.base.parameters.unexpected_rate_per_m / 100.0
+                end_cm = centre_cm if centre_cm < maximum_cm else maximum_cm
+                length_cm = max(end_cm - minimum_cm, 0.0)
+                heard_cm = minimum_cm - math.log1p(place * math.expm1(-rate_per_cm * length_cm)) / rate_per_cm
+            elif kind < hit + nearer + missed or random == 0.0:
+                heard_cm = maximum_cm
+            else:
+                heard_cm = minimum_cm + math.floor(place * (maximum_cm - minimum_cm + 1))
+        if not heard_cm < maximum_cm:
+            heard_cm = maximum_cm
+        reading_cm = max(round(heard_cm), minimum_cm)
+        return SATURATED_CM if reading_cm == maximum_cm and saturated else reading_cm
+
+
+def _column(name: str, value: Any) -> NDArray[Any]:
+    if name in WORD_COLUMNS:
+        return np.array(["" if value is None else value])
+    return np.array([np.nan if value is None else value], dtype=np.float64)
