@@ -8,9 +8,25 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks import bench_bridge, bench_rates, bench_reading_model, bench_start, bench_virtual_flight
+from benchmarks import (
+    bench_bridge,
+    bench_fit,
+    bench_fit_coverage,
+    bench_rates,
+    bench_reading_model,
+    bench_start,
+    bench_virtual_flight,
+)
 
-PARTS = (bench_reading_model, bench_bridge, bench_virtual_flight, bench_rates, bench_start)
+PARTS = (
+    bench_reading_model,
+    bench_fit,
+    bench_fit_coverage,
+    bench_bridge,
+    bench_virtual_flight,
+    bench_rates,
+    bench_start,
+)
 RESULTS = Path(__file__).parent / "results.json"
 
 

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from msp_range.reading_model import likelihood as lk
+from msp_range.reading_model import densities as mix
 from msp_range.reading_model.fit_result import BOUNDS, FitError, FitResult, GrowthTrial, columns, result_of
 from msp_range.reading_model.grid import NOWHERE, ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
@@ -24,7 +24,7 @@ FEWEST_READINGS = 50
 FEWEST_HITS = 20
 START_ROWS = 4_000
 """Rows on which the starts are tried."""
-STAGE = 12
+STAGE = 6
 """Each stage of the fit takes so many times the rows of the one before, until it has all."""
 SHORTEST_SPAN = 0.05
 """Ranges within this share of the farthest are one range."""
@@ -75,17 +75,17 @@ def fit(
     >>> reading_cm[:250] = 765
     >>> result = fit(reading_cm, expected_cm, ReadingGrid(20, 765))
     >>> print(f"{result.estimates['sigma_cm']:.2f} {result.standard_errors['sigma_cm']:.2f}")
-    1.50 0.02
+    1.49 0.02
     >>> print("{:.3f} {:.3f}".format(*result.interval("max")), result.at_bound)
     0.044 0.056 ('unexpected', 'random')
     """
     reading, expected = columns(reading_cm, expected_cm)
     cell = _checked_cells(reading, expected, grid)
     rows = _counted(grid, cell, expected)
-    moving = [lk.U, lk.R, lk.M, lk.T, lk.L]
+    moving = [mix.U, mix.R, mix.M, mix.T, mix.L]
     if grid.second_no_echo_cm is not None:
-        moving.append(lk.S)
-    moving += [number for number, wanted in ((lk.O, offset), (lk.C, scale)) if wanted]
+        moving.append(mix.S)
+    moving += [number for number, wanted in ((mix.O, offset), (mix.C, scale)) if wanted]
     try:
         best = _climb(rows, _start(rows, moving), moving)
         trials: tuple[GrowthTrial, ...] = ()
@@ -95,7 +95,7 @@ def fit(
         raise FitError(f"the fit of {reading.size} readings does not converge: {error}") from None
     result = result_of(rows, best, moving, trials)
     hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
-    if hits < FEWEST_HITS or best.theta[lk.T] >= BOUNDS.upper[lk.T]:
+    if hits < FEWEST_HITS or best.theta[mix.T] >= BOUNDS.upper[mix.T]:
         raise FitError(
             f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {reading.size} readings, expected at least "
             f"{FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in centimetres?"
@@ -132,11 +132,12 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
     heard = (cell >= 0) & (expected < np.inf)
     if not heard.any():
         raise FitError("found no reading of a surface that can be heard, expected some finite ranges")
-    ratio = float(np.median(reading[heard])) / max(float(np.median(expected[heard])), 1e-9)
-    if ratio > 30.0:
+    some = np.flatnonzero(heard)[:: max(heard.size // START_ROWS, 1)]
+    middles = float(np.median(reading[some])), float(np.median(expected[some]))
+    if middles[0] > 30.0 * abs(middles[1]):
         raise FitError(
-            f"found expected ranges with a median of {np.median(expected[heard]):g} for readings with one of "
-            f"{np.median(reading[heard]):g} cm; they look like metres: give centimetres"
+            f"found expected ranges with a median of {middles[1]:.3g} for readings with one of {middles[0]:.3g} cm, "
+            "expected centimetres for both; the ranges look like metres"
         )
     return cell
 
@@ -165,12 +166,12 @@ def _with_growth(
     threshold = 0.5 * math.log(rows.readings)
     trials, kept = [], []
     nearest_cm, farthest_cm = rows.ranges_cm
-    for name, number, start in (("sigma_growth_cm_per_m", lk.V, 1e-6), ("max_growth_per_m", lk.G, 0.0)):
+    for name, number, start in (("sigma_growth_cm_per_m", mix.V, 1e-6), ("max_growth_per_m", mix.G, 0.0)):
         if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
             why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too alike to show it"
             trials.append(GrowthTrial(name, 0.0, False, why))
             continue
-        if number == lk.G and lk.M not in base.inside:
+        if number == mix.G and mix.M not in base.inside:
             trials.append(GrowthTrial(name, 0.0, False, "not tried: no missed echo was fitted"))
             continue
         theta = np.array(base.theta)
@@ -186,32 +187,32 @@ def _with_growth(
         return base, moving, tuple(trials)
     moving = [*moving, *kept]
     theta = np.array(base.theta)
-    theta[lk.V] = 1e-6 if lk.V in kept else 0.0
+    theta[mix.V] = 1e-6 if mix.V in kept else 0.0
     return _climb_from(rows, theta, moving), moving, tuple(trials)
 
 
 def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     """The best of a few fits to some of the rows, each from a spread and a lambda that are small or large."""
     few = rows.part(max(rows.rows // START_ROWS, 1))
-    theta = np.zeros(len(lk.NAMES))
-    theta[lk.C] = 1.0
-    error, weight, length = few.errors()
+    theta = np.zeros(len(mix.NAMES))
+    theta[mix.C] = 1.0
+    error, weight = few.errors()
     share = few.no_echoes / few.readings
-    if lk.O in moving:
-        theta[lk.O] = _quantile(error, weight, 0.5)
-    distance = np.abs(error - theta[lk.O])
-    theta[[lk.M, lk.S]] = min(max(share, 0.005), 0.9), 0.2 if lk.S in moving else 0.0
+    if mix.O in moving:
+        theta[mix.O] = _quantile(error, weight, 0.5)
+    distance = np.abs(error - theta[mix.O])
+    theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
     best: Optimum | None = None
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
     for share, sigmas in ((0.5, 0.674), (0.2, 0.524)):
         sigma = max(_quantile(distance, weight, share) / sigmas, 0.3 * rows.grid.resolution_cm)
-        shorter = float(weight[error - theta[lk.O] < -4.0 * sigma].sum() / weight.sum())
-        longer = float(weight[error - theta[lk.O] > 4.0 * sigma].sum() / weight.sum())
+        shorter = float(weight[error - theta[mix.O] < -4.0 * sigma].sum() / weight.sum())
+        longer = float(weight[error - theta[mix.O] > 4.0 * sigma].sum() / weight.sum())
         for per_length in (0.5, 5.0):
-            theta[lk.T], theta[lk.L] = math.log(sigma), per_length / length
-            theta[lk.U], theta[lk.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)
+            theta[mix.T], theta[mix.L] = math.log(sigma), per_length / few.mean_length_cm
+            theta[mix.U], theta[mix.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)
             try:
-                found = maximise(partial(few.derivatives, free=lk.optional(moving)), theta, moving, BOUNDS, 1e-2)
+                found = maximise(partial(few.derivatives, free=mix.optional(moving)), theta, moving, BOUNDS, 1e-2)
             except NotConvergedError:
                 continue
             if best is None or found.value > best.value:
@@ -223,10 +224,10 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
 
 def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
     """To the maximum on a share of the rows, on a larger share, and on all of them."""
-    every = rows.rows // (STAGE * START_ROWS)
+    every = rows.rows // START_ROWS // STAGE
     theta = start
     while every > 1:
-        theta = _climb_from(rows.part(every), theta, moving, 1e-2).theta
+        theta = _climb_from(rows.part(every), theta, moving, 0.1).theta
         every //= STAGE
     return _climb_from(rows, theta, moving)
 
@@ -234,10 +235,10 @@ def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
 def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
     """To the maximum, with a start from which every weight can grow: fewer rows may have had none of some kind."""
     theta = np.array(start)
-    theta[[lk.U, lk.R, lk.M]] = np.maximum(theta[[lk.U, lk.R, lk.M]], 1e-4)
-    if lk.S in moving:
-        theta[lk.S] = min(max(theta[lk.S], 1e-3), 1.0 - 1e-3)
-    return maximise(partial(rows.derivatives, free=lk.optional(moving)), theta, moving, BOUNDS, gain)
+    theta[[mix.U, mix.R, mix.M]] = np.maximum(theta[[mix.U, mix.R, mix.M]], 1e-4)
+    if mix.S in moving:
+        theta[mix.S] = min(max(theta[mix.S], 1e-3), 1.0 - 1e-3)
+    return maximise(partial(rows.derivatives, free=mix.optional(moving)), theta, moving, BOUNDS, gain)
 
 
 def _quantile(ordinate: _Array, weight: _Array, share: float) -> float:

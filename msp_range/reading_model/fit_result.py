@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import expit, logit, xlog1py, xlogy
 from scipy.stats import chi2, norm
 
-from msp_range.reading_model import likelihood as lk
+from msp_range.reading_model import densities as mix
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
 from msp_range.reading_model.newton import Bounds, Optimum, profile_limit
@@ -27,20 +27,20 @@ NEAR_BOUND = 4.0
 """Within so many standard errors of a bound an interval is a profile's."""
 UNKNOWN_FRACTION = 0.5
 """A fraction with a standard error of this is not known."""
-UNKNOWN_LOGARITHM = 3.0
-"""A rate is not known when its logarithm has a standard error of this."""
+UNKNOWN_FALL = 3.0
+"""A lambda is not known when its standard error is so many times both itself and 1 / (mean range)."""
 
 _NUMBERS = {
-    "unexpected": lk.U,
-    "random": lk.R,
-    "max": lk.M,
-    "sigma_cm": lk.T,
-    "unexpected_rate_per_m": lk.L,
-    "saturated_fraction": lk.S,
-    "sigma_growth_cm_per_m": lk.V,
-    "max_growth_per_m": lk.G,
-    "offset_cm": lk.O,
-    "scale": lk.C,
+    "unexpected": mix.U,
+    "random": mix.R,
+    "max": mix.M,
+    "sigma_cm": mix.T,
+    "unexpected_rate_per_m": mix.L,
+    "saturated_fraction": mix.S,
+    "sigma_growth_cm_per_m": mix.V,
+    "max_growth_per_m": mix.G,
+    "offset_cm": mix.O,
+    "scale": mix.C,
 }
 #                             U    R    M    T            L     S    V    G    O     C
 BOUNDS = Bounds(
@@ -136,7 +136,7 @@ class FitResult:
     def below(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)
-        return lk.probabilities(self.grid, self._optimum.theta, reading, expected)
+        return mix.probabilities(self.grid, self._optimum.theta, reading, expected)
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter.
@@ -167,7 +167,7 @@ class FitResult:
     def _profile(self, name: str, level: float) -> tuple[float, float]:
         number = _NUMBERS[name]
         drop = float(chi2.ppf(level, 1)) / 2.0
-        free = lk.optional(self._moving)
+        free = mix.optional(self._moving)
         derivatives = partial(self._likelihood.derivatives, free=free)
         curvature = -float(self._optimum.hessian[number, number])
         guess = math.sqrt(2.0 * drop / curvature) if curvature > 0.0 else 1e-3
@@ -202,17 +202,17 @@ def result_of(
     theta = np.array(best.theta)
     information = -best.hessian
     inside = list(best.inside)
-    unknown = _unknown(theta, information, inside, moving)
+    unknown = _unknown(information, inside, moving, max(theta[mix.L], 1.0 / rows.mean_length_cm))
     inside = [number for number in inside if number not in unknown]
-    if lk.S in unknown:
-        theta[lk.S] = 0.0
+    if mix.S in unknown:
+        theta[mix.S] = 0.0
     covariance = np.zeros_like(information)
     try:
         covariance[np.ix_(inside, inside)] = np.linalg.inv(information[np.ix_(inside, inside)])
     except np.linalg.LinAlgError:
         covariance[np.ix_(inside, inside)] = math.nan
     named = {name: value for name, value in _named(theta).items() if name == "hit" or _NUMBERS[name] in moving}
-    if lk.S not in moving:
+    if mix.S not in moving:
         named["saturated_fraction"] = 0.0
     jacobian = _jacobian(theta, tuple(named))
     of_named = jacobian @ covariance @ jacobian.T
@@ -263,49 +263,49 @@ def result_of(
 
 def _named(theta: _Array) -> dict[str, float]:
     """Parameters of the sensor model file from those of the likelihood."""
-    left = 1.0 - theta[lk.M]
-    unexpected, random = left * theta[lk.U], left * theta[lk.R]
+    left = 1.0 - theta[mix.M]
+    unexpected, random = left * theta[mix.U], left * theta[mix.R]
     named = {
         "hit": left - unexpected - random,
         "unexpected": unexpected,
-        "max": theta[lk.M],
+        "max": theta[mix.M],
         "random": random,
-        "sigma_cm": min(max(math.exp(theta[lk.T]), 0.01), 100.0),
-        "unexpected_rate_per_m": 100.0 * theta[lk.L],
-        "saturated_fraction": theta[lk.S],
-        "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[lk.V]),
-        "max_growth_per_m": 100.0 * theta[lk.G],
-        "offset_cm": theta[lk.O],
-        "scale": theta[lk.C],
+        "sigma_cm": min(max(math.exp(theta[mix.T]), 0.01), 100.0),
+        "unexpected_rate_per_m": 100.0 * theta[mix.L],
+        "saturated_fraction": theta[mix.S],
+        "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[mix.V]),
+        "max_growth_per_m": 100.0 * theta[mix.G],
+        "offset_cm": theta[mix.O],
+        "scale": theta[mix.C],
     }
     return {name: float(value) for name, value in named.items()}
 
 
 def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     """Derivatives of named parameters by those of the likelihood."""
-    left = 1.0 - theta[lk.M]
-    rows = {name: np.zeros(len(lk.NAMES)) for name in _named(theta)}
-    rows["hit"][[lk.U, lk.R, lk.M]] = -left, -left, theta[lk.U] + theta[lk.R] - 1.0
-    rows["unexpected"][[lk.U, lk.M]] = left, -theta[lk.U]
-    rows["random"][[lk.R, lk.M]] = left, -theta[lk.R]
-    rows["max"][lk.M] = rows["saturated_fraction"][lk.S] = rows["offset_cm"][lk.O] = rows["scale"][lk.C] = 1.0
-    rows["sigma_cm"][lk.T] = math.exp(theta[lk.T])
-    rows["unexpected_rate_per_m"][lk.L] = rows["max_growth_per_m"][lk.G] = 100.0
-    if theta[lk.V] > 0.0:
-        rows["sigma_growth_cm_per_m"][lk.V] = 50.0 / math.sqrt(theta[lk.V])
+    left = 1.0 - theta[mix.M]
+    rows = {name: np.zeros(len(mix.NAMES)) for name in _named(theta)}
+    rows["hit"][[mix.U, mix.R, mix.M]] = -left, -left, theta[mix.U] + theta[mix.R] - 1.0
+    rows["unexpected"][[mix.U, mix.M]] = left, -theta[mix.U]
+    rows["random"][[mix.R, mix.M]] = left, -theta[mix.R]
+    rows["max"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.O] = rows["scale"][mix.C] = 1.0
+    rows["sigma_cm"][mix.T] = math.exp(theta[mix.T])
+    rows["unexpected_rate_per_m"][mix.L] = rows["max_growth_per_m"][mix.G] = 100.0
+    if theta[mix.V] > 0.0:
+        rows["sigma_growth_cm_per_m"][mix.V] = 50.0 / math.sqrt(theta[mix.V])
     # A weight whose share is held at zero stays there.
-    for name, number in (("unexpected", lk.U), ("random", lk.R)):
+    for name, number in (("unexpected", mix.U), ("random", mix.R)):
         if theta[number] == 0.0:
             rows[name][:] = 0.0
     return np.array([rows[name] for name in names])
 
 
-def _unknown(theta: _Array, information: _Array, inside: Sequence[int], moving: Sequence[int]) -> frozenset[int]:
-    """Numbers of parameters on which the readings say nothing."""
+def _unknown(information: _Array, inside: Sequence[int], moving: Sequence[int], rate: float) -> frozenset[int]:
+    """Numbers of parameters on which the readings say nothing; `rate` is a usual lambda [1/cm]."""
     unknown = set()
-    if lk.U in moving and lk.U not in inside:
-        unknown.add(lk.L)
-    for number, scale in ((lk.S, UNKNOWN_FRACTION), (lk.L, UNKNOWN_LOGARITHM * theta[lk.L])):
+    if mix.U in moving and mix.U not in inside:
+        unknown.add(mix.L)
+    for number, scale in ((mix.S, UNKNOWN_FRACTION), (mix.L, UNKNOWN_FALL * rate)):
         if number in moving and number not in unknown and information[number, number] * scale**2 < 1.0:
             unknown.add(number)
     return frozenset(unknown)
@@ -313,7 +313,7 @@ def _unknown(theta: _Array, information: _Array, inside: Sequence[int], moving: 
 
 def _ends(name: str) -> tuple[float, float]:
     """Between what a named parameter can be."""
-    theta = np.zeros(len(lk.NAMES))
+    theta = np.zeros(len(mix.NAMES))
     ends = []
     for bounds in (BOUNDS.lower, BOUNDS.upper):
         theta[_NUMBERS[name]] = bounds[_NUMBERS[name]]

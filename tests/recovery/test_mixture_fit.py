@@ -1,0 +1,199 @@
+"""The fit gets known parameters back from a plain sampler's readings, with intervals that hold, or says why not."""
+
+import gzip
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.bench_fit_coverage import coverage
+from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit_result import FitError, FitResult
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.pit import goodness_of_fit, pit
+from tests.support.data import measured_data
+from tests.support.plain_sampler import PlainSensor
+
+MB1242 = ReadingGrid(20, 765, second_no_echo_cm=255)
+ROUGH = PlainSensor(0.80, 0.06, 0.08, 0.06, 1.6, 0.7, 0.25)
+
+
+def drawn(
+    sensor: PlainSensor, readings: int, seed: int, ranges_cm: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Readings and true ranges: any from 40 to 500 cm, or some of those given."""
+    rng = np.random.default_rng(seed)
+    true_cm = rng.uniform(40.0, 500.0, readings) if ranges_cm is None else rng.choice(ranges_cm, readings)
+    return np.array(sensor.readings(true_cm.tolist(), seed)), true_cm
+
+
+def recovered(result: FitResult, sensor: PlainSensor, errors: float = 4.0) -> None:
+    """Every parameter is within so many standard errors."""
+    truth = {"saturated_fraction": sensor.second_share, **vars(sensor)}
+    for name, value in result.estimates.items():
+        if name not in result.at_bound and name not in result.not_identified and name in truth:
+            assert value == pytest.approx(truth[name], abs=errors * result.standard_errors[name]), name
+
+
+def test_intervals_hold_the_truth() -> None:
+    """The whole figure is `python -m benchmarks.bench_fit_coverage`; one in twenty may miss."""
+    shares = coverage(range(400, 416))
+    assert 0.88 <= sum(shares.values()) / len(shares) <= 0.995
+    assert min(shares.values()) >= 0.75
+
+
+@pytest.mark.parametrize("ranges_cm", [None, 40.0 + 20.0 * np.arange(12)], ids=["all differ", "campaign"])
+def test_known_parameters_come_back(ranges_cm: NDArray[np.float64] | None) -> None:
+    reading_cm, true_cm = drawn(ROUGH, 20_000, 1, ranges_cm)
+    result = fit(reading_cm, true_cm, MB1242)
+    recovered(result, ROUGH)
+    assert result.at_bound == result.not_identified == ()
+    assert sum(result.estimates[name] for name in ("hit", "unexpected", "max", "random")) == pytest.approx(1.0)
+    # The weights' sum is known.
+    ones = np.array([name in ("hit", "unexpected", "max", "random") for name in result.names], dtype=float)
+    assert ones @ result.covariance @ ones == pytest.approx(0.0, abs=1e-12)
+
+
+def test_counted_rows_are_the_same_fit() -> None:
+    reading_cm, true_cm = drawn(ROUGH, 5_000, 2, np.array([80.0, 300.0]))
+    counted = fit(reading_cm, true_cm, MB1242)
+    # A millionth of a centimetre makes every range another one.
+    one_by_one = fit(reading_cm, true_cm + 1e-6 * np.random.default_rng(1).random(5_000), MB1242)
+    assert counted.rows < 500 < one_by_one.rows
+    assert counted.log_likelihood == pytest.approx(one_by_one.log_likelihood, abs=1e-3)
+    for name, value in counted.estimates.items():
+        assert value == pytest.approx(one_by_one.estimates[name], abs=0.01 * counted.standard_errors[name])
+
+
+def test_offset_and_scale_come_back() -> None:
+    sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.6, 0.7, 0.25, offset_cm=1.3, scale=1.004)
+    result = fit(*drawn(sensor, 20_000, 3), MB1242, offset=True, scale=True)
+    recovered(result, sensor)
+    assert result.offset_cm == result.estimates["offset_cm"]
+    assert result.scale == result.estimates["scale"]
+
+
+def test_growth_with_range_comes_back_and_is_kept() -> None:
+    sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.2, 0.7, 0.25, sigma_growth_cm_per_m=0.5, max_growth_per_m=0.4)
+    result = fit(*drawn(sensor, 20_000, 4), MB1242, growth=True)
+    assert [trial.kept for trial in result.growth_trials] == [True, True]
+    recovered(result, sensor)
+    assert result.parameters.max_growth_per_m == result.estimates["max_growth_per_m"]
+
+
+def test_growth_that_is_not_there_is_left_out() -> None:
+    result = fit(*drawn(ROUGH, 20_000, 5), MB1242, growth=True)
+    assert [trial.kept for trial in result.growth_trials] == [False, False]
+    assert result.parameters.sigma_growth_cm_per_m == result.parameters.max_growth_per_m == 0.0
+    one_range = fit(*drawn(ROUGH, 5_000, 5, np.array([300.0])), MB1242, growth=True)
+    assert "too alike" in one_range.growth_trials[0].why
+
+
+def test_another_sensors_grid_and_codes() -> None:
+    sensor = PlainSensor(
+        0.85, 0.05, 0.06, 0.04, 0.8, 0.9, 0.4,
+        minimum_cm=2.0, maximum_cm=401.0, step_cm=0.3, no_echo_cm=800.0, second_cm=1.0,
+    )  # fmt: skip
+    grid = ReadingGrid(2.0, 401.0, 0.3, no_echo_cm=800.0, second_no_echo_cm=1.0)
+    rng = np.random.default_rng(6)
+    true_cm = rng.uniform(10.0, 350.0, 20_000)
+    recovered(fit(sensor.readings(true_cm.tolist(), 6), true_cm, grid), sensor)
+
+
+def test_ranges_at_which_nothing_is_heard_count_as_missed() -> None:
+    rng = np.random.default_rng(7)
+    true_cm = np.where(rng.random(20_000) < 0.2, np.inf, rng.uniform(40.0, 500.0, 20_000))
+    recovered(fit(ROUGH.readings(true_cm.tolist(), 7), true_cm, MB1242), ROUGH)
+
+
+def test_a_weight_of_nothing_has_an_upper_limit() -> None:
+    clean = PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5)
+    result = fit(*drawn(clean, 5_000, 8), MB1242)
+    assert set(result.at_bound) == {"unexpected", "max", "random"}
+    assert set(result.not_identified) == {"unexpected_rate_per_m", "saturated_fraction"}
+    assert result.parameters.weights.hit == 1.0
+    for name in ("max", "random"):
+        low, high = result.interval(name)
+        # None of n: the likelihood drops by 1.92 at about 1.92 / n.
+        assert low == 0.0
+        assert 1.8 / 5_000 < high < 2.5 / 5_000
+    assert result.interval("hit") == (pytest.approx(1.0 - 1.92 / 5_000, abs=1e-5), 1.0)
+    assert result.interval("saturated_fraction") == (0.0, 1.0)
+    assert math.isnan(result.standard_errors["max"])
+
+
+def test_a_few_of_a_kind_have_an_interval_that_is_not_symmetric() -> None:
+    reading_cm, true_cm = drawn(PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5), 5_000, 9)
+    reading_cm[:3] = 765.0
+    low, high = fit(reading_cm, true_cm, MB1242).interval("max")
+    # Likelihood-ratio limits of a Poisson mean with 3 seen: 0.75 and 7.75.
+    assert (5_000 * low, 5_000 * high) == pytest.approx((0.75, 7.75), rel=0.05)
+
+
+def test_readings_that_never_differ_bound_the_spread_from_above() -> None:
+    result = fit(np.full(500, 300.0), np.full(500, 300.0), MB1242)
+    assert result.estimates["sigma_cm"] < 0.2
+    low, high = result.interval("sigma_cm")
+    assert low == pytest.approx(0.01)
+    assert 0.1 < high < 0.25
+
+
+def test_pit_is_uniform_for_the_right_model_and_not_for_a_wrong_one() -> None:
+    reading_cm, true_cm = drawn(ROUGH, 20_000, 10)
+    fitted = fit(reading_cm, true_cm, MB1242)
+    fresh = drawn(ROUGH, 20_000, 11)
+    rng = np.random.default_rng(12)
+    good = goodness_of_fit(fitted, *fresh, rng, fitted_here=False)
+    assert min(good.ks_p_value, good.chi_square_p_value) > 0.01
+    assert sum(good.pit_histogram) == good.readings == 20_000
+    same = goodness_of_fit(fitted, reading_cm, true_cm, rng)
+    assert same.chi_square_p_value > 0.01
+    assert "fitted to the same readings" in same.note
+    wider = drawn(PlainSensor(**{**vars(ROUGH), "sigma_cm": 1.8}), 20_000, 13)
+    assert goodness_of_fit(fitted, *wider, rng, fitted_here=False).ks_p_value < 1e-3
+    assert np.isnan(pit(fitted, [300.5], [300.0], rng)).all()
+
+
+GOOD_CM = np.tile([298.0, 299.0, 300.0, 301.0, 302.0], 40)
+TRUE_CM = np.full(200, 300.0)
+
+
+@pytest.mark.parametrize(
+    ("reading_cm", "true_cm", "message"),
+    [
+        (GOOD_CM[:30], TRUE_CM[:30], r"found 30 readings, expected at least 50; take more"),
+        (GOOD_CM, TRUE_CM[:30], r"found readings of shape \(200,\) and expected ranges of shape \(30,\)"),
+        (np.full(200, 765.0), TRUE_CM, r"nothing but codes for 'no echo' in 200 readings"),
+        (GOOD_CM / 100, TRUE_CM, r"200 of 200 readings .* such as 2\.98, .*; they look like metres: give centimetres"),
+        (GOOD_CM, TRUE_CM / 100, r"a median of 3 for readings with one of 300 cm.*the ranges look like metres"),
+        (GOOD_CM + 0.3, TRUE_CM, r"such as 298\.3, expected 20 to 765 cm by 1 .* round them with grid\.nearest"),
+        (np.append(GOOD_CM[1:], 8183.0), TRUE_CM, r"1 of 200 .* such as 8183.*; widen the limits or name the code"),
+        (np.append(GOOD_CM[1:], np.nan), TRUE_CM, r"found 1 readings that are unknown \(NaN\).* leave out their rows"),
+        (GOOD_CM, np.append(TRUE_CM[1:], np.nan), r"found 1 expected ranges that are unknown \(NaN\)"),
+        (GOOD_CM, np.full(200, np.inf), r"no reading of a surface that can be heard"),
+        (GOOD_CM, np.full(200, 100.0), r"hits with a spread of .* do the ranges belong to these readings"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_in_a_line(
+    reading_cm: NDArray[np.float64], true_cm: NDArray[np.float64], message: str
+) -> None:
+    with pytest.raises(FitError, match=message):
+        fit(reading_cm, true_cm, MB1242)
+
+
+def test_the_mixture_of_a_measured_lidar() -> None:
+    """Beams against a map that was made of the same scans, so that the hits' share and spread are flattered."""
+    with gzip.open(measured_data("carmen-fhw/fhw-pairs-derived.csv.gz"), "rt") as file:
+        columns = np.genfromtxt(file, delimiter=",", names=True)
+    grid = ReadingGrid(minimum_cm=5, maximum_cm=5100, resolution_cm=5, no_echo_cm=5105)
+    measured_cm = 100.0 * columns["measured_m"]
+    # 51.05 m is no echo, and 13 of 40,000 say 51.10.
+    reading_cm = np.where(measured_cm > 5102.5, 5105.0, grid.nearest(measured_cm))
+    result = fit(reading_cm, 100.0 * columns["expected_m"], grid, offset=True)
+    assert result.estimates["unexpected"] == pytest.approx(0.127, abs=0.006)
+    assert result.estimates["max"] == pytest.approx(0.007, abs=0.0005)
+    # What is unexpected here does not get rarer with range.
+    assert "unexpected_rate_per_m" in result.at_bound
+    good = goodness_of_fit(result, reading_cm, 100.0 * columns["expected_m"], np.random.default_rng(1))
+    assert good.ks_p_value < 1e-6
