@@ -217,11 +217,12 @@ def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point
     b, d = n - a, m - c
     value = math.log((a + 0.5) * (d + 0.5) / ((b + 0.5) * (c + 0.5)))
     over, over_reference = _overdispersion(varied, count, of), _overdispersion(reference, count, of)
+    if question.name == "external_interference":
+        # Its points differ by their dose, which is the effect itself and no reason to doubt it.
+        over = over_reference
     error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
     freedom = len(varied) + len(reference) - 2.0
-    # Points of an external source differ by its dose, which is the effect itself and no reason to doubt it.
-    between = over_reference if question.name == "external_interference" else max(over, over_reference)
-    if between > MORE_THAN_CHANCE and freedom >= 1.0:
+    if max(over, over_reference) > MORE_THAN_CHANCE and freedom >= 1.0:
         p_value = 2.0 * float(stats.t.sf(abs(value) / error, freedom))
     else:
         freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
