@@ -77,6 +77,8 @@ class Sensor(Section):
     def _load_model(self, info: ValidationInfo) -> "Sensor":
         folder = (info.context or {}).get("folder", Path())
         self._model = load_sensor_model(folder / self.model)
+        if self._model.driver == "none":
+            raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")
         return self
 
     @property

@@ -9,16 +9,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.characterise.calibration import fit_line, pooled_spread
-from msp_range.characterise.estimates import mean_of_points, share, standard_error
+from msp_range.characterise.calibration import line_design, pooled_spread
+from msp_range.characterise.estimates import fit_points, share, standard_error
 from msp_range.characterise.findings import Baseline, Estimate, MaximumRange, Peak
 from msp_range.characterise.points import PointReadings
 from msp_range.reading_model.sensor_model import SensorModel
 
 PEAK_HALF_CM = 3
 """Readings this near to each other belong to one peak [cm]."""
-LEAST_PEAK = 0.005
-"""Share of all readings that a peak has at least: random readings spread over the whole range have far less."""
+LEAST_PEAK = 0.001
+LEAST_READINGS = 10
+"""A peak has this share of all readings, and so many: random ones, spread over the whole range, have far less."""
 
 
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
@@ -38,16 +39,17 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
         return None
     readings = sum(each.readings for each in found)
     hits = np.concatenate([point.error_cm[point.is_hit] for point in heard])
+    range_cm = np.array([each.true_range_cm for each in found if each.error is not None])
+    mean_cm = np.array([each.value for each in errors])
+    # A point whose readings give no interval counts as one rounded reading.
+    variance_cm2 = np.array([min(standard_error(each) ** 2, 1.0) for each in errors])
     between = None
-    if len(errors) >= 4:
-        x = np.array([each.true_range_cm for each in found if each.error is not None])
-        if np.unique(x).size >= 3:
-            variance = np.array([standard_error(each) ** 2 for each in errors])
-            line = fit_line(x, np.array([each.value for each in errors]), np.minimum(variance, 1.0))
-            between = Estimate(math.sqrt(line.between_cm2), None, None, "cm", len(errors), "points")
+    if np.unique(range_cm).size >= 3:
+        line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
+        between = Estimate(math.sqrt(line.between), None, None, "cm", len(errors), "points")
     return Baseline(
         points=tuple(found),
-        bias=mean_of_points([each.value for each in errors], "cm", reference_std_cm or 0.0),
+        bias=fit_points(np.ones((len(errors), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
         spread=pooled_spread(heard),
         between_points=between,
         missed=share(sum(each.no_echo + each.saturated + each.no_answer for each in found), readings),
@@ -91,8 +93,8 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
 def peaks(reading_cm: NDArray[np.float64]) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings, the largest first.
 
-    A peak is where the readings within 3 cm hold the most, at least 0.5 % of all; it ends where they hold
-    less than a tenth of its top.
+    A peak is where the readings within 3 cm hold the most, at least 0.1 % of all and 10; it ends where they hold less
+    than a tenth of its top.
 
     Examples
     --------
@@ -109,7 +111,7 @@ def peaks(reading_cm: NDArray[np.float64]) -> tuple[Peak, ...]:
     found: list[Peak] = []
     while True:
         top = int(np.where(free, near, -1.0).argmax())
-        if not free[top] or near[top] < LEAST_PEAK * reading_cm.size:
+        if not free[top] or near[top] < max(LEAST_PEAK * reading_cm.size, LEAST_READINGS):
             return tuple(sorted(found, key=lambda each: -each.share))
         low = high = top
         while low > 0 and free[low - 1] and near[low - 1] >= 0.1 * near[top]:

@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.special import ndtri
 
-from msp_range.characterise.estimates import CONFIDENCE, mean_of_points, standard_error
+from msp_range.characterise.estimates import CONFIDENCE, PointsFit, fit_points, mean_of_points, standard_error
 from msp_range.characterise.findings import Calibration, Estimate, Form, HeldOut, Knot
 from msp_range.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration as Curve
@@ -23,6 +22,7 @@ from msp_range.reading_model.sensor_model import SensorModel
 
 LEAST_RANGES = 4
 """A straight line that is to predict a range which it has not seen needs three others."""
+LEAST_RUNS = 3
 RANGES_A_PIECE = 3
 MOST_PIECES = 4
 
@@ -30,25 +30,16 @@ _Array = NDArray[np.float64]
 
 
 class _Points(NamedTuple):
-    """What a point says: apparent true range, mean reading, its variance by chance, and what is left out with it."""
+    """What a point says: apparent true range, mean reading, its variance by chance, true range, number of its run."""
 
     true_cm: _Array
     reading_cm: _Array
     variance_cm2: _Array
-    group: _Array
+    range_cm: _Array
+    run: _Array
 
     def select(self, rows: NDArray[np.bool_]) -> "_Points":
         return _Points(*(column[rows] for column in self))
-
-
-class Line(NamedTuple):
-    """A straight line through points, with the variance between them that chance in their readings leaves over."""
-
-    offset: float
-    scale: float
-    covariance: _Array
-    between_cm2: float
-    freedom: int
 
 
 def calibrate(
@@ -80,10 +71,13 @@ def calibrate(
     variance = np.where(np.isfinite(variance), variance, 1.0)
     true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
     reading_cm = np.array([point.range_cm + error.value for point, error in zip(used, errors, strict=True)])
-    data = _Points(true_cm, reading_cm, variance, np.array([round(point.range_cm, 6) for point in used]))
-    ranges = np.unique(data.group)
-    bias = mean_of_points(data.reading_cm - data.true_cm, "cm", reference_std_cm or 0.0)
-    line = fit_line(data.true_cm, data.reading_cm, data.variance_cm2) if ranges.size >= 3 else None
+    runs = np.unique([point.run for point in used], return_inverse=True)[1].ravel().astype(np.float64)
+    data = _Points(true_cm, reading_cm, variance, np.array([round(point.range_cm, 6) for point in used]), runs)
+    ranges = np.unique(data.range_cm)
+    mean = fit_points(np.ones((len(used), 1)), data.reading_cm - data.true_cm, data.variance_cm2)
+    line = None
+    if ranges.size >= 3:
+        line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
     form, knots, reason, held_out = _choose(data, sensor)
     linearity, by_chance = (None, None) if line is None else _linearity(data, line)
     step_cm = used[0].step_cm
@@ -91,9 +85,9 @@ def calibrate(
         form=form,
         knots=knots,
         reason=reason,
-        bias=bias,
-        offset=None if line is None else _of_line(line, 0, "cm", data.true_cm.size, reference_std_cm or 0.0),
-        scale=None if line is None else _of_line(line, 1, "", data.true_cm.size, 0.0),
+        bias=mean.estimate(0, "cm", reference_std_cm or 0.0),
+        offset=None if line is None else line.estimate(0, "cm", reference_std_cm or 0.0),
+        scale=None if line is None else line.estimate(1, ""),
         spread=pooled_spread(used),
         resolution=Estimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
         resolution_note=(
@@ -103,47 +97,16 @@ def calibrate(
         linearity_by_chance_cm=by_chance,
         reference_std_cm=reference_std_cm,
         held_out=held_out,
-        held_out_unit="range",
+        held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
         reading_cm=tuple(data.reading_cm.tolist()),
         reading_std_cm=tuple(np.sqrt(data.variance_cm2).tolist()),
     )
 
 
-def fit_line(x: _Array, y: _Array, variance: _Array) -> Line:
-    """Weighted straight line with a variance between points, which is added until the residuals are as expected.
-
-    Parameters
-    ----------
-    x, y
-        Points, at least three, and two different x.
-    variance
-        Of each y by what is known of it; the line estimates what there is beyond.
-
-    Notes
-    -----
-    Paule and Mandel 1982: the variance between is the one at which the weighted sum of squared residuals equals its
-    degrees of freedom, and 0 where it is below already.
-    """
-    freedom = x.size - 2
-    design = np.column_stack([np.ones_like(x), x])
-
-    def fit(between: float) -> tuple[_Array, _Array, float]:
-        weight = 1.0 / (variance + between + 1e-12)
-        covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
-        coefficients: _Array = covariance @ ((design * weight[:, None]).T @ y)
-        residual = y - design @ coefficients
-        return coefficients, covariance, float(weight @ residual**2)
-
-    low, high = 0.0, 1.0
-    if fit(0.0)[2] > freedom:
-        while fit(high)[2] > freedom:
-            high *= 4.0
-        for _ in range(60):
-            middle = (low + high) / 2
-            low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
-    coefficients, covariance, _ = fit(low)
-    return Line(float(coefficients[0]), float(coefficients[1]), covariance, low, freedom)
+def line_design(x: _Array) -> _Array:
+    """Of a straight line: offset and scale."""
+    return np.column_stack([np.ones_like(x), x])
 
 
 def pooled_spread(points: Sequence[PointReadings]) -> Estimate:
@@ -160,16 +123,9 @@ def pooled_spread(points: Sequence[PointReadings]) -> Estimate:
     return Estimate(value, low, high, "cm", int(weights.sum()) + len(found))
 
 
-def _of_line(line: Line, i: int, unit: str, n: int, extra_std: float) -> Estimate:
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, line.freedom)) * math.sqrt(float(line.covariance[i, i]))
-    half = math.hypot(half, 1.96 * extra_std)
-    value = (line.offset, line.scale)[i]
-    return Estimate(value, value - half, value + half, unit, n, "points")
-
-
-def _linearity(data: _Points, line: Line) -> tuple[Estimate, float]:
+def _linearity(data: _Points, line: PointsFit) -> tuple[Estimate, float]:
     """Largest distance from the line, and what chance in the readings alone makes the largest in 95 % of cases."""
-    residual = data.reading_cm - line.offset - line.scale * data.true_cm
+    residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
     i = int(np.abs(residual).argmax())
     half = 1.96 * math.sqrt(float(data.variance_cm2[i]))
     value = float(residual[i])
@@ -180,29 +136,39 @@ def _linearity(data: _Points, line: Line) -> tuple[Estimate, float]:
 
 
 def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
-    """The form whose predictions of ranges left out are surely better than those of the simpler ones."""
-    groups = np.unique(data.group)
-    if groups.size < LEAST_RANGES:
-        reason = f"{groups.size} ranges: at least {LEAST_RANGES} are needed to check a calibration on one left out"
+    """The form whose predictions of what it has not seen are surely better than those of the simpler ones."""
+    ranges = np.unique(data.range_cm)
+    if ranges.size < LEAST_RANGES:
+        reason = f"{ranges.size} ranges: at least {LEAST_RANGES} are needed to check a calibration on one left out"
         return "none", (), reason, ()
-    pieces = [count for count in range(2, MOST_PIECES + 1) if groups.size >= RANGES_A_PIECE * count]
-    candidates: list[tuple[Form, int]] = [("none", 0), ("offset and scale", 1)]
-    candidates += [("piecewise linear", count) for count in pieces]
-    errors = {candidate: _left_out_errors(data, candidate[1]) for candidate in candidates}
+    pieces = [count for count in range(2, MOST_PIECES + 1) if ranges.size >= RANGES_A_PIECE * count]
+    by_run = _has_runs(data)
+    errors = {count: _left_out_errors(data, count, data.range_cm) for count in (0, 1, *pieces)}
     # Of the piecewise ones the best stands for its kind.
-    best = min(pieces, key=lambda count: float((errors["piecewise linear", count] ** 2).mean()), default=None)
-    tried = candidates[:2] + ([("piecewise linear", best)] if best is not None else [])
-    kept: tuple[Form, int] = tried[0]
-    held_out = [HeldOut("none", _rms(errors[kept]), None)]
-    for candidate in tried[1:]:
-        gain = _gain(errors[kept], errors[candidate], data.group)
-        held_out.append(HeldOut(candidate[0], _rms(errors[candidate]), gain))
-        if gain.low is not None and gain.low > 0.0 and _is_possible(_knots(data, candidate[1]), sensor):
-            kept = candidate
-    reason = f"ranges left out are predicted to {_rms(errors[kept]):.2f} cm rms"
+    best = min(pieces, key=lambda count: _rms(errors[count]), default=None)
+    tried: list[tuple[Form, int]] = [("offset and scale", 1)]
+    tried += [("piecewise linear", best)] if best is not None else []
+    kept: tuple[Form, int] = ("none", 0)
+    held_out = [HeldOut("none", _rms(errors[0]), None)]
+    for form, count in tried:
+        gain = _gain(errors[kept[1]], errors[count], data.range_cm)
+        held_out.append(HeldOut(form, _rms(errors[count]), gain))
+        is_better = gain.low is not None and gain.low > 0.0
+        if is_better and by_run:
+            is_better = _rms(_left_out_errors(data, count, data.run)) < _rms(_left_out_errors(data, kept[1], data.run))
+        if is_better and _is_possible(_knots(data, count), sensor):
+            kept = form, count
+    reason = f"ranges left out are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
     others = [f"{each.rms_cm:.2f} cm by {_named(each.form)}" for each in held_out if each.form != kept[0]]
-    reason += f", against {' and '.join(others)}; a more complex form is kept where its gain is sure" if others else ""
+    reason += f", against {' and '.join(others)}; a more complex form is kept where its gain is sure"
+    reason += " and runs left out agree" if by_run else ""
     return kept[0], _knots(data, kept[1]), reason, tuple(held_out)
+
+
+def _has_runs(data: _Points) -> bool:
+    """True where runs hold several ranges each: a whole one can then be left out."""
+    ranges = [np.unique(data.range_cm[data.run == run]).size for run in np.unique(data.run)]
+    return len(ranges) >= LEAST_RUNS and min(ranges) >= 2
 
 
 def _named(form: Form) -> str:
@@ -211,11 +177,11 @@ def _named(form: Form) -> str:
     ]
 
 
-def _left_out_errors(data: _Points, pieces: int) -> _Array:
-    """Of each point, predicted by a calibration fitted to the points at other ranges."""
+def _left_out_errors(data: _Points, pieces: int, group: _Array) -> _Array:
+    """Of each point, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
     errors = np.empty_like(data.true_cm)
-    for group in np.unique(data.group):
-        out = data.group == group
+    for each in np.unique(group):
+        out = group == each
         knots = _fit_knots(data.select(~out), pieces)
         predicted = data.true_cm[out] if knots is None else _extended(data.true_cm[out], *knots)
         errors[out] = data.reading_cm[out] - predicted
@@ -233,7 +199,7 @@ def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
     if pieces == 0:
         return None
     x, y = data.true_cm, data.reading_cm
-    between = fit_line(x, y, data.variance_cm2).between_cm2 if x.size > 2 else 0.0
+    between = fit_points(line_design(x), y, data.variance_cm2).between if np.unique(x).size > 2 else 0.0
     places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
     # Hat functions; the outer ones go on beyond the ends as straight lines.
     design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])

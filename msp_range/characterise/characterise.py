@@ -31,6 +31,7 @@ from msp_range.reading_model.sensor_model import (
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments whose readings are of the sensor alone: what calibration and mixture are fitted to."""
 COMPENSATION = "temperature_compensation"
+NOT_ASKED = "no readings of this condition, or none at ranges to compare with"
 KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
 """Points with fewer readings than this are told of."""
@@ -105,7 +106,7 @@ def characterise(
     say("maximum range")
     longest = maximum_range(by.get("maximum_range", []), sensor)
     if longest is None:
-        absent["maximum_range"] = "no readings of the condition maximum_range"
+        absent["maximum_range"] = NOT_ASKED
 
     say("field of view and sonar equation")
     view = field_of_view(by.get("field_of_view", []), curve)
@@ -122,13 +123,13 @@ def characterise(
     asked = questions(found_points)
     for name in TOPICS:
         if not any(each.name == name for each in asked):
-            absent[name] = f"no readings of the condition {name} to compare"
+            absent[name] = NOT_ASKED
     boxes = hot_boxes(found_points, sensor.calibration_temperature_c)
     table = compensation_table(by.get(COMPENSATION, []), curve)
     if not boxes:
         absent["hot_boxes"] = "no three ranges with hot or cold air at the sensor and the same ranges without"
     if not table:
-        absent[COMPENSATION] = f"no readings of the condition {COMPENSATION}"
+        absent[COMPENSATION] = NOT_ASKED
 
     findings = Findings(
         sensor=sensor.name,

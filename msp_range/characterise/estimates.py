@@ -40,7 +40,7 @@ def share(count: int, of: int) -> Estimate:
     return Estimate(p, max(middle - half, 0.0), min(middle + half, 1.0), "", of)
 
 
-def mean_of_points(values: Sequence[float] | _Array, unit: str, extra_std: float = 0.0) -> Estimate:
+def mean_of_points(values: Sequence[float] | _Array, unit: str) -> Estimate:
     """Mean of values that are independent of each other, with Student's interval; no interval for one value alone.
 
     Parameters
@@ -49,16 +49,66 @@ def mean_of_points(values: Sequence[float] | _Array, unit: str, extra_std: float
         One a point.
     unit
         Theirs.
-    extra_std
-        Standard deviation of an error that all of them share, which no number of points averages out.
     """
     value = float(np.mean(values))
     n = len(values)
     if n < 2:
         return Estimate(value, None, None, unit, n, "points")
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
-    half = math.hypot(half, Z * extra_std)
     return Estimate(value, value - half, value + half, unit, n, "points")
+
+
+class PointsFit(NamedTuple):
+    """Coefficients of a linear model of points, and the variance between them that their own do not explain."""
+
+    coefficients: _Array
+    covariance: _Array
+    between: float
+    freedom: int
+
+    def estimate(self, i: int, unit: str, extra_std: float = 0.0) -> Estimate:
+        """A coefficient with Student's interval, widened by the standard deviation of an error common to all."""
+        value, n = float(self.coefficients[i]), self.freedom + self.coefficients.size
+        if self.freedom < 1:
+            return Estimate(value, None, None, unit, n, "points")
+        half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, self.freedom)) * math.sqrt(float(self.covariance[i, i]))
+        half = math.hypot(half, Z * extra_std)
+        return Estimate(value, value - half, value + half, unit, n, "points")
+
+
+def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
+    """Weighted least squares with a variance between points, which is added until the residuals are as expected.
+
+    Parameters
+    ----------
+    design
+        Shape (points, coefficients), of full rank.
+    y, variance
+        A point each: its value, and the variance that is known of it.
+
+    Notes
+    -----
+    Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of squared
+    residuals equals its degrees of freedom, and 0 where it is below already.
+    """
+    freedom = y.size - design.shape[1]
+
+    def fit(between: float) -> tuple[_Array, _Array, float]:
+        weight = 1.0 / (variance + between + 1e-12)
+        covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
+        coefficients: _Array = covariance @ ((design * weight[:, None]).T @ y)
+        residual = y - design @ coefficients
+        return coefficients, covariance, float(weight @ residual**2)
+
+    low, high = 0.0, 1.0
+    if freedom > 0 and fit(0.0)[2] > freedom:
+        while fit(high)[2] > freedom:
+            high *= 4.0
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
+    coefficients, covariance, _ = fit(low)
+    return PointsFit(coefficients, covariance, low, freedom)
 
 
 class MeanAndSpread(NamedTuple):

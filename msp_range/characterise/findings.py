@@ -68,7 +68,7 @@ class Point:
     readings
         All rows; the next six add up to it.
     hits
-        Readings of the surface: within the gate about the point's median (`points.GATE_CM`).
+        Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`).
     short, long
         Readings before and after the gate: of something else.
     no_echo, saturated, no_answer
@@ -187,9 +187,9 @@ class Calibration:
     reference_std_cm
         Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
     held_out
-        The forms tried and how each did on points that it had not seen.
+        The forms tried and how each did on ranges that it had not seen.
     held_out_unit
-        What was left out in turn: "range", "run".
+        What was left out in turn: "range", or "range and run" where runs hold several ranges each.
     true_cm, reading_cm, reading_std_cm
         The points' data: apparent true range, mean of the hits, standard error of that mean.
     """

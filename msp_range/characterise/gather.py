@@ -23,7 +23,9 @@ from msp_range.recording.reader import Recording, is_recording
 LEAST_READINGS = 30
 """Fewer readings with a true range than this say nothing that would be worth a file."""
 WRONG_UNIT = 0.5
-"""Where more than this share of the readings is nowhere near the truth, they are in another unit or of another file."""
+LEAST_NEAR = 0.1
+"""Where more than this share of the readings is outside of the sensor's limits, or less than this within a factor of 2
+of the truth, they are in another unit or of something else."""
 
 
 class Gathered(NamedTuple):
@@ -117,8 +119,10 @@ def _check(name: str, data: MeasuredData, sensor: SensorModel) -> None:
     reading_cm, true_cm = data["reading_cm"][usable], data["true_range_cm"][usable]
     outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
     heard = reading_cm != sensor.maximum_cm
-    ratio = float(np.median(reading_cm[heard] / np.maximum(true_cm[heard], 1e-9))) if heard.any() else 1.0
-    if outside.mean() > WRONG_UNIT or not 0.5 < ratio < 2.0:
+    ratios = reading_cm[heard] / np.maximum(true_cm[heard], 1e-9)
+    ratio = float(np.median(ratios)) if heard.any() else 1.0
+    near = ((ratios > 0.5) & (ratios < 2.0)).mean() if heard.any() else 1.0
+    if outside.mean() > WRONG_UNIT or near < LEAST_NEAR:
         raise RecordingError(
             f"{name}: readings of {_span(reading_cm)} against true ranges of {_span(true_cm)} (median ratio "
             f"{ratio:.3g}; the sensor reads {sensor.minimum_cm} to {sensor.maximum_cm} cm)."

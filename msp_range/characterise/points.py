@@ -19,9 +19,13 @@ from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
 GATE_CM = 8.0
-"""A reading this near to its point's median is of the surface: four times the noise of the report's filters [cm]."""
+"""A reading this near to the middle of its point's hits is one: four times the noise of the report's filters [cm]."""
 GATE_DEVIATIONS = 4.5
-"""Where readings scatter more than that, the gate is so many of their (robust) standard deviations."""
+GATE_SHARE = 0.05
+"""Where hits scatter more, the gate is so many of their (robust) standard deviations, up to this share of the range."""
+FARTHEST_CM, FARTHEST_SHARE = 25.0, 0.15
+"""Readings whose middle is off by more than this, or this share of the range, are not of the surface: four times what
+46 deg C do to 260 cm, and more than a neighbour's ping 1 ms early [cm]."""
 LEAST_HITS = 3
 """Fewer readings of the surface give a point no mean error."""
 LEVEL_GAP_C = 4.0
@@ -104,7 +108,7 @@ class PointReadings:
             return missed
         saturated = self.reading_cm == SATURATED_CM
         others = self.reading_cm[~np.isnan(self.reading_cm) & ~missed & ~saturated]
-        expected_cm = float(np.median(others)) if others.size >= LEAST_HITS else self.range_cm
+        expected_cm = float(np.median(others)) if 2 * others.size >= self.reading_cm.size else self.range_cm
         return missed | saturated if abs(expected_cm - SATURATED_CM) > GATE_CM else missed
 
     @cached_property
@@ -120,20 +124,31 @@ class PointReadings:
 
     @cached_property
     def gate_cm(self) -> tuple[float, float]:
-        """Errors between which a reading is of the surface [cm]; NaN where nothing is heard."""
-        heard = self.error_cm[self.is_heard]
+        """Errors between which a reading is of the surface [cm].
+
+        About the middle of the fullest window of twice `GATE_CM`: a median would lie between two clusters. Both ends
+        are the same where that window is too far off to be of the surface; NaN where nothing is heard.
+        """
+        heard = np.sort(self.error_cm[self.is_heard])
         if not heard.size:
             return math.nan, math.nan
-        middle = float(np.median(heard))
-        deviation = 1.4826 * float(np.median(np.abs(heard - middle)))
-        half = max(GATE_CM, GATE_DEVIATIONS * deviation)
+        counts = np.searchsorted(heard, heard + 2.0 * GATE_CM, side="right") - np.arange(heard.size)
+        fullest = np.flatnonzero(counts == counts.max())
+        # Of equally full ones the nearest to the truth.
+        first = int(fullest[np.abs(heard[fullest] + GATE_CM).argmin()])
+        window = heard[first : first + int(counts[first])]
+        middle = float(np.median(window))
+        if abs(middle) > max(FARTHEST_CM, FARTHEST_SHARE * self.range_cm):
+            return 0.0, 0.0
+        deviation = 1.4826 * float(np.median(np.abs(window - middle)))
+        half = max(GATE_CM, min(GATE_DEVIATIONS * deviation, GATE_SHARE * self.range_cm))
         return middle - half, middle + half
 
     @cached_property
     def is_hit(self) -> NDArray[np.bool_]:
         """Readings of the surface."""
         low, high = self.gate_cm
-        return self.is_heard & (self.error_cm >= low) & (self.error_cm <= high)
+        return self.is_heard & (self.error_cm >= low) & (self.error_cm <= high) & (low < high)
 
     @cached_property
     def compensation(self) -> _Array:
@@ -167,7 +182,7 @@ class PointReadings:
     def found(self) -> Point:
         """What was found at this point."""
         heard_error = self.error_cm[self.is_heard]
-        low, high = self.gate_cm
+        hit, middle = self.is_hit[self.is_heard], sum(self.gate_cm) / 2.0
         statistics = self._statistics
         codes = self.reading_cm[self.is_code]
         no_echo = int((codes == self.sensor_model.maximum_cm).sum())
@@ -187,8 +202,8 @@ class PointReadings:
             target_temperature_c=_known(self.target_temperature_c),
             readings=self.reading_cm.size,
             hits=self.hits,
-            short=int((heard_error < low).sum()),
-            long=int((heard_error > high).sum()),
+            short=int((~hit & (heard_error < middle)).sum()),
+            long=int((~hit & (heard_error >= middle)).sum()),
             no_echo=no_echo,
             saturated=int(codes.size) - no_echo,
             no_answer=int(np.isnan(self.reading_cm).sum()),

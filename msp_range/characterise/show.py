@@ -25,8 +25,9 @@ def show(findings: Findings, console: Console) -> None:
     for what, found, report in _lines(findings):
         table.add_row(*(each if each.startswith("[") else escape(each) for each in (what, found, report)))
     console.print(table)
-    for name, why in findings.absent.items():
-        console.print(f"not in these data: {name}: {why}", style="dim", markup=False, highlight=False)
+    for why in dict.fromkeys(findings.absent.values()):
+        names = ", ".join(name for name, each in findings.absent.items() if each == why)
+        console.print(f"not in these data: {names}: {why}", style="dim", markup=False, highlight=False)
     for warning in findings.warnings:
         console.print(f"warning: {warning}", style="yellow", markup=False, highlight=False)
 
@@ -45,7 +46,7 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str, str]]:
         yield "calibration", f"{calibration.form}: {calibration.reason}", ""
     longest = findings.maximum_range
     if longest is not None:
-        peaks = f"{len(longest.peaks_before)} peaks, {len(longest.peaks_after)} with 765 and 255 masked"
+        peaks = f"peaks: {len(longest.peaks_before)}, and {len(longest.peaks_after)} with 765 and 255 masked"
         yield (
             f"at {longest.true_range_cm:g} cm",
             f"{peaks}, at {longest.peak.value:g} cm",

@@ -127,8 +127,8 @@ class SensorModel(Section):
     maker: str = Field(min_length=1)
     """Who makes it."""
 
-    driver: Literal["mb1242"]
-    """The driver that speaks its protocol."""
+    driver: Literal["mb1242", "none"]
+    """The driver that speaks its protocol; none: its readings are characterised, and it does not fly."""
 
     minimum_cm: int = Field(ge=0)
     """Shortest reading; a nearer surface reads this too [cm]."""
