@@ -45,7 +45,7 @@ DPI = 150
 _LETTER_IN, _HANDLE_IN = 0.064, 0.6
 """Width of a letter and of what stands before a label, in a legend [in]."""
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,

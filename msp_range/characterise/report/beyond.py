@@ -12,7 +12,7 @@ from msp_range.characterise.report.draw.accuracy import BoxOfAir, Linearity, dra
 from msp_range.characterise.report.draw.beam import Beam, BeamRow, draw_beam
 from msp_range.characterise.report.draw.mixture import draw_pit
 from msp_range.characterise.report.draw.questions import Row, Size, draw_questions
-from msp_range.characterise.report.rows import Absent, Drawn, Rows
+from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence
 
 QUESTION_NAMES = {
     "material": "material",
@@ -56,7 +56,7 @@ def questions(findings: Findings, rows: Rows) -> Drawn:
         for question in findings.questions
     ]
     if not any(row.sizes for row in shown):
-        raise Absent(findings.absent.get("questions", "The data compare no two settings of the bench."))
+        raise Absent(sentence(findings.absent.get("questions", "the data compare no two settings of the bench")))
     caption = (
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
         "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
@@ -75,7 +75,7 @@ def _label(question: Question) -> str:
 def _calibration(findings: Findings, rows: Rows) -> Drawn:
     found = findings.calibration
     if found is None or not found.true_cm:
-        raise Absent(findings.absent.get("calibration", "The readings were not compared with a reference."))
+        raise Absent(sentence(findings.absent.get("calibration", "the readings were not compared with a reference")))
     linearity = Linearity(
         true_cm=np.array(found.true_cm),
         reading_cm=np.array(found.reading_cm),
@@ -93,14 +93,14 @@ def _calibration(findings: Findings, rows: Rows) -> Drawn:
         caption += f"; farthest from it {interval(found.linearity)}"
         if found.linearity_by_chance_cm is not None:
             caption += f" (by chance up to {found.linearity_by_chance_cm:.2f} cm)"
-    caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {found.reason}"
+    caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
     return Drawn(draw_linearity(linearity), caption, "Mean error over true range with the calibration.")
 
 
 def _pit(findings: Findings, rows: Rows) -> Drawn:
     found = findings.mixture
     if found is None:
-        raise Absent(findings.absent.get("mixture", "The mixture was not fitted."))
+        raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
     caption = (
         "Where the model is right the bars are level. A slope is a bias, a bowl too small a spread, a hump too large a "
         f"one. p = {found.pit_p_value:.2g} over {found.readings:,} readings."
@@ -111,7 +111,9 @@ def _pit(findings: Findings, rows: Rows) -> Drawn:
 def _sonar(findings: Findings, rows: Rows) -> Drawn:
     found = findings.sonar
     if found is None:
-        raise Absent(findings.absent.get("sonar", "There are too few breakaway angles for the three parameters."))
+        raise Absent(
+            sentence(findings.absent.get("sonar", "there are too few breakaway angles for the three parameters"))
+        )
     equation = Sonar(found.source_level_db, found.piston_diameter_m, found.gain_db_per_m, rows.model.frequency_hz)
     measured = {row.range_cm: row for row in found.rows}
     angles = findings.field_of_view.angles if findings.field_of_view is not None else ()
@@ -146,14 +148,16 @@ def _sonar(findings: Findings, rows: Rows) -> Drawn:
     caption += f", and predicts each from the others to {max(left_out):.1f}°. " if left_out else ". "
     caption += (
         f"Equivalent piston {1000.0 * found.piston_diameter_m:.1f} mm, gain {found.gain_db_per_m:.1f} dB/m. "
-        f"{found.note} Beyond the measured ranges the angle never grows."
+        f"{sentence(found.note)} Beyond the measured ranges the angle never grows."
     )
     return Drawn(draw_beam(beam), caption, "Half angle of the beam over range: measured and by the sonar equation.")
 
 
 def _boxes(findings: Findings, rows: Rows) -> Drawn:
     if not findings.hot_boxes:
-        raise Absent(findings.absent.get("hot_boxes", "There are no readings with hot or cold air at the sensor only."))
+        raise Absent(
+            sentence(findings.absent.get("hot_boxes", "there are no readings with hot or cold air at the sensor only"))
+        )
     boxes = []
     for box in findings.hot_boxes[:3]:
         shifts = [row.shift for row in box.rows]
@@ -171,7 +175,7 @@ def _boxes(findings: Findings, rows: Rows) -> Drawn:
                 depth_cm=box.depth.value,
             )
         )
-    caption = " ".join(box.answer for box in findings.hot_boxes)
+    caption = " ".join(sentence(box.answer) for box in findings.hot_boxes)
     caption += (
         " The report takes eq 7 with 115 °F for 30 % (it is 4.4 %), measured 1 to 2 cm and explained it by a gradient; "
         "a linear one would err by 0.9 cm at 40 cm and 5.9 cm at 260 (errata 4 and 11)."

@@ -10,20 +10,23 @@ from msp_range.characterise.findings import BreakawayAngle, Estimate, Findings
 from msp_range.characterise.report.draw.beam import Sweep, draw_sweep
 from msp_range.characterise.report.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_range.characterise.report.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, plus, summary
+from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, plus, sentence, summary
 from msp_range.reading_model.mixture import ReadingModel
 
 Entry = tuple[str, str, Maker]
 """Name of the file, title, and what makes the picture."""
 
-REPORT_ANGLES_DEG = {50: 23.4, 100: 18.0, 150: 14.4, 200: 12.6}
+REPORT_ANGLES_DEG = {50.0: 23.4, 100.0: 18.0, 150.0: 14.4, 200.0: 12.6}
 """Report 4.3.3: perpendicular distance [cm] -> breakaway angle [deg]; figures 4.9 to 4.12 in this order."""
 
 REPORT_MATERIALS = ("plywood", "asphalt", "concrete")
 """Report 4.3.4: figures 4.13 to 4.15 in this order."""
 
-COLD_BELOW_C, HOT_ABOVE_C = 15.0, 30.0
-"""The report's three classes (4.3.5: 47, 70 and 115 deg F are 8, 21 and 46 deg C), parted half way or so [deg C]."""
+ROOM_C = 21.1
+"""The report's room, 70 deg F (4.3.5) [deg C]."""
+
+NEAR_ROOM_C = 5.0
+"""Air this near to it counts as room temperature; the report's cold is 8.3, its hot 46.1 [deg C]."""
 
 
 def entries(rows: Rows) -> Iterator[Entry]:
@@ -40,8 +43,8 @@ def entries(rows: Rows) -> Iterator[Entry]:
         name = f"figure_4_{number:02d}_maximum_range"
         yield name, f"Figure 4.{number}: {what}{without}", partial(_maximum_range, masked=masked, kind=kind)
     for number, range_cm in enumerate(REPORT_ANGLES_DEG, start=9):
-        name = f"figure_4_{number:02d}_field_of_view_{range_cm}cm"
-        yield name, f"Figure 4.{number}: field of view at {range_cm} cm", partial(_field_of_view, range_cm=range_cm)
+        name = f"figure_4_{number:02d}_field_of_view_{range_cm:g}cm"
+        yield name, f"Figure 4.{number}: field of view at {range_cm:g} cm", partial(_field_of_view, range_cm=range_cm)
     for range_cm in _other_sweeps(rows):
         name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
         yield name, f"Field of view at {range_cm:g} cm (not in the report)", partial(_field_of_view, range_cm=range_cm)
@@ -126,8 +129,7 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
 
 def _probabilities(findings: Findings, rows: Rows, true_cm: float) -> NDArray[np.float64]:
     """Probability of each reading from 0 cm on by the fitted model, at a true range in the fit's own centimetres."""
-    fixed_rows = rows.true_cm == true_cm
-    expected_cm = rows.apparent_cm(fixed_rows)
+    expected_cm = float(np.mean(rows.apparent_cm[rows.of("maximum_range") & (rows.true_cm == true_cm)]))
     readings = np.arange(0.0, rows.model.maximum_cm + 1.0)
     model = ReadingModel.of(rows.model)
     return np.exp(model.log_prob(readings, {"true_range_cm": np.full(readings.size, expected_cm)}))
@@ -162,7 +164,7 @@ def _field_of_view(findings: Findings, rows: Rows, range_cm: float) -> Drawn:
     points = [point for point in view.points if point.range_cm == range_cm] if view is not None else []
     angle = next((each for each in view.angles if each.range_cm == range_cm), None) if view is not None else None
     if not points:
-        raise Absent(findings.absent.get("field_of_view", f"The readings at {range_cm:g} cm were not judged."))
+        raise Absent(sentence(findings.absent.get("field_of_view", f"the readings at {range_cm:g} cm were not judged")))
     points = sorted(points, key=lambda point: point.incidence_deg)
     middle = min(points, key=lambda point: abs(point.incidence_deg))
     half_deg = angle.half_angle.value if angle is not None else 0.0
@@ -174,7 +176,7 @@ def _field_of_view(findings: Findings, rows: Rows, range_cm: float) -> Drawn:
         angle_deg=np.array([point.incidence_deg for point in points]),
         reliable=np.array([point.reliable.value for point in points]),
         **_sides(angle),
-        report_deg=REPORT_ANGLES_DEG.get(int(range_cm)) if range_cm == int(range_cm) else None,
+        report_deg=REPORT_ANGLES_DEG.get(range_cm),
         nearest_half_angle_deg=half_deg,
         stretch=middle.nearest_cm / range_cm,
     )
@@ -185,7 +187,7 @@ def _field_of_view(findings: Findings, rows: Rows, range_cm: float) -> Drawn:
     else:
         caption += "No breakaway angle could be found."
     if view is not None:
-        caption += f" Reliable: {view.criterion[0].lower()}{view.criterion[1:].rstrip('.')}."
+        caption += f" Reliable: {view.criterion.rstrip('.')}."
     return Drawn(
         draw_sweep(sweep), caption, f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked."
     )
@@ -242,9 +244,9 @@ def _temperature(findings: Findings, rows: Rows, kind: str) -> Drawn:
     if not np.any(np.isfinite(air_c[found])):
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
-        "cold": found & (air_c < COLD_BELOW_C),
-        "room": found & (air_c >= COLD_BELOW_C) & (air_c <= HOT_ABOVE_C),
-        "hot": found & (air_c > HOT_ABOVE_C),
+        "cold": found & (air_c <= ROOM_C - NEAR_ROOM_C),
+        "room": found & (np.abs(air_c - ROOM_C) < NEAR_ROOM_C),
+        "hot": found & (air_c >= ROOM_C + NEAR_ROOM_C),
     }
     if not np.any(kinds[kind]):
         there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint(air_c[found & np.isfinite(air_c)]))[:8])
@@ -256,8 +258,8 @@ def _temperature(findings: Findings, rows: Rows, kind: str) -> Drawn:
     caption += f", at the target {_span(far_c)} °C. " if np.any(np.isfinite(far_c)) else ". "
     caption += summary(errors)
     for box in findings.hot_boxes:
-        if kind != "room" and (box.box_c > HOT_ABOVE_C) == (kind == "hot"):
-            caption += f" {box.answer}"
+        if kind != "room" and (box.box_c > ROOM_C) == (kind == "hot"):
+            caption += f" {sentence(box.answer)}"
     caption += {
         "room": " The report: 70 °F, no errors to speak of.",
         "hot": " The report: 115 °F in the box, errors of 1 to 2 cm.",
@@ -307,7 +309,7 @@ def _answers(findings: Findings, name: str, level: str | None) -> str:
     answers = [
         each.answer for each in findings.questions if each.name == name and (level is None or each.level == level)
     ]
-    return "".join(f" {answer}" for answer in answers)
+    return "".join(f" {sentence(answer)}" for answer in answers)
 
 
 def _span(values: NDArray[np.float64]) -> str:

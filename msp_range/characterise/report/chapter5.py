@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from msp_range.characterise.report.draw.mixture import (
     draw_random,
     draw_unexpected,
 )
-from msp_range.characterise.report.rows import Absent, Drawn, Rows, summary
+from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence, summary
 from msp_range.page.page import Table
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
@@ -115,7 +116,7 @@ def table_5_1(findings: Findings) -> Table | None:
             _number(row.report_implied_c, 1),
         )
 
-    notes = " ".join(f"{row.range_cm:g} cm: {row.note}" for row in rows if row.note)
+    notes = " ".join(f"{row.range_cm:g} cm: {row.note}." for row in rows if row.note)
     return Table(
         name="table_5_1",
         title="Table 5.1: mean range error without and with temperature compensation",
@@ -177,11 +178,11 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
         Nothing was fitted.
     """
     if findings.mixture is None:
-        raise Absent(findings.absent.get("mixture", "The mixture was not fitted."))
+        raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
     chosen = _most_read(rows)
     minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
-    apparent_cm = rows.apparent_cm(chosen)
+    apparent_cm = float(np.mean(rows.apparent_cm[chosen]))
     contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
     whole = ReadingModel.of(rows.model)
     weights = whole.parameters.weights
@@ -190,7 +191,7 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     left = (1.0 - here) / (1.0 - shares["max"]) if shares["max"] < 1.0 else 1.0
     density = {}
     for kind in KINDS:
-        alone = {"weights": weights.model_copy(update={each: float(each == kind) for each in KINDS})}
+        alone: dict[str, Any] = {"weights": weights.model_copy(update={each: float(each == kind) for each in KINDS})}
         if kind != "max":
             # The garbled code is drawn with the mass that it comes from.
             alone["saturated_fraction"] = 0.0
@@ -254,7 +255,7 @@ def draw_whole_mixture(findings: Findings, rows: Rows) -> Drawn:
     assert findings.mixture is not None
     caption = (
         f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
-        f"{findings.mixture.readings:,} readings. {findings.mixture.conditional}"
+        f"{findings.mixture.readings:,} readings. {sentence(findings.mixture.conditional)}"
     )
     return Drawn(
         draw_mixture(fitted, total, _codes(rows)), caption, "Probability of each centimetre by the fitted mixture."
@@ -275,7 +276,7 @@ def mixture_table(mixture: Mixture) -> Table:
             [
                 f"Maximum likelihood from {mixture.readings:,} readings, names as in the sensor model file. The report "
                 "gives no values: in its quiet room it saw none of the noise that the mixture describes, and added it.",
-                *mixture.notes,
+                *map(sentence, mixture.notes),
             ]
         ),
     )

@@ -43,7 +43,8 @@ def effects_table(findings: Findings) -> Table | None:
         caption=(
             "No effect is a difference of 0 or a ratio of 1. Adjusted: Holm over all effects. 'Matters': there is an "
             "effect by the adjusted p, and it may be larger than what is small enough. 'Does not matter': the 90 % "
-            "interval lies within that (two one-sided tests). Smallest detectable: in 80 % of cases, at the adjusted level."
+            "interval lies within that (two one-sided tests). Smallest detectable: in 80 % of cases, at the adjusted "
+            "level."
         ),
         words=3,
     )

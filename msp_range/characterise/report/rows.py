@@ -12,17 +12,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from msp_range.acoustics.air import speed_of_sound, time_of_flight
 from msp_range.characterise.findings import Findings
+from msp_range.characterise.points import PointReadings, conditions, sort_into_points
 from msp_range.characterise.report.draw.errors import Errors
-from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
 _Array = NDArray[np.float64]
 _Rows = NDArray[np.bool_]
-
-CODE_GATE_CM = 5.0
-"""A reading of 255 is the garbled code for no echo unless the true range is this near to 255 [cm]."""
 
 CONDITIONS = {
     "baseline": "the baseline (nothing varied)",
@@ -86,28 +83,34 @@ class Rows:
         return self.word("sensor")
 
     @cached_property
+    def _points(self) -> list[PointReadings]:
+        return sort_into_points(self.data, self.model)
+
+    @cached_property
     def missed(self) -> _Rows:
-        """Rows without an answer, and those that read a code for no echo."""
-        reading_cm = self.reading_cm
-        garbled = (reading_cm == SATURATED_CM) & ~(np.abs(self.true_cm - SATURATED_CM) <= CODE_GATE_CM)
-        if self.model.reading_model.saturated_fraction == 0.0:
-            garbled[:] = False
-        return np.asarray(np.isnan(reading_cm) | (reading_cm >= self.model.maximum_cm) | garbled)
+        """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
+        missed = np.ones(len(self.data), dtype=bool)
+        for point in self._points:
+            missed[point.rows] = ~point.is_heard
+        return missed
+
+    @cached_property
+    def apparent_cm(self) -> _Array:
+        """True ranges in the centimetres of a sensor that assumes its calibration temperature [cm].
+
+        Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
+        """
+        apparent_cm = self.true_cm.copy()
+        for point in self._points:
+            apparent_cm[point.rows] = point.apparent_cm
+        return apparent_cm
 
     @cached_property
     def _condition(self) -> NDArray[np.str_]:
-        return self.word("condition")
-
-    @cached_property
-    def has_conditions(self) -> bool:
-        """The data say which experiment a row belongs to."""
-        return bool(np.any(self._condition != ""))
+        return conditions(self.data)
 
     def of(self, condition: str) -> _Rows:
         """Rows of an experiment that have a true range.
-
-        Where no row says which experiment it belongs to, those on the axis count as the baseline, and those at
-        different angles as the field of view.
 
         Raises
         ------
@@ -117,33 +120,12 @@ class Rows:
         known = np.isfinite(self.true_cm)
         if not np.any(known):
             raise Absent("No row has a true range (column true_range_cm).")
-        incidence = self.number("incidence_deg")
-        if self.has_conditions:
-            rows = self._condition == condition
-        elif condition == "baseline":
-            rows = ~(np.abs(incidence) > 0.0)
-        elif condition == "field_of_view":
-            tilted = np.any(np.abs(incidence) > 0.0)
-            rows = np.isfinite(incidence) if tilted else np.zeros(len(self.data), dtype=bool)
-        else:
-            raise Absent(
-                f"The data do not say which experiment a reading belongs to (column condition): none is of "
-                f"{CONDITIONS.get(condition, condition)}."
-            )
-        rows = rows & known
+        rows = known & (self._condition == condition)
         if not np.any(rows):
-            raise Absent(f"No readings of {CONDITIONS.get(condition, condition)} are in the data.")
+            what = CONDITIONS.get(condition, condition)
+            unsaid = "" if "condition" in self.data else " (no column condition says which experiment a reading is of)"
+            raise Absent(f"No readings of {what} are in the data{unsaid}.")
         return np.asarray(rows)
-
-    def apparent_cm(self, rows: _Rows) -> float:
-        """Mean true range of some rows in the centimetres of a sensor that assumes its calibration temperature [cm].
-
-        Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
-        """
-        air_c = self.number("air_temperature_c")[rows]
-        true_m = self.true_cm[rows] / 100.0
-        echo_s = time_of_flight(true_m, np.where(np.isnan(air_c), self.model.calibration_temperature_c, air_c))
-        return float(np.mean(echo_s)) / 2.0 * speed_of_sound(self.model.calibration_temperature_c) * 100.0
 
     def errors(self, rows: _Rows, label: str = "", reading_cm: _Array | None = None) -> Errors:
         """Errors of some rows, for drawing.
@@ -182,6 +164,18 @@ def summary(errors: Errors) -> str:
             f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
         )
     return text + "."
+
+
+def sentence(text: str) -> str:
+    """A text that begins with a capital and ends with a full stop.
+
+    Examples
+    --------
+    >>> sentence("nothing grows with range"), sentence("Said."), sentence("")
+    ('Nothing grows with range.', 'Said.', '')
+    """
+    text = text.strip()
+    return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".?!" else ".")
 
 
 def plus(number: float, digits: int = 1) -> str:

@@ -111,7 +111,7 @@ def _piecewise(true_cm: _Array, knots_cm: _Array) -> _Array:
     """Linear between the knots, the end segments carried on."""
     x, y = knots_cm[:, 0], knots_cm[:, 1]
     if x.size == 1:
-        return true_cm + (y[0] - x[0])
+        return true_cm + float(y[0] - x[0])
     i = np.clip(np.searchsorted(x, true_cm) - 1, 0, x.size - 2)
     return np.asarray(y[i] + (true_cm - x[i]) * (y[i + 1] - y[i]) / (x[i + 1] - x[i]))
 

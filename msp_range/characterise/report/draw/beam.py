@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
@@ -119,7 +120,7 @@ def draw_sweep(sweep: Sweep) -> Figure:
     return figure
 
 
-def _shares(top, sweep: Sweep, low: float, high: float) -> None:  # type: ignore[no-untyped-def]
+def _shares(top: Axes, sweep: Sweep, low: float, high: float) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
     edges = edges_between(sweep.angle_deg.tolist())
     room = 0.86 * float(np.min(np.diff(edges)))
@@ -128,7 +129,7 @@ def _shares(top, sweep: Sweep, low: float, high: float) -> None:  # type: ignore
         here = np.isclose(sweep.incidence_deg, angle, atol=1e-6)
         readings = sweep.reading_cm[here & ~sweep.missed & np.isfinite(sweep.reading_cm)]
         values, counts = np.unique(readings[(readings > low) & (readings < high)], return_counts=True)
-        shares = counts / max(np.count_nonzero(here), 1)
+        shares = counts / max(int(np.count_nonzero(here)), 1)
         lefts.extend((angle - shares * room / 2.0).tolist())
         widths.extend((shares * room).tolist())
         bottoms.extend((values - 0.44).tolist())
@@ -146,7 +147,7 @@ def _shares(top, sweep: Sweep, low: float, high: float) -> None:  # type: ignore
     )
 
 
-def _breakaway(top, bottom, sweep: Sweep) -> None:  # type: ignore[no-untyped-def]
+def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
     labelled = False
     for last, end in (
         (sweep.negative_deg, sweep.negative_end_deg),

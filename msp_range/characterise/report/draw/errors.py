@@ -185,7 +185,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             else:
                 bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
     if bars:
-        x, y, width = (np.array(column) for column in zip(*bars, strict=True))
+        x, y, width = np.array(bars).T
         row.bar(
             x - width / 2.0,
             0.88,
@@ -199,7 +199,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             zorder=2,
         )
     if far:
-        x, y = zip(*far, strict=True)
+        x, y = np.array(far).T
         row.plot(
             x,
             y,
@@ -213,11 +213,11 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             label="readings farther off" if compressed else "readings outside",
         )
     if middles:
-        x, y, spread = zip(*middles, strict=True)
+        x, y, spreads = np.array(middles).T
         row.errorbar(
             x,
             y,
-            yerr=None if compressed else spread,
+            yerr=None if compressed else spreads,
             linestyle="none",
             marker="o",
             markersize=4.5,

@@ -154,4 +154,4 @@ def _reach(sizes: Sequence[Size], is_ratio: bool) -> float:
         return float(np.exp(1.15 * min(max([limit, *ends]), max(2.0 * limit, np.log(100.0)))))
     far = [abs(each) for size in sizes for each in (size.value, size.bound)]
     ends = [abs(each) for size in sizes for each in (size.low, size.high, size.detectable) if each is not None]
-    return 1.15 * min(max([*far, *ends]), 3.0 * max(far))
+    return 1.15 * float(min(max([*far, *ends]), 3.0 * max(far)))

@@ -42,7 +42,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     """Readings over their number; the codes for no echo in another colour, or left out (4.5 and 4.7)."""
     figure = new_figure(3.3)
     axes = figure.subplots()
-    number = np.arange(1, fixed.reading_cm.size + 1)
+    number = np.arange(1.0, fixed.reading_cm.size + 1.0)
     heard = ~fixed.missed & np.isfinite(fixed.reading_cm)
     dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": OURS}
     if masked:
