@@ -49,6 +49,8 @@ class Habits:
     paralysed: float = 0.01
     """Chance that the amplifier locks up on a spike and reports when it recovers, at any time."""
     saturated: float = 0.2
+    shroud_deg: float = 13.0
+    """A tube about the sensor, which cuts the beam off sharply at this angle."""
     low_cm: float = 40.0
     high_cm: float = 380.0
 
@@ -124,7 +126,7 @@ def contexts(rng: np.random.Generator, runs: int, rows: int, regime: Regime = "i
         scale = np.sqrt(2.0 / tones)
         return value * scale, rate * scale
 
-    height, climb = wander(12.0)
+    height, climb = wander(14.0)
     drift = 2.0 * t / span_s - 1.0
     slope = 2.0 / span_s
     if regime == "drifting":
@@ -133,9 +135,9 @@ def contexts(rng: np.random.Generator, runs: int, rows: int, regime: Regime = "i
     middle = 0.5 * (base.low_cm + base.high_cm) + per_run(rng.normal(0.0, 25.0, runs))
     # Folded smoothly into the limits, with the rate of change that goes with it.
     reach = 0.5 * (base.high_cm - base.low_cm)
-    u = (middle + 75.0 * height - 0.5 * (base.low_cm + base.high_cm)) / reach
+    u = (middle + 105.0 * height - 0.5 * (base.low_cm + base.high_cm)) / reach
     true_cm = 0.5 * (base.low_cm + base.high_cm) + reach * np.tanh(u)
-    rate_cm_s = 75.0 * climb / np.cosh(u) ** 2
+    rate_cm_s = 105.0 * climb / np.cosh(u) ** 2
 
     wind, _ = wander(20.0)
     gust, _ = wander(5.0)
@@ -201,6 +203,8 @@ def fly(columns: Columns, ways: Habits, rng: np.random.Generator) -> Flight:
     # Grass is mown short and counts as asphalt here: its coherent echo is an effect of its own.
     for word in TARGETS:
         ping.reflection_db[words == word] = REFLECTION_DB["asphalt" if word == "grass" else word]
+    behind = np.clip((np.abs(number("incidence_deg")) - ways.shroud_deg) / 0.05, -1.0, 1.0)
+    ping.reflection_db = ping.reflection_db - 40.0 * (1.0 + behind)
     obstructed = rng.random(n) < ways.obstruct
     # Depth of a Weibull distribution of shape 1.1, given that it is before the ground.
     before = -np.expm1(-((np.maximum(true_cm - NEAREST_CM, 1.0) / 100.0 / ways.obstruct_m) ** 1.1))

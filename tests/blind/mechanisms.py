@@ -13,7 +13,7 @@ import numpy as np
 from tests.blind import air
 from tests.blind.flight import Columns, Flight
 from tests.blind.ping import tone_crossing_s
-from tests.blind.sound import Array, pascal
+from tests.blind.sound import Array
 
 Act = Callable[[Flight, float, np.random.Generator], None]
 Prepare = Callable[[Columns, float, np.random.Generator], None]
@@ -33,6 +33,8 @@ class Mechanism:
         Changes the contexts first: flights in which it can show at all.
     place_cm
         Where its readings lie, if it makes readings of its own.
+    without
+        What takes it away where its contexts alone bring it.
     channel, variables
         For a mechanism in no catalogue: what it changes, and with which columns.
     """
@@ -42,6 +44,7 @@ class Mechanism:
     most: float = np.inf
     prepare: Prepare | None = None
     place_cm: Callable[[Flight], Array] | None = None
+    without: Act | None = None
     channel: str = ""
     variables: tuple[str, ...] = ()
 
@@ -124,10 +127,10 @@ def _weak_ping(flight: Flight, size_db: float, rng: np.random.Generator) -> None
     flight.ping.reflection_db = flight.ping.reflection_db - size_db
 
 
-def _missed_cycles(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    """The comparator needs whole cycles and misses the first two of the echo, the more often the farther it comes."""
-    missed = rng.random(flight.rows) < share * flight.ping.range_m / 3.0
-    flight.ping.late_s = flight.ping.late_s + np.where(missed, 2.0 / flight.ping.receiver.frequency_hz, 0.0)
+def _second_lobe(flight: Flight, share: float, rng: np.random.Generator) -> None:
+    """A burst that beats has two lobes, and now and then the first is not counted: 24 periods later."""
+    late = rng.random(flight.rows) < share
+    flight.ping.late_s = flight.ping.late_s + np.where(late, 24.0 / flight.ping.receiver.frequency_hz, 0.0)
 
 
 # What scatters it.
@@ -149,9 +152,16 @@ def _wash_across_the_path(flight: Flight, size_cm: float, rng: np.random.Generat
     flight.ping.range_m = flight.ping.range_m + 0.01 * size_cm * strength * rng.standard_normal(flight.rows)
 
 
+def _some_rotors_off(columns: Columns, size: float, rng: np.random.Generator) -> None:
+    """Half of the runs are carried by hand: nothing vibrates."""
+    run = np.unique(np.asarray(columns["run"]), return_inverse=True)[1]
+    by_hand = (rng.random(run.max() + 1) < 0.5)[run]
+    columns["vibration_hz"] = np.where(by_hand, 0.0, np.asarray(columns["vibration_hz"], dtype=float))
+
+
 def _shaken(flight: Flight, size_cm: float, rng: np.random.Generator) -> None:
-    """A loose mount driven by an unbalanced rotor: acceleration goes with the square of the frequency."""
-    stroke_m = 0.01 * size_cm * (flight.number("vibration_hz") / 65.0) ** 2
+    """A loose mount, whose play limits the stroke: a sine of any phase."""
+    stroke_m = 0.01 * size_cm * (flight.number("vibration_hz") > 0.0)
     flight.ping.range_m = flight.ping.range_m + stroke_m * np.sin(rng.uniform(0.0, 2.0 * np.pi, flight.rows))
 
 
@@ -178,7 +188,12 @@ def _steep(columns: Columns, size: float, rng: np.random.Generator) -> None:
 
 
 def _nothing(flight: Flight, size: float, rng: np.random.Generator) -> None:
-    """The contexts do it all: the mirror point leaves the beam."""
+    """The contexts do it all: the mirror point leaves the opening of the tube."""
+
+
+def _without_its_shroud(flight: Flight, size: float, rng: np.random.Generator) -> None:
+    """The same flights without the tube about the sensor."""
+    flight.ping.reflection_db = np.maximum(flight.ping.reflection_db, -0.5)
 
 
 def _long_grass(flight: Flight, share: float, rng: np.random.Generator) -> None:
@@ -195,11 +210,12 @@ def _befall(share: float, change: Callable[[Array], Array], rng: np.random.Gener
 
 
 def _bytes_on_top_of_each_other(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    def either(reading_cm: Array) -> Array:
-        word = reading_cm.astype(int)
-        return ((word >> 8) | (word & 255)).astype(float)
+    flight.codes.append(_befall(share, _either_byte, rng))
 
-    flight.codes.append(_befall(share, either, rng))
+
+def _either_byte(reading_cm: Array) -> Array:
+    word = reading_cm.astype(int)
+    return ((word >> 8) | (word & 255)).astype(float)
 
 
 def _high_byte_lost(flight: Flight, share: float, rng: np.random.Generator) -> None:
@@ -210,9 +226,9 @@ def _top_bit(flight: Flight, share: float, rng: np.random.Generator) -> None:
     flight.codes.append(_befall(share, lambda reading_cm: reading_cm + 32768.0, rng))
 
 
-def _rings_on(flight: Flight, size_cm: float, rng: np.random.Generator) -> None:
-    """A cracked housing rings for longer: the counter stops at once where the echo comes while it does."""
-    drowned = flight.ping.range_m < 0.01 * size_cm
+def _rings_on(flight: Flight, share: float, rng: np.random.Generator) -> None:
+    """A cracked housing rings for longer at times: the counter stops at once where the echo comes while it does."""
+    drowned = (flight.ping.range_m < 0.75) & (rng.random(flight.rows) < share)
     flight.ping.crossings_s.append(np.where(drowned, 20.0 * flight.ping.receiver.tick_s, np.inf))
 
 
@@ -232,10 +248,10 @@ def _neighbour_place_cm(flight: Flight) -> Array:
 
 
 def _second_bounce(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    """The first echo drowns in a gust, the one that went twice is found; the frame that mirrors it is 5 cm higher."""
+    """The first echo drowns in a gust, the one that went twice is found; the frame that mirrors it is 2 cm higher."""
     ping = flight.ping
     twice = rng.random(flight.rows) < share
-    way_m = 4.0 * ping.range_m + 0.1
+    way_m = 4.0 * ping.range_m + 0.04
     ping.reflection_db = np.where(twice, -80.0, ping.reflection_db)
     pressure = 0.7 * ping.level_at_pa(way_m) * twice
     ping.others.append((pressure[:, None].astype(complex), (way_m * ping.slowness())[:, None]))
@@ -250,21 +266,28 @@ def _strut(flight: Flight, share: float, rng: np.random.Generator) -> None:
     ping.others.append((pressure[:, None].astype(complex), arrival_s[:, None]))
 
 
-def _rotor_noise(flight: Flight, size_db: float, rng: np.random.Generator) -> None:
-    """Sound of the blades in the receiver's band, whose power grows with the fifth power of their speed."""
-    throttle = np.maximum(flight.number("throttle"), 0.05)
-    rotors_pa = pascal(size_db + 50.0 * np.log10(throttle / 0.5))
-    flight.ping.noise_pa = np.hypot(flight.ping.noise_pa, rotors_pa)
+def _blown_about(flight: Flight, share: float, rng: np.random.Generator) -> None:
+    """Clippings that the wash throws up: as many as its thrust can lift."""
+    _in_the_way(flight, share * (flight.number("throttle") / 0.5) ** 2, rng)
+
+
+def _in_the_way(flight: Flight, share: Array, rng: np.random.Generator) -> None:
+    there = rng.random(flight.rows) < share
+    depth_m = 0.2 + rng.beta(1.2, 1.5, flight.rows) * (flight.ping.range_m - 0.2)
+    flight.ping.crossings_s.append(np.where(there, 2.0 * depth_m * flight.ping.slowness(), np.inf))
 
 
 def _repeated(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    """The master reads before the new ranging is done and gets the one before."""
-    run = np.asarray(flight.columns["run"])
-    same = np.concatenate([[False], run[1:] == run[:-1]])
+    """The master reads before the new ranging is done and gets the sensor's one before."""
+    series = np.char.add(np.asarray(flight.columns["run"], dtype=str), np.asarray(flight.columns["sensor"], dtype=str))
+    order = np.argsort(series, kind="stable")
+    before = np.full(flight.rows, -1)
+    follows = series[order][1:] == series[order][:-1]
+    before[order[1:][follows]] = order[:-1][follows]
 
     def fault(reading_cm: Array) -> Array:
-        stale = same & (rng.random(reading_cm.size) < share)
-        return np.where(stale, np.concatenate([reading_cm[:1], reading_cm[:-1]]), reading_cm)
+        stale = (before >= 0) & (rng.random(reading_cm.size) < share)
+        return np.where(stale, reading_cm[before], reading_cm)
 
     flight.codes.append(fault)
 
@@ -276,8 +299,8 @@ def _transmitter_about(columns: Columns, size: float, rng: np.random.Generator) 
     there = rng.random(runs) < 0.35
     for name, values in (
         ("external_level_db", rng.uniform(85.0, 110.0, runs)),
-        ("external_duty", rng.choice((0.02, 0.05, 0.1), runs)),
-        ("external_distance_cm", rng.uniform(100.0, 600.0, runs)),
+        ("external_duty", rng.choice((0.1, 0.2, 0.4), runs)),
+        ("external_distance_cm", rng.uniform(50.0, 300.0, runs)),
         ("external_frequency_khz", rng.choice((40.0, 41.0, 42.0), runs)),
     ):
         columns[name] = np.where(there, values, np.nan)[run]
@@ -309,23 +332,25 @@ KNOWN: dict[str, Mechanism] = {
     "cold_start": Mechanism(_cold_start, 0.5),
     "bent_counter": Mechanism(_bent_counter, 0.3),
     "weak_ping": Mechanism(_weak_ping, 12.0, 17.0),
-    "missed_cycles": Mechanism(_missed_cycles, 0.5, 1.0),
+    "second_lobe": Mechanism(_second_lobe, 0.02, 1.0, place_cm=lambda f: f.number("true_range_cm") + 9.9),
     "turbulent_air": Mechanism(_turbulent_air, 1.0),
     "gravel": Mechanism(_gravel, 0.4),
     "wash_across_the_path": Mechanism(_wash_across_the_path, 0.5),
-    "shaken": Mechanism(_shaken, 0.5),
+    "shaken": Mechanism(_shaken, 0.8, prepare=_some_rotors_off),
     "remounted": Mechanism(_remounted, 0.3),
     "exhaust": Mechanism(_exhaust, 0.02),
-    "steep": Mechanism(_nothing, 2.0, 8.0, _steep),
+    "steep": Mechanism(_nothing, 1.2, 4.0, _steep, without=_without_its_shroud),
     "long_grass": Mechanism(_long_grass, 0.05, 1.0),
-    "bytes_on_top_of_each_other": Mechanism(_bytes_on_top_of_each_other, 0.02, 1.0),
-    "high_byte_lost": Mechanism(_high_byte_lost, 0.02, 1.0),
+    "bytes_on_top_of_each_other": Mechanism(
+        _bytes_on_top_of_each_other, 0.02, 1.0, place_cm=lambda f: _either_byte(f.number("true_range_cm"))
+    ),
+    "high_byte_lost": Mechanism(_high_byte_lost, 0.02, 1.0, place_cm=lambda f: f.number("true_range_cm") % 256.0),
     "top_bit": Mechanism(_top_bit, 0.01, 1.0),
-    "rings_on": Mechanism(_rings_on, 75.0, 150.0),
+    "rings_on": Mechanism(_rings_on, 0.3, 1.0),
     "neighbour_heard": Mechanism(_neighbour_heard, 0.03, 1.0, place_cm=_neighbour_place_cm),
-    "second_bounce": Mechanism(_second_bounce, 0.02, 1.0, place_cm=lambda f: 200.0 * f.ping.range_m),
+    "second_bounce": Mechanism(_second_bounce, 0.02, 1.0, place_cm=lambda f: 200.0 * f.ping.range_m + 2.0),
     "strut": Mechanism(_strut, 0.02, 1.0, place_cm=lambda f: np.full(f.rows, 33.0)),
-    "rotor_noise": Mechanism(_rotor_noise, 56.0),
+    "blown_about": Mechanism(_blown_about, 0.05, 0.4),
     "repeated": Mechanism(_repeated, 0.1, 1.0),
     "transmitter": Mechanism(_transmitter, 0.1, 1.0, _transmitter_about),
 }
@@ -390,12 +415,6 @@ def _dust(flight: Flight, share: float, rng: np.random.Generator) -> None:
 
 def _loosening_strap(flight: Flight, share: float, rng: np.random.Generator) -> None:
     _in_the_way(flight, share * (flight.number("uptime_s") / 1200.0) ** 2, rng)
-
-
-def _in_the_way(flight: Flight, share: Array, rng: np.random.Generator) -> None:
-    there = rng.random(flight.rows) < share
-    depth_m = 0.2 + rng.beta(1.2, 1.5, flight.rows) * (flight.ping.range_m - 0.2)
-    flight.ping.crossings_s.append(np.where(there, 2.0 * depth_m * flight.ping.slowness(), np.inf))
 
 
 def _hot_amplifier(flight: Flight, share: float, rng: np.random.Generator) -> None:

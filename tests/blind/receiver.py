@@ -24,7 +24,7 @@ STEP_S = 12.5e-6
 LEAD_S = 50e-6
 """Sampled before the first edge of an echo, where noise may cross first."""
 
-CHUNK = 16_384
+CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,18 @@ class Receiver:
         # An arrival without sound may be anywhere, and must not open the window.
         heard = np.where(np.abs(amplitude_pa) > 0.0, arrival_s, np.inf)
         start = heard.min(axis=1, initial=np.inf)
-        threshold = self.threshold_pa(np.where(np.isfinite(start), start, 0.0))
-        # What cannot come within six sigma of the threshold is not sampled.
+        origin = np.where(np.isfinite(start), start, 0.0)
+        threshold = self.threshold_pa(origin)
+        # What cannot come within six sigma of the threshold is not sampled, where that is so for a whole chunk: the
+        # draws for one ping must not depend on what happens to another.
         loudest = np.abs(amplitude_pa).sum(axis=1) + 6.0 * noise_pa
-        (rows,) = np.nonzero(np.isfinite(start) & (loudest > threshold) & (start < (NO_ECHO_CM + 5) * self.tick_s))
-        for chunk in _chunks(rows):
-            crossing[chunk] = start[chunk] + self._first_sample_s(
-                amplitude_pa[chunk], heard[chunk] - start[chunk, None], threshold[chunk], noise_pa[chunk], rng
-            )
+        audible = np.isfinite(start) & (loudest > threshold) & (start < (NO_ECHO_CM + 5) * self.tick_s)
+        for chunk, stream in zip(_chunks(np.arange(len(start))), rng.spawn(-(-len(start) // CHUNK)), strict=True):
+            if not audible[chunk].any():
+                continue
+            delay_s = np.where(np.isfinite(heard[chunk]), arrival_s[chunk] - origin[chunk, None], 0.0)
+            found = self._first_sample_s(amplitude_pa[chunk], delay_s, threshold[chunk], noise_pa[chunk], stream)
+            crossing[chunk] = np.where(audible[chunk], start[chunk] + found, np.inf)
         return crossing
 
     def _first_sample_s(
