@@ -154,6 +154,8 @@ def _wash_across_the_path(flight: Flight, size_cm: float, rng: np.random.Generat
 
 def _some_rotors_off(columns: Columns, size: float, rng: np.random.Generator) -> None:
     """Half of the runs are carried by hand: nothing vibrates."""
+    if (np.asarray(columns["vibration_hz"], dtype=float) == 0.0).any():
+        return
     run = np.unique(np.asarray(columns["run"]), return_inverse=True)[1]
     by_hand = (rng.random(run.max() + 1) < 0.5)[run]
     columns["vibration_hz"] = np.where(by_hand, 0.0, np.asarray(columns["vibration_hz"], dtype=float))

@@ -1,0 +1,181 @@
+"""Blind tables: flights in which something is hidden, or nothing, with the answers apart.
+
+A seed enters, cases leave. Regimes of noise, what is hidden, how large it is and how the flights go are all drawn. For
+each regime there is a base as well: flights of the same vehicle with nothing hidden, and a turn of its sensor before a
+wall, which is what a user would characterise first.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tests.blind.flight import REGIMES, Columns, Regime, contexts, fly, habits, land
+from tests.blind.mechanisms import KNOWN, UNKNOWN
+from tests.blind.size import Hidden, size_for, stage
+from tests.blind.sound import Array
+
+Kind = Literal["null", "one", "three", "unknown", "confounded"]
+SHARES: dict[Kind, float] = {"null": 0.3, "one": 0.25, "three": 0.1, "unknown": 0.25, "confounded": 0.1}
+
+RUNS, ROWS = 40, 100
+"""Of a case; half of them choose and fit."""
+
+BASE_RUNS, BASE_ROWS = 120, 250
+
+TOGETHER = {
+    "bias": ("one_hangs_lower", "slow_clock", "air_not_compensated", "one_thermometer_for_the_path", "read_late"),
+    "bias too": ("cold_start", "rough_ground", "humidity_ignored", "stamped_at_the_echo", "bent_counter"),
+    "spread": ("gravel", "wash_across_the_path", "shaken"),
+    "missed": ("long_grass", "steep"),
+    "heard": ("neighbour_heard", "second_bounce", "strut", "blown_about", "second_lobe", "rings_on", "transmitter"),
+    "code": ("bytes_on_top_of_each_other", "high_byte_lost", "top_bit", "repeated"),
+}
+"""Three effects are of three of these kinds."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A blind table before it is flown.
+
+    Attributes
+    ----------
+    number, seed
+        Which, and from what it is drawn.
+    kind, regime
+        What it tests, in which noise.
+    hidden
+        Mechanisms, in standard errors as wanted.
+    twist
+        Of a confounded pair: the flights in which the two look alike.
+    """
+
+    number: int
+    seed: int
+    kind: Kind
+    regime: Regime
+    hidden: tuple[tuple[str, float], ...] = ()
+    twist: str = ""
+
+
+def draw_cases(
+    seed: int, count: int, kind: Kind | None = None, regime: Regime | None = None, standard_errors: float | None = None
+) -> list[Case]:
+    """Cases by a seed.
+
+    Parameters
+    ----------
+    seed
+        Of the draws.
+    count
+        Cases.
+    kind, regime, standard_errors
+        All of one kind, in one regime, of one size; drawn unless given.
+    """
+    rng = np.random.default_rng((seed, 0))
+    cases = []
+    for number in range(count):
+        drawn: Kind = kind or rng.choice(list(SHARES), p=list(SHARES.values()))
+        # Nulls are spread over all regimes; effects are hidden in independent readings, so that their size is plain.
+        chosen: Regime = regime or (REGIMES[int(rng.integers(len(REGIMES)))] if drawn == "null" else "iid")
+        size = standard_errors or float(rng.choice((6.0, 10.0, 20.0) if drawn == "one" else (10.0, 20.0)))
+        hidden: tuple[tuple[str, float], ...] = ()
+        twist = ""
+        if drawn == "one":
+            hidden = ((str(rng.choice(list(KNOWN))), size),)
+        elif drawn == "unknown":
+            hidden = ((str(rng.choice(list(UNKNOWN))), max(size, 10.0)),)
+        elif drawn == "three":
+            groups = rng.choice(list(TOGETHER), 3, replace=False)
+            hidden = tuple((str(rng.choice(TOGETHER[str(group)])), size) for group in groups)
+        elif drawn == "confounded":
+            twist = str(rng.choice(list(CONFOUNDED)))
+            hidden = ((str(rng.choice(CONFOUNDED[twist][0])), 10.0),)
+        cases.append(Case(number, seed, drawn, chosen, hidden, twist))
+    return cases
+
+
+def _constant_air(columns: Columns, rng: np.random.Generator) -> None:
+    celsius = float(rng.choice((4.0, 8.0, 31.0, 35.0)))
+    for name in ("air_temperature_c", "target_temperature_c"):
+        columns[name] = np.round(celsius + 0.05 * rng.standard_normal(columns[name].size), 1)
+    columns["humidity_pct"] = np.full(columns["humidity_pct"].size, 50.0)
+
+
+def _usual(columns: Columns, rng: np.random.Generator) -> None:
+    """Nothing special: the two look alike whatever happens."""
+
+
+def _one_height(columns: Columns, rng: np.random.Generator) -> None:
+    columns["true_range_cm"] = 220.0 + 2.0 * rng.standard_normal(columns["true_range_cm"].size)
+
+
+def _rotors_on_or_off(columns: Columns, rng: np.random.Generator) -> None:
+    run = np.unique(np.asarray(columns["run"]), return_inverse=True)[1]
+    on = (rng.random(run.max() + 1) < 0.5)[run]
+    columns["throttle"] = np.where(on, 0.55, 0.0)
+    columns["vibration_hz"] = np.where(on, 68.0, 0.0)
+
+
+Twist = Callable[[Columns, np.random.Generator], None]
+CONFOUNDED: dict[str, tuple[tuple[str, ...], Twist]] = {
+    "air of one temperature": (("air_not_compensated", "slow_clock"), _constant_air),
+    "usual flights": (("wrong_thermometer", "slow_clock"), _usual),
+    "one height": (("read_late", "stamped_at_the_echo"), _one_height),
+    "rotors on or off": (("wash_across_the_path", "shaken"), _rotors_on_or_off),
+}
+"""Pairs that look alike, and the flights in which they do."""
+
+
+def fly_case(case: Case) -> tuple[Columns, Array, list[dict[str, object]]]:
+    """Contexts, readings, and what was hidden with its size."""
+    seeds = np.random.SeedSequence((case.seed, 1, case.number))
+    context_seed, twist_seed, hiding = seeds.spawn(3)
+    columns = contexts(np.random.default_rng(context_seed), RUNS, ROWS, case.regime)
+    ways = habits(case.regime)
+    if case.twist:
+        CONFOUNDED[case.twist][1](columns, np.random.default_rng(twist_seed))
+    hidden: Hidden = []
+    told: list[dict[str, object]] = []
+    for name, wanted in case.hidden:
+        size, has = size_for(columns, ways, name, wanted, case.number)
+        hidden = [*hidden, (name, size)]
+        told.append({"mechanism": name, "size": size, "standard_errors": has, "wanted": wanted})
+    flight, reading_cm = stage(columns, ways, hidden, hiding)
+    return flight.columns, reading_cm, told
+
+
+def fly_base(seed: int, regime: Regime) -> tuple[Columns, Array]:
+    """Flights with nothing hidden, and the sensor turned before a wall (`condition` field_of_view)."""
+    rng = np.random.default_rng((seed, 2, REGIMES.index(regime)))
+    columns = contexts(rng, BASE_RUNS, BASE_ROWS, regime)
+    reading_cm = land(fly(columns, habits(regime), rng), rng)
+    turned = _turned(rng)
+    wall_cm = land(fly(turned, habits(regime), rng), rng)
+    joined = {name: np.concatenate([columns[name], turned[name]]) for name in columns}
+    joined["condition"] = np.repeat(["flight", "field_of_view"], [reading_cm.size, wall_cm.size])
+    return joined, np.concatenate([reading_cm, wall_cm])
+
+
+def _turned(rng: np.random.Generator) -> Columns:
+    """Contexts of a stepper motor's turn before a wall at four ranges, in a room."""
+    angles = np.arange(-11, 12) * 1.8
+    ranges = np.array([50.0, 100.0, 150.0, 200.0])
+    readings = 20
+    grid_cm, grid_deg = (np.repeat(each.ravel(), readings) for each in np.meshgrid(ranges, angles, indexing="ij"))
+    n = grid_cm.size
+    columns = contexts(rng, 1, n, "iid")
+    for name in columns:
+        if columns[name].dtype.kind == "f":
+            columns[name] = np.full(n, float(np.median(np.asarray(columns[name], dtype=float))))
+    columns |= {
+        "time_s": 0.1 * np.arange(n),
+        "sensor": np.full(n, "front"),
+        "run": np.full(n, "wall"),
+        "true_range_cm": grid_cm,
+        "incidence_deg": grid_deg,
+        "range_rate_cm_s": np.zeros(n),
+        "target": np.full(n, "concrete"),
+    }
+    return columns
