@@ -133,18 +133,28 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 def schema(
-    kind: Annotated[Literal["airframe", "sensor", "campaign"], typer.Argument(help="which kind of file")] = "airframe",
+    kind: Annotated[
+        Literal["airframe", "sensor", "campaign", "flights"], typer.Argument(help="which kind of file")
+    ] = "airframe",
 ) -> None:
-    """Print the JSON Schema of airframe, sensor model or campaign files, with which editors complete and check them.
+    """Print the JSON Schema of a kind of file, with which editors complete and check it.
+
+    Kinds: airframe, sensor model, campaign at the bench, campaign of flights.
 
     Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
     from msp_range.characterise.campaign import Campaign
+    from msp_range.characterise.flights import FlightCampaign
     from msp_range.config import Airframe
     from msp_range.reading_model.sensor_model import SensorModel
     from msp_range.yaml_file import Section
 
-    sections: dict[str, type[Section]] = {"airframe": Airframe, "sensor": SensorModel, "campaign": Campaign}
+    sections: dict[str, type[Section]] = {
+        "airframe": Airframe,
+        "sensor": SensorModel,
+        "campaign": Campaign,
+        "flights": FlightCampaign,
+    }
     print(json.dumps(sections[kind].model_json_schema(), indent=2))
 
 
@@ -283,7 +293,7 @@ def export(
 def collect(
     campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
     out: Annotated[
-        Path, typer.Option(help="folder for recordings and table; one that has some already is gone on with")
+        Path, typer.Option(help="folder for recordings and table; what is there already is gone on with")
     ],
     bus: BusOption = "1",
     only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
@@ -297,45 +307,38 @@ def collect(
     """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
 
     Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
-    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read).
+    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
+    asks for the recording and the reference of each flight instead, and keeps copies of them.
     """
-    import signal as signals
-
     from rich.console import Console
 
     from msp_range.characterise.bench import KernelBench
     from msp_range.characterise.campaign import load_campaign
     from msp_range.characterise.collect import chosen
     from msp_range.characterise.collect import collect as collect_readings
+    from msp_range.characterise.flights import is_of_flights
     from msp_range.characterise.plan import plan
     from msp_range.characterise.store import Store
     from msp_range.characterise.terminal import Terminal
     from msp_range.characterise.terminal import show_plan as show_points
     from msp_range.service import stop_signals
 
+    console = Console()
+    if is_of_flights(campaign_file):
+        _collect_flights(campaign_file, out, console)
+        return
     campaign = load_campaign(campaign_file)
     points = plan(campaign)
-    console = Console()
     again = chosen(points, repeat or [], "--repeat")
-    wanted = chosen(points, only or [""], "--only")
+    # What is to be read again is not a reason to read all the rest.
+    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
     bench = KernelBench(bus_of(bus), campaign.thermometer)
     store = Store(out, points, bench.description, bench.clock, campaign.files)
     if show_plan:
-        show_points(console, campaign, [point for point in points if point.name in wanted], store.is_done)
+        show_points(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
         return
-
-    def ask(text: str) -> str:
-        handlers = {each: signals.signal(each, signals.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            return console.input(text)
-        except (KeyboardInterrupt, EOFError):
-            return "q"
-        finally:
-            for each, handler in handlers.items():
-                signals.signal(each, handler)
-
     with stop_signals() as stopped:
-        person = Terminal(campaign, points, console, ask, bench.clock, lambda: bool(stopped))
+        person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
             collect_readings(campaign, points, bench, store, person, wanted, again)
         finally:
@@ -345,6 +348,36 @@ def collect(
     table, rows = store.write_table()
     left = sum(not store.is_done(point) for point in points)
     print(f"{table}: {rows} readings; {left} of {len(points)} points are left")
+
+
+def _collect_flights(campaign_file: Path, out: Path, console: Any) -> None:
+    from msp_range.characterise.flights import Hangar, collect_flights, load_flights
+
+    campaign = load_flights(campaign_file)
+    hangar = Hangar(out, campaign)
+    collect_flights(campaign, hangar, console, _asking(console))
+    left = sum(not hangar.recordings(flight) for flight in campaign.flights)
+    if left < len(campaign.flights):
+        table, rows = hangar.write_table()
+        print(f"{table}: {rows} readings; {left} of {len(campaign.flights)} flights are left")
+
+
+def _asking(console: Any) -> Callable[[str], str]:
+    """A prompt that a signal ends; it returns q then, and at the end of the input."""
+
+    def ask(text: str) -> str:
+        handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            answer: str = console.input(text)
+            return answer
+        except (KeyboardInterrupt, EOFError):
+            console.print()
+            return "q"
+        finally:
+            for each, handler in handlers.items():
+                signal.signal(each, handler)
+
+    return ask
 
 
 @app.command()

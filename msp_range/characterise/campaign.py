@@ -68,8 +68,11 @@ class Sensor(Section):
     """7-bit I2C address, e.g. 0x70"""
     model: str
     """sensor model file, relative to the campaign file"""
+    simulator: str | None = None
+    """sensor model file by which the simulator's sensor reads, relative to the campaign file; left out: the same"""
 
     _model: SensorModel = PrivateAttr()
+    _simulated_by: Path = PrivateAttr()
 
     @field_validator("address")
     @classmethod
@@ -82,12 +85,18 @@ class Sensor(Section):
     def _load_model(self, info: ValidationInfo) -> "Sensor":
         folder = (info.context or {}).get("folder", Path())
         self._model = load_sensor_model(folder / self.model)
+        self._simulated_by = folder / (self.simulator or self.model)
         return self
 
     @property
     def sensor_model(self) -> SensorModel:
         """What its file says."""
         return self._model
+
+    @property
+    def simulated_by(self) -> Path:
+        """The file by which the simulator's sensor reads."""
+        return self._simulated_by
 
 
 class Reference(Section):

@@ -185,17 +185,18 @@ class _Sitting:
         end_s = self._end_s(point, nearest_cm)
         silent, told = Counter[str](), 0
         fresh = dict(columns)
+        self._note_air(fresh, clock.now())
         for number, known in enumerate(rangings(self._campaign, point, fresh, bus, clock)):
             reading = known.ranging.reading
+            if reading.time_s > end_s:
+                break
             if number >= passed_over:
                 self._store.keep(known)
                 outlier = watches[reading.sensor].take(reading)
                 if self._person.look(point, watches, reading, outlier) is Say.STOP:
                     return Say.STOP, watches
-            if point.setup.movement is not None:
-                if clock.now() >= end_s:
-                    break
-            elif all(attempt.readings[name] >= point.readings for name in point.setup.sensors):
+            enough = all(attempt.readings[name] >= point.readings for name in point.setup.sensors)
+            if enough and point.setup.movement is None:
                 break
             silent[reading.sensor] = silent[reading.sensor] + 1 if reading.status.is_fault else 0
             if silent[reading.sensor] >= TROUBLE_AFTER:
@@ -212,6 +213,7 @@ class _Sitting:
         return Say.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:
+        """When a movement that begins now has arrived [s]; a target at rest is read for as long as it takes."""
         movement = point.setup.movement
         if movement is None:
             return float("inf")

@@ -9,7 +9,7 @@ only one thing changes; and a condition begins at the end at which the one befor
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -152,7 +152,7 @@ def reading_s(campaign: Campaign, point: Point) -> float:
 def setup_s(before: Setup | None, after: Setup) -> float:
     """Time that a person may need to get from one set-up to the next [s]."""
     changed = SETUP_S if before is None else [key for key in SETUP_S if getattr(before, key) != getattr(after, key)]
-    return max((SETUP_S[key] for key in changed), default=0.0)
+    return sum(SETUP_S[key] for key in changed)
 
 
 def _points_of(campaign: Campaign, condition: Condition, before: Setup | None) -> Iterator[Point]:
@@ -271,21 +271,14 @@ def changes(before: Point | None, after: Point) -> list[str]:
     if old is None or old.sensors != new.sensors or old.apart_cm != new.apart_cm:
         said.append(_sensors_words(new))
     if old is None or old.air != new.air:
-        said.extend(_air_words(new.air))
+        said.extend(_air_words(old.air if old is not None else None, new.air))
     if old is None or old.target != new.target:
         said.append(_target_words(new.target))
     if new.vibration_hz != (old.vibration_hz if old is not None else 0.0):
         on = f"Vibrate the sensor's housing at {new.vibration_hz:g} Hz."
         said.append(on if new.vibration_hz else "Switch the vibration off.")
     if old is None or old.range_cm != new.range_cm or old.target != new.target or old.movement is not None:
-        where = "" if old is None or old.movement is not None else f" (it was at {old.range_cm:g} cm)"
-        again = old is not None and old.range_cm == new.range_cm and old.movement is None
-        what = "sensor, its distance to the wall" if new.target.size_cm is None else "target"
-        said.append(
-            f"See that the {what} is at {new.range_cm:g} cm again."
-            if again
-            else f"Move the {what} to {new.range_cm:g} cm{where}."
-        )
+        said.append(_range_words(old, new))
     if old is None or old.angle_deg != new.angle_deg:
         turned = "Face the target squarely" if new.angle_deg == 0.0 else f"Turn the sensor to {new.angle_deg:+g} deg"
         said.append(f"{turned}." if old is None else f"{turned} (it was at {old.angle_deg:+g} deg).")
@@ -306,12 +299,16 @@ def _sensors_words(setup: Setup) -> str:
     return f"Connect and mount {' and '.join(setup.sensors)} side by side{apart}, facing the same target."
 
 
-def _air_words(air: Air) -> Iterator[str]:
-    if air.air_temperature_c is not None:
+def _air_words(before: Air | None, air: Air) -> Iterator[str]:
+    if before is not None and before.how:
+        yield "Undo what was done to the air: fans off, boxes away."
+    ends_c = (air.air_temperature_c, air.target_temperature_c)
+    before_c = None if before is None else (before.air_temperature_c, before.target_temperature_c)
+    if air.air_temperature_c is not None and ends_c != before_c:
         far_c = air.target_temperature_c
         far = "" if far_c in (None, air.air_temperature_c) else f", and leave {far_c:g} deg C at the target"
         yield f"Bring the air at the sensor to {air.air_temperature_c:g} deg C{far}."
-    if air.humidity_pct is not None:
+    if air.humidity_pct is not None and (before is None or before.humidity_pct != air.humidity_pct):
         yield f"Bring the air to {air.humidity_pct:g} % relative humidity."
     if air.how:
         yield air.how
@@ -323,6 +320,14 @@ def _target_words(target: Target) -> str:
     return f"Take as target: {target.material}{size}.{how}"
 
 
+def _range_words(old: Setup | None, new: Setup) -> str:
+    what, to = ("target", "to") if new.target.size_cm is not None else ("sensor", "so that the distance is")
+    if old is not None and old.range_cm == new.range_cm and old.movement is None:
+        return f"See that it is at {new.range_cm:g} cm again."
+    was = "" if old is None or old.movement is not None else f" (it was at {old.range_cm:g} cm)"
+    return f"Move the {what} {to} {new.range_cm:g} cm{was}."
+
+
 def _source_words(source: Source | None) -> str:
     if source is None:
         return "Take the transmitter away."
@@ -332,8 +337,3 @@ def _source_words(source: Source | None) -> str:
         f"Let the transmitter sound at {source.frequency_khz:g} kHz, {source.level_db:g} dB at 30 cm from it, "
         f"{source.duty:.0%} of the time, {source.distance_cm:g} cm from the sensor."
     )
-
-
-def describe(columns: Mapping[str, float | str]) -> str:
-    """A set-up in a line, for a progress display."""
-    return ", ".join(f"{name} {each:g}" if isinstance(each, float) else str(each) for name, each in columns.items())

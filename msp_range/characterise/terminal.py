@@ -51,8 +51,6 @@ class Terminal:
         For the pace.
     stopped
         Whether a signal asks to end.
-    has_thermometer
-        Whether a file tells the air temperature, so that the person need not.
     """
 
     def __init__(
@@ -72,11 +70,11 @@ class Terminal:
         self._stopped = stopped
         self._measured: dict[str, tuple[object, float]] = {}
         self._air_asked: object = None
+        self._visited: set[str] = set()
         self._live: Live | None = None
         self._noticed: list[str] = []
         self._next_look_s = 0.0
         self._question = ""
-        self._place: Place | None = None
         self._last: Point | None = None
         self._planned_setup_s = self._real_setup_s = 0.0
 
@@ -93,10 +91,10 @@ class Terminal:
         for number, line in enumerate(to_change, start=1):
             say(f"  {number}. {line}", highlight=False)
         began_s = self._clock.now()
-        arranged = self._wait(point, to_change, place)
+        arranged = self._wait(point, to_change)
         self._planned_setup_s += setup_s(self._last.setup if self._last else None, point.setup)
         self._real_setup_s += self._clock.now() - began_s
-        self._last, self._place = point, place
+        self._last = point
         self._noticed = []
         return arranged
 
@@ -141,9 +139,10 @@ class Terminal:
         """Leave the screen as it is."""
         self._end_live()
 
-    def _wait(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
-        if not to_change and self._last is not None:
+    def _wait(self, point: Point, to_change: Sequence[str]) -> Arranged:
+        if not to_change and point.name not in self._visited:
             return Arranged(Say.GO, self._differing(point))
+        self._visited.add(point.name)
         self._ask_air(point)
         while True:
             answer = self._ask(f"  {HELP} > ").strip().lower()

@@ -138,13 +138,11 @@ def _median(counts: Mapping[Any, int]) -> float | None:
     if total == 0:
         return None
     passed = 0
-    below: float | None = None
+    middle: list[float] = []
     for value in sorted(counts):
-        if below is not None:
-            return (below + value) / 2
         passed += counts[value]
+        if 2 * passed >= total:
+            middle.append(float(value))
         if 2 * passed > total:
-            return float(value)
-        if 2 * passed == total:
-            below = value
-    return below
+            break
+    return sum(middle) / len(middle)

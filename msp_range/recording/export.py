@@ -31,12 +31,20 @@ def export(recording: Path | str | Recording, csv_path: Path | str) -> int:
     return len(data)
 
 
-def measured_data(recording: Recording) -> MeasuredData:
+def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
     """The readings of a recording as columns, in the order in which they were recorded.
 
     ``reading_cm`` is the sensor's own word, fault codes and all; empty where there was no answer, or only part
-    information. ``run`` is the recording's file name.
+    information. ``run`` is the recording's file name, or what a bench or simulator called it.
+
+    Parameters
+    ----------
+    recording
+        Of a flight, a simulation or a bench.
+    faults
+        False: every answer that is a fault is empty.
     """
+    not_a_reading = _NOT_A_READING if faults else frozenset(status.value for status in Status if status.is_fault)
     rows: list[dict[str, Any]] = []
     pings_s: list[float] = []
     truth: dict[str, dict[str, Any]] = {}
@@ -46,7 +54,7 @@ def measured_data(recording: Recording) -> MeasuredData:
         elif topic.startswith(RANGE_PREFIX):
             sensor = topic.removeprefix(RANGE_PREFIX)
             row = {"time_s": message["time_s"], "sensor": sensor, "run": recording.path.stem}
-            if message["status"] not in _NOT_A_READING:
+            if message["status"] not in not_a_reading:
                 row["reading_cm"] = message.get("raw")
             # A truth belongs to one ping: a ping that the sensor did not take leaves none behind.
             row |= truth.pop(sensor, {})

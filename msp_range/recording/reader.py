@@ -99,6 +99,10 @@ class Recording:
                 if channel.message_encoding == "json":
                     topics[channel.id] = channel.topic
 
+    def utc_s(self, time_s: float) -> float:
+        """Seconds since 1970 of a time on the bridge's clock, by the computer's idea of UTC at the start."""
+        return self._utc_start_ns / 1e9 + (time_s - self._clock_start_s)
+
     def records(self) -> Iterator[tuple[int, bytes]]:
         """Every whole record of the data section as (opcode, content), chunks taken apart."""
         self.damaged_chunks = 0

@@ -7,13 +7,12 @@ interrupted goes on as if it had not been, and a change of one point leaves the 
 
 import random
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from math import degrees
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 
-from msp_range.acoustics.air import speed_of_sound
 from msp_range.bus import Bus
 from msp_range.characterise.bench import Columns
 from msp_range.characterise.campaign import Campaign
@@ -22,10 +21,10 @@ from msp_range.characterise.plan import Point, reading_s, setup_s
 from msp_range.characterise.watch import Outlier, Watch
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
-from msp_range.reading_model.mixture import ReadingModel
-from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.bus import EmulatedBus
 from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.model.model import Model, load_model
+from msp_sim.model.streams import Streams
 
 BIT_S = 1 / 50_000
 """The maker's highest bus clock without clock stretching."""
@@ -33,6 +32,8 @@ BITS_OVERHEAD = 2
 """Start and stop of a transfer."""
 BITS_A_BYTE = 9
 """Eight and the acknowledgement."""
+DRAWN_MOST = 1024
+"""Readings that are drawn at a time."""
 MARGIN = 1.3
 """A point may take so much longer than planned, for pings that are asked again, before it delays the next one."""
 
@@ -130,7 +131,7 @@ class SimulatedBench:
         chance = SeedSequence([self._seed, zlib.crc32(point.name.encode()), attempt])
         for_placing, *for_sensors = chance.spawn(1 + len(point.setup.sensors))
         off_cm = self._campaign.reference.uncertainty_cm * default_rng(for_placing).standard_normal()
-        scene = _Scene(columns, off_cm, point, self._clock.now())
+        scene = _Scene(columns, off_cm, point, attempt, self._clock.now())
         devices = []
         for name, of_sensor in zip(point.setup.sensors, for_sensors, strict=True):
             for_readings, for_faults = of_sensor.spawn(2)
@@ -156,8 +157,9 @@ class SimulatedBench:
 class _Scene:
     """What the sensors of a point face."""
 
-    def __init__(self, columns: Columns, off_cm: float, point: Point, start_s: float) -> None:
+    def __init__(self, columns: Columns, off_cm: float, point: Point, attempt: int, start_s: float) -> None:
         self._columns = dict(columns)
+        self._run = f"{point.name}.{attempt}"
         self._start_cm = float(columns["true_range_cm"]) + off_cm
         self._rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
         self._start_s = start_s
@@ -168,11 +170,11 @@ class _Scene:
 
         def echo(ping_s: float) -> int:
             columns = dict(self._columns)
-            columns["sensor"] = name
+            columns |= {"sensor": name, "run": self._run}
             columns["true_range_cm"] = self._range_cm(ping_s)
             others = [last_s for other, last_s in self._last_s.items() if other != name]
             if others:
-                columns["neighbour_lag_ms"] = (ping_s - max(others)) * 1e3
+                columns["neighbour_lag_ms"] = round((ping_s - max(others)) * 1e3, 6)
                 columns["neighbour_range_cm"] = self._range_cm(max(others))
             self._last_s[name] = ping_s
             return draw(columns)
@@ -189,41 +191,45 @@ def readings_of(campaign: Campaign, model_file: Path | None) -> tuple[Callable[[
     Parameters
     ----------
     campaign
-        Names the sensors' own model files.
+        Names the files of what its sensors read by in the simulator.
     model_file
         Sensor model file for all of them instead; None: their own.
 
     Raises
     ------
     ConfigError
-        The file cannot be used.
+        A file cannot be used.
     """
-    given = None if model_file is None else load_sensor_model(model_file)
-    texts = [model_file.read_text(encoding="utf-8")] if model_file else list(campaign.files.values())[1:]
-    print_of = f"{zlib.crc32(''.join(texts).encode()):08x}"
+    paths = {sensor.name: model_file or sensor.simulated_by for sensor in campaign.sensors}
+    models = {name: load_model(path) for name, path in paths.items()}
+    texts = "".join(path.read_text(encoding="utf-8") for path in paths.values())
+    files = " and ".join(dict.fromkeys(path.name for path in paths.values()))
+    # Of the content too: after a change of the file, what is there must not be gone on with.
+    words = f"{files} ({zlib.crc32(texts.encode()):08x})"
+    return lambda name, generator: _Drawn(models[name], generator).draw, words
 
-    def draw_of(name: str, generator: Generator) -> Draw:
-        return _Reader(given or campaign.sensor(name).sensor_model, generator).draw
 
-    return draw_of, f"readings of {given.name if given else 'the sensors'} own model ({print_of})"
+class _Drawn:
+    """Readings of a model; where one ping is like the one before, several are drawn at a time."""
 
-
-class _Reader:
-    """Draws from the base mixture: eq 7 for the air at the sensor, and nothing beyond the breakaway angle."""
-
-    def __init__(self, model: SensorModel, generator: Generator) -> None:
-        self._readings = ReadingModel.of(model)
-        self._beam = model.beam
-        self._calibration_m_s = speed_of_sound(model.calibration_temperature_c)
-        self._generator = generator
+    def __init__(self, model: Model, generator: Generator) -> None:
+        self._model = model
+        self._streams = Streams(generator)
+        self._columns: Mapping[str, float | str] = {}
+        self._drawn: Iterator[float] = iter(())
+        self._count = 1
 
     def draw(self, columns: Mapping[str, float | str]) -> int:
-        range_cm = float(columns["true_range_cm"])
-        heard = abs(float(columns.get("incidence_deg", 0.0))) <= degrees(self._beam.half_angle_rad(range_cm / 100))
-        air_c = columns.get("air_temperature_c")
-        if air_c is not None:
-            range_cm *= self._calibration_m_s / speed_of_sound(float(air_c))
-        return self._readings.sample_one(range_cm if heard else None, self._generator)
+        """The reading [cm] of a ping."""
+        if columns != self._columns:
+            self._columns, self._drawn, self._count = columns, iter(()), 1
+        reading_cm = next(self._drawn, None)
+        if reading_cm is None:
+            contexts = {name: np.full(self._count, value) for name, value in columns.items()}
+            self._drawn = iter(self._model.sample(contexts, self._streams).tolist())
+            self._count = min(4 * self._count, DRAWN_MOST)
+            reading_cm = next(self._drawn)
+        return int(reading_cm)
 
 
 class Nobody:

@@ -307,11 +307,12 @@ def collect(
     """Go through a campaign on emulated sensors, unattended: the code of 'msp-range collect', with nobody at the bench.
 
     In --out: readings.csv (all readings that count, in the one CSV form) and sitting-001.mcap ... Interrupted, the same
-    command goes on and ends with the same readings.
+    command goes on and ends with the same readings. Of a campaign of flights it flies the scenarios.
     """
     from msp_range.characterise.campaign import load_campaign
     from msp_range.characterise.collect import chosen
     from msp_range.characterise.collect import collect as collect_readings
+    from msp_range.characterise.flights import is_of_flights
     from msp_range.characterise.plan import plan
     from msp_range.characterise.store import Store
     from msp_range.clock import SystemClock
@@ -319,10 +320,14 @@ def collect(
     from msp_sim.bench import Nobody, SimulatedBench, readings_of
     from msp_sim.show import Collecting
 
+    if is_of_flights(campaign_file):
+        _collect_flights(campaign_file, out, model, seed)
+        return
     campaign = load_campaign(campaign_file)
     points = plan(campaign)
     again = chosen(points, repeat or [], "--repeat")
-    wanted = chosen(points, only or [""], "--only")
+    # What is to be read again is not a reason to read all the rest.
+    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
     models, described = readings_of(campaign, model)
     bench = SimulatedBench(campaign, points, models, seed, described)
     store = Store(out, points, bench.description, bench.clock, campaign.files)
@@ -344,6 +349,39 @@ def collect(
         f"{nobody.outliers} outliers, {nobody.failed} pings without a usable answer; "
         f"{left} of {len(points)} points are left"
     )
+
+
+def _collect_flights(campaign_file: Path, out: Path, model: Path | None, seed: int) -> None:
+    from msp_range.characterise.flights import Hangar, load_flights
+    from msp_range.clock import VirtualClock
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.recording.writer import Recorder
+    from msp_sim.flight import Simulation
+    from msp_sim.scenario import load_scenario
+
+    campaign = load_flights(campaign_file)
+    hangar = Hangar(out, campaign)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    scenarios = {
+        flight.flight: load_scenario(campaign_file.parent / flight.scenario)
+        for flight in campaign.flights
+        if flight.scenario is not None
+    }
+    for number, flight in enumerate(campaign.flights, start=1):
+        scenario = scenarios.get(flight.flight)
+        if scenario is None or hangar.recordings(flight):
+            continue
+        print(f"{number} of {len(campaign.flights)}: {flight.flight}, {scenario.duration_s:g} s of {scenario.name}")
+        clock = VirtualClock()
+        with hangar.making(flight) as path:
+            files = scenario.airframe.files
+            recorder = Recorder(path, clock, files=files, metadata={"scenario": scenario.name, "seed": str(seed)})
+            simulation = Simulation(scenario, clock, seed + number, model=sensor_model, recorder=recorder)
+            for _ in simulation.fly():
+                pass
+            recorder.close()
+    table, rows = hangar.write_table()
+    print(f"{table}: {rows} readings of {len(scenarios)} flights")
 
 
 def make_folder(folder: Path) -> None:

@@ -17,7 +17,7 @@ from msp_sim.device import MB1242
 from msp_sim.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export"]
+COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export", "collect"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -28,7 +28,7 @@ def test_every_command_explains_itself(command: str) -> None:
     assert len(result.output.splitlines()) > 6
 
 
-@pytest.mark.parametrize("command", ["fly", "sample", "sitl"])
+@pytest.mark.parametrize("command", ["fly", "sample", "sitl", "collect"])
 def test_every_simulator_command_explains_itself(command: str) -> None:
     assert command in CliRunner().invoke(sim_app, ["--help"]).output
     assert CliRunner().invoke(sim_app, [command, "--help"]).exit_code == 0

@@ -1,0 +1,123 @@
+"""Small campaigns, and people at their bench who do as they are told."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from msp_range.characterise.campaign import Campaign, load_campaign
+from msp_range.characterise.collect import Arranged, Place, Say, collect
+from msp_range.characterise.plan import Point, plan
+from msp_range.characterise.store import Store
+from msp_range.characterise.watch import Outlier, Watch
+from msp_range.reading import Reading
+from msp_sim.bench import Draw, Nobody, SimulatedBench, readings_of
+from msp_sim.device import Fault
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+MODEL = str(CONFIGS / "sensors/mb1242.yaml")
+BENCH_MODEL = str(CONFIGS / "sensors/mb1242_bench.yaml")
+SENSORS = [
+    {"name": "one", "address": 0x70, "model": MODEL, "simulator": BENCH_MODEL},
+    {"name": "two", "address": 0x71, "model": MODEL, "simulator": BENCH_MODEL},
+]
+PLYWOOD = {"material": "plywood", "size_cm": [20.0, 20.0]}
+
+
+def condition(**changed: Any) -> dict[str, Any]:
+    """An entry of ``conditions``."""
+    return {"condition": "baseline", "ranges_cm": [60, 120], "targets": [PLYWOOD]} | changed
+
+
+def written(folder: Path, *conditions: dict[str, Any], **changed: Any) -> Path:
+    """A campaign file."""
+    content = {
+        "campaign": "small",
+        "reference": {"method": "a ruler", "uncertainty_cm": 0.2},
+        "sensors": SENSORS,
+        "room": {"air_temperature_c": 22.5},
+        "readings": 30,
+        "conditions": list(conditions) or [condition()],
+    } | changed
+    path = folder / "campaign.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+def campaign(folder: Path, *conditions: dict[str, Any], **changed: Any) -> Campaign:
+    """The campaign of such a file."""
+    return load_campaign(written(folder, *conditions, **changed))
+
+
+class Collected:
+    """A campaign on the simulator, to be gone on with as often as a test likes."""
+
+    def __init__(
+        self,
+        of: Campaign,
+        folder: Path,
+        seed: int = 1,
+        faults: Mapping[str, Sequence[Fault]] | None = None,
+        draw: Draw | None = None,
+    ) -> None:
+        self.campaign = of
+        self.points = plan(of)
+        models, words = readings_of(of, None)
+        if draw is not None:
+            models = lambda name, generator: draw  # noqa: E731
+        self.bench = SimulatedBench(of, self.points, models, seed, words, faults)
+        self.store = Store(folder, self.points, self.bench.description, self.bench.clock, of.files)
+
+    def go(self, person: Any = None, wanted: Sequence[str] | None = None, again: Sequence[str] = ()) -> Any:
+        """Collect; returns the person."""
+        person = person or Nobody()
+        names = [point.name for point in self.points] if wanted is None else wanted
+        try:
+            collect(self.campaign, self.points, self.bench, self.store, person, names, again)
+        finally:
+            self.store.close()
+        return person
+
+    def table(self) -> str:
+        """``readings.csv`` as text."""
+        path, _ = self.store.write_table()
+        return path.read_text()
+
+
+class Told(Nobody):
+    """Somebody who says what a test tells them, when they are asked; GO afterwards."""
+
+    def __init__(
+        self,
+        arranged: Sequence[Arranged | Say] = (),
+        judged: Sequence[Say] = (),
+        troubled: Sequence[Say] = (),
+        looked: Callable[[Reading], Say] = lambda reading: Say.GO,
+    ) -> None:
+        super().__init__()
+        self._arranged = list(arranged)
+        self._judged = list(judged)
+        self._troubled = list(troubled)
+        self._looked = looked
+        self.visited: list[str] = []
+        self.to_change: list[list[str]] = []
+        self.places: list[Place] = []
+
+    def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
+        self.visited.append(point.name)
+        self.to_change.append(list(to_change))
+        self.places.append(place)
+        said = self._arranged.pop(0) if self._arranged else Say.GO
+        return Arranged(said) if isinstance(said, Say) else said
+
+    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
+        super().look(point, watches, reading, outlier)
+        return self._looked(reading)
+
+    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
+        return self._judged.pop(0) if self._judged else Say.GO
+
+    def trouble(self, text: str) -> Say:
+        super().trouble(text)
+        return self._troubled.pop(0) if self._troubled else Say.GO

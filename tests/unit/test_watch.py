@@ -1,0 +1,83 @@
+"""What a person is shown while a point is read: outliers, doubts, and nothing where all is well."""
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.terminal import histogram
+from msp_range.characterise.watch import FIRST_LOOK, Outlier, Watch
+from msp_range.reading import Reading, Status
+
+
+def reading(reading_cm: int) -> Reading:
+    if reading_cm == 765:
+        return Reading(0.0, "a", Status.NO_ECHO, raw=765)
+    return Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm, suspect=reading_cm == 255)
+
+
+def watched(*readings_cm: int, expected_cm: float = 120.0) -> tuple[Watch, list[Outlier]]:
+    watch = Watch("a", (expected_cm, expected_cm))
+    return watch, [found for each in readings_cm if (found := watch.take(reading(each))) is not None]
+
+
+def test_quiet_readings_raise_no_doubt() -> None:
+    watch, found = watched(*np.rint(np.random.default_rng(1).normal(120.0, 0.5, 500)).astype(int).tolist())
+    assert (found, watch.doubts()) == ([], [])
+    assert watch.median_cm == 120
+
+
+def test_noise_is_not_called_outliers() -> None:
+    watch, found = watched(*np.rint(np.random.default_rng(2).normal(300.0, 8.0, 2000)).astype(int).tolist())
+    assert len(found) <= 2
+    assert watch.median_cm == pytest.approx(300, abs=1)
+
+
+def test_an_outlier_is_flagged_as_it_comes() -> None:
+    _, found = watched(*[120] * FIRST_LOOK, 187, 64, 255)
+    assert [(each.number, each.reading_cm) for each in found] == [(9, 187), (10, 64), (11, 255)]
+    assert [each.why for each in found] == [
+        "67 cm longer than the others",
+        "56 cm shorter than the others",
+        "a missed echo that came as 255, or something there",
+    ]
+
+
+def test_255_at_255_is_no_outlier() -> None:
+    _, found = watched(*[255] * 50, expected_cm=255.0)
+    assert found == []
+
+
+def test_missed_echoes_and_faults_are_counted_apart() -> None:
+    watch, _ = watched(*[120] * 20, 765, 765)
+    watch.take(Reading(0.0, "a", Status.CLOCK_FAULT, raw=0x8000 | 120))
+    watch.take(Reading(0.0, "a", Status.NO_ANSWER))
+    assert (watch.read, watch.no_echo, watch.failed.total()) == (22, 2, 2)
+    assert watch.doubts() == [
+        "a: no echo in 2 of 22 readings",
+        "a: 1 pings without a usable answer (clock_fault), asked again",
+        "a: 1 pings without a usable answer (no_answer), asked again",
+    ]
+
+
+@pytest.mark.parametrize(("read_cm", "doubted"), [(120, False), (128, False), (131, True), (107, True)])
+def test_a_median_that_does_not_fit_the_reference(read_cm: int, doubted: bool) -> None:
+    watch, _ = watched(*[read_cm] * 10)
+    assert any("the reference says 120 cm" in doubt for doubt in watch.doubts()) == doubted
+
+
+def test_beyond_the_beam_nothing_is_said_of_the_reference() -> None:
+    watch, _ = watched(*[765] * 30, 400, 401)
+    assert not any("reference" in doubt for doubt in watch.doubts())
+
+
+@pytest.mark.parametrize("values", [[5], [5, 6], [5, 5, 9], [1, 2, 3, 4], [7, 7, 8, 8], [1, 1, 1, 9, 9, 9]])
+def test_median_of_counts(values: list[int]) -> None:
+    watch, _ = watched(*[each + 100 for each in values])
+    assert watch.median_cm == np.median(values) + 100
+
+
+def test_the_histogram_has_a_line_for_each_centimetre_and_one_for_the_rest() -> None:
+    watch, _ = watched(*[120] * 30, *[122] * 4, 60, 400, 765)
+    labels = [cell.plain.strip() for cell in histogram(watch).columns[0].cells]  # type: ignore[union-attr]
+    counts = [cell.plain for cell in histogram(watch).columns[2].cells]  # type: ignore[union-attr]
+    assert labels == ["shorter", "120 cm", "121 cm", "122 cm", "longer", "no echo"]
+    assert counts == ["1", "30", "0", "4", "1", "1"]
