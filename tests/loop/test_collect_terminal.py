@@ -79,12 +79,13 @@ def test_one_who_only_presses_enter_gets_the_plan(tmp_path: Path) -> None:
 def test_what_is_measured_otherwise_holds_until_the_plan_changes(tmp_path: Path) -> None:
     bench = Bench(
         tmp_path,
-        condition(ranges_cm=[60, 120]),
+        condition(ranges_cm=[60, 90, 120]),
         condition(condition="shaken", ranges_cm=[120], vibrations_hz=[60]),
-        answers=["19.5", "range=60.4", "range=119.7 humidity=45", "air=20.5"],
+        answers=["19.5", "range=60.4", "", "range=119.7 humidity=45", "air=20.5"],
     )
     rows = bench.go()
     assert values(rows, "true_range_cm", "baseline-60cm") == {"60.4"}
+    assert values(rows, "true_range_cm", "baseline-90cm") == {"90"}, "it has moved, and the plan is believed again"
     assert values(rows, "true_range_cm", "baseline-120cm") == {"119.7"}
     assert values(rows, "true_range_cm", "shaken-120cm") == {"119.7"}, "the target has not moved"
     assert values(rows, "air_temperature_c", "baseline-60cm") == {"19.5"}
