@@ -292,9 +292,7 @@ def export(
 @tell_mistakes
 def collect(
     campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
-    out: Annotated[
-        Path, typer.Option(help="folder for recordings and table; what is there already is gone on with")
-    ],
+    out: Annotated[Path, typer.Option(help="folder for recordings and table; what is there already is gone on with")],
     bus: BusOption = "1",
     only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
     repeat: Annotated[

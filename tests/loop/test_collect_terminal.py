@@ -85,7 +85,7 @@ def test_what_is_measured_otherwise_holds_until_the_plan_changes(tmp_path: Path)
     )
     rows = bench.go()
     assert values(rows, "true_range_cm", "baseline-60cm") == {"60.4"}
-    assert values(rows, "true_range_cm", "baseline-90cm") == {"90"}, "it has moved, and the plan is believed again"
+    assert values(rows, "true_range_cm", "baseline-90cm") == {"90.0"}, "it has moved, and the plan is believed again"
     assert values(rows, "true_range_cm", "baseline-120cm") == {"119.7"}
     assert values(rows, "true_range_cm", "shaken-120cm") == {"119.7"}, "the target has not moved"
     assert values(rows, "air_temperature_c", "baseline-60cm") == {"19.5"}
