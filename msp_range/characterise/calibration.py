@@ -139,7 +139,9 @@ def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...],
     """The form whose predictions of what it has not seen are surely better than those of the simpler ones."""
     ranges = np.unique(data.range_cm)
     if ranges.size < LEAST_RANGES:
-        reason = f"{ranges.size} ranges: at least {LEAST_RANGES} are needed to check a calibration on one left out"
+        reason = (
+            f"found {ranges.size} range{'s'[: ranges.size - 1]}, expected {LEAST_RANGES} to check it on one left out"
+        )
         return "none", (), reason, ()
     pieces = [count for count in range(2, MOST_PIECES + 1) if ranges.size >= RANGES_A_PIECE * count]
     by_run = _has_runs(data)

@@ -21,12 +21,8 @@ from msp_range.characterise.questions import TOPICS, questions
 from msp_range.characterise.temperature import compensation_table, hot_boxes
 from msp_range.correction.calibration import IDENTITY
 from msp_range.correction.calibration import Calibration as Curve
-from msp_range.reading_model.sensor_model import (
-    BreakawayPoint,
-    CalibrationKnot,
-    MixtureParameters,
-    SensorModel,
-)
+from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
+from msp_range.recording.error import RecordingError
 
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments whose readings are of the sensor alone: what calibration and mixture are fitted to."""
@@ -82,6 +78,11 @@ def characterise(
         Standard deviation of an error that the reference may have at all ranges alike [cm]; None: not stated.
     say
         Called with what is being done.
+
+    Raises
+    ------
+    RecordingError
+        Nothing can be found in these readings.
     """
     say("sorting readings into points")
     points = sort_into_points(gathered.data, sensor)
@@ -156,7 +157,14 @@ def characterise(
         heard_on_axis_cm=heard_cm,
         reading_model=fitted.parameters if isinstance(fitted, Fitted) else None,
     )
+    if not asked and not table and all(value is None for value in vars(changes).values()):
+        why = dict.fromkeys([*findings.warnings, *absent.values()])
+        raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
+
+
+def _names(sources: Sequence[Source]) -> str:
+    return ", ".join(source.name for source in sources)
 
 
 def _curve(calibration: Calibration | None) -> Curve:

@@ -103,6 +103,9 @@ class ColumnMap(Part):
     codes: Codes = Codes()
     """Readings that are no distance."""
 
+    leave_out: dict[str, tuple[float, ...]] = Field(default_factory=dict)
+    """Column of the CSV form -> values whose rows are not used."""
+
     delimiter: str = Field(",", min_length=1, max_length=1)
     """Between the cells."""
 
@@ -195,7 +198,12 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
         joined[name] = np.concatenate(pieces)
     joined.setdefault("time_s", np.arange(float(sum(sizes))))
     joined.setdefault("sensor", np.full(sum(sizes), path.name.split(".")[0]))
-    return MeasuredData(joined)
+    data = MeasuredData(joined)
+    for name, values in column_map.leave_out.items():
+        if name not in data:
+            raise RecordingError(f"{path}: the map leaves out rows by {name}, which it does not say where to find")
+        data = data.select(~np.isin(data[name], values))
+    return data
 
 
 def _table(path: Path, delimiter: str) -> tuple[list[str], list[list[str]], list[int]]:

@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
+from scipy.special import xlogy
 
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.acoustics.slant import slant_range
@@ -177,33 +179,42 @@ def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle 
 
 
 def _side(points: Sequence[AnglePoint]) -> Estimate | None:
-    """Last reliable angle of one side, from the last that surely is to the first that surely is not."""
+    """Last reliable angle of one side; between the ends of its interval echoes stop coming."""
     by_angle: dict[float, list[AnglePoint]] = {}
     for point in points:
         by_angle.setdefault(abs(point.incidence_deg), []).append(point)
     if len(by_angle) < 2:
         return None
     angles = sorted(by_angle)
-    shares = []
-    for angle in angles:
-        wall = sum(round(each.reliable.value * each.readings) for each in by_angle[angle])
-        shares.append(share(wall, sum(each.readings for each in by_angle[angle])))
-
-    def until(reliable: Sequence[bool]) -> int:
-        """How many of the angles, from 0 on, are reliable without a gap."""
-        return next((i for i, each in enumerate(reliable) if not each), len(angles))
-
-    last = until([each.value >= RELIABLE_SHARE for each in shares])
-    surely = until([(each.low or 0.0) >= RELIABLE_SHARE for each in shares])
-    maybe = until([(each.high or 0.0) >= RELIABLE_SHARE for each in shares])
+    readings = np.array([sum(each.readings for each in by_angle[angle]) for angle in angles])
+    of_wall = np.array([sum(each.reliable.value * each.readings for each in by_angle[angle]) for angle in angles])
+    is_reliable = of_wall / readings >= RELIABLE_SHARE
+    last = len(angles) if is_reliable.all() else int(is_reliable.argmin())
+    steps = _likely_steps(np.rint(of_wall), readings)
+    first, after = min(last, steps[0]), max(last, steps[-1])
     return Estimate(
         angles[last - 1] if last else 0.0,
-        angles[surely - 1] if surely else 0.0,
-        angles[maybe] if maybe < len(angles) else None,
+        angles[first - 1] if first else 0.0,
+        angles[after] if after < len(angles) else None,
         "deg",
-        len(points),
-        "points",
+        int(readings.sum()),
     )
+
+
+def _likely_steps(of_wall: NDArray[np.float64], readings: NDArray[np.int64]) -> list[int]:
+    """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
+
+    Those whose binomial likelihood, with one share before and one behind, is not surely below the best: 1.92 of its
+    logarithm.
+    """
+    log_likelihood = []
+    for count in range(readings.size + 1):
+        total = 0.0
+        for part, least, most in ((slice(None, count), RELIABLE_SHARE, 1.0), (slice(count, None), 0.0, RELIABLE_SHARE)):
+            share = min(max(of_wall[part].sum() / max(readings[part].sum(), 1), least), most)
+            total += float((xlogy(of_wall[part], share) + xlogy(readings[part] - of_wall[part], 1.0 - share)).sum())
+        log_likelihood.append(total)
+    return [count for count, each in enumerate(log_likelihood) if each >= max(log_likelihood) - 1.92]
 
 
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:

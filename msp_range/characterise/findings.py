@@ -325,8 +325,9 @@ class BreakawayAngle:
     Attributes
     ----------
     negative, positive
-        Each side's last reliable angle, as a positive number [deg]. From it up to the next one that was tried the
-        breakaway may lie, so the interval's upper end is that one; None where none larger was tried.
+        Each side's last reliable angle, as a positive number [deg]; the breakaway lies between it and the next one that
+        was tried. The interval goes from the last angle before a likely step in the share of readings of the wall to
+        the first one behind (profile of the binomial likelihood); its upper end is None where that was not tried.
     half_angle
         The smaller side's, which the model file gets.
     report_deg
