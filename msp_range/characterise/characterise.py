@@ -158,7 +158,7 @@ def characterise(
         reading_model=fitted.parameters if isinstance(fitted, Fitted) else None,
     )
     if not asked and not table and all(value is None for value in vars(changes).values()):
-        why = dict.fromkeys([*findings.warnings, *absent.values()])
+        why = [*findings.warnings, absent.get("calibration", "no calibration")]
         raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
 

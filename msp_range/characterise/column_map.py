@@ -106,6 +106,9 @@ class ColumnMap(Part):
     leave_out: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     """Column of the CSV form -> values whose rows are not used."""
 
+    note: str = ""
+    """What to know before numbers from these data are used."""
+
     delimiter: str = Field(",", min_length=1, max_length=1)
     """Between the cells."""
 

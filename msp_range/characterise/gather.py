@@ -67,6 +67,8 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
     name = ", ".join(str(path) for path in paths)
     data, warnings = _within_limits(data, sensor)
     _check(name, data, sensor)
+    if column_map is not None and column_map.note:
+        warnings.insert(0, column_map.note)
     return Gathered(data, tuple(sources), tuple(warnings))
 
 

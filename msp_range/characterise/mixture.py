@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.characterise.findings import Estimate, Mixture, MixtureParameter
 from msp_range.characterise.points import PointReadings
@@ -17,8 +18,9 @@ from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit
 from msp_range.reading_model.fit_result import FitError, FitResult
 from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit
-from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
+from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
 
 UNIT = {
     "sigma_cm": "cm",
@@ -81,7 +83,7 @@ def fit_mixture(
         log_likelihood=result.log_likelihood,
         pit_counts=good.pit_histogram,
         pit_p_value=good.chi_square_p_value,
-        conditional=_conditional(result),
+        conditional=_conditional(result, expected_cm),
         notes=tuple(notes),
     )
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
@@ -107,7 +109,7 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters) -> Mixtu
     return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started)
 
 
-def _conditional(result: FitResult) -> str:
+def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     grown = [
         text
         for name, text in (("sigma_growth_cm_per_m", "the spread"), ("max_growth_per_m", "the odds of a missed echo"))
@@ -115,4 +117,16 @@ def _conditional(result: FitResult) -> str:
     ]
     if not result.growth_trials:
         return "not tried: all readings are of one range"
-    return f"{' and '.join(grown)} grow with range (by BIC)" if grown else "nothing grows with range (by BIC)"
+    if not grown:
+        return "nothing depends on range (by BIC)"
+    told = f"{' and '.join(grown)} depend on range (by BIC)"
+    if "max_growth_per_m" not in result.estimates:
+        return told
+    weights = result.parameters.weights
+    model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
+    missed = float(np.mean(model.max_weight(expected_cm)))
+    shares = {
+        name: getattr(weights, name) * (1.0 - missed) / (1.0 - weights.max) for name in ("hit", "unexpected", "random")
+    }
+    shown = ", ".join(f"{name} {share:.4f}" for name, share in (shares | {"max": missed}).items())
+    return f"{told}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

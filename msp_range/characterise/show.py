@@ -54,7 +54,8 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str, str]]:
         )
     if findings.mixture is not None:
         shown = ", ".join(f"{each.name} {each.fitted.value:.3g}" for each in findings.mixture.parameters)
-        yield "mixture", f"{shown}; p of the fit {findings.mixture.pit_p_value:.2g}", ""
+        fits = f"p of the fit {findings.mixture.pit_p_value:.2g}"
+        yield "mixture", f"{shown}; {findings.mixture.conditional}; {fits}", ""
     view = findings.field_of_view
     if view is not None:
         for angle in view.angles:
