@@ -139,6 +139,8 @@ def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
     labels = [str(handle.get_label()) for handle in handles]
+    if not labels:
+        return
     columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
     # As few columns as the same number of lines needs.
     columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
@@ -166,3 +168,14 @@ def edges_between(centres: list[float]) -> list[float]:
         return [centres[0] - half, centres[0] + half]
     inner = [(left + right) / 2.0 for left, right in itertools.pairwise(centres)]
     return [2.0 * centres[0] - inner[0], *inner, 2.0 * centres[-1] - inner[-1]]
+
+
+def p_text(p_value: float) -> str:
+    """A p-value in words that a reader trusts: no zero, no needless digits.
+
+    Examples
+    --------
+    >>> p_text(0.4123), p_text(0.0), p_text(3.2e-5)
+    ('0.41', 'below 1e-12', '3.2e-05')
+    """
+    return "below 1e-12" if p_value < 1e-12 else f"{p_value:.2g}"

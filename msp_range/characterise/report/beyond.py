@@ -13,6 +13,7 @@ from msp_range.characterise.report.draw.beam import Beam, BeamRow, draw_beam
 from msp_range.characterise.report.draw.mixture import draw_pit
 from msp_range.characterise.report.draw.questions import Row, Size, draw_questions
 from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence
+from msp_range.page.style import p_text
 
 QUESTION_NAMES = {
     "material": "material",
@@ -103,7 +104,7 @@ def _pit(findings: Findings, rows: Rows) -> Drawn:
         raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
     caption = (
         "Where the model is right the bars are level. A slope is a bias, a bowl too small a spread, a hump too large a "
-        f"one. p = {found.pit_p_value:.2g} over {found.readings:,} readings."
+        f"one. Of uniform, p: {p_text(found.pit_p_value)}, over {found.readings:,} readings."
     )
     return Drawn(draw_pit(np.array(found.pit_counts, dtype=np.float64), found.pit_p_value), caption, "PIT histogram.")
 

@@ -10,7 +10,7 @@ from msp_range.characterise.findings import BreakawayAngle, Estimate, Findings
 from msp_range.characterise.report.draw.beam import Sweep, draw_sweep
 from msp_range.characterise.report.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_range.characterise.report.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, plus, sentence, summary
+from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, minus, plus, sentence, summary
 from msp_range.reading_model.mixture import ReadingModel
 
 Entry = tuple[str, str, Maker]
@@ -96,6 +96,8 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
     fixed = _fixed_range(rows)
     if masked and not fixed.kept_cm.size:
         raise Absent(f"All {fixed.reading_cm.size:,} readings at {fixed.true_range_cm:g} cm are codes for no echo.")
+    if not np.any(np.isfinite(fixed.reading_cm)):
+        raise Absent(f"None of the {fixed.reading_cm.size:,} pings at {fixed.true_range_cm:g} cm was answered.")
     found = findings.maximum_range
     share = 100.0 * np.count_nonzero(fixed.missed) / fixed.reading_cm.size
     if kind == "in order":
@@ -329,15 +331,22 @@ def _file_word(word: str) -> str:
 
 
 def interval(estimate: Estimate) -> str:
-    """A number with its 95 % interval and unit."""
-    reach = [abs(end - estimate.value) for end in (estimate.low, estimate.high) if end is not None]
-    digits = 2
-    if reach and max(reach) > 0.0:
-        digits = int(min(max(1 - np.floor(np.log10(max(reach))), 0), 4))
+    """A number with its 95 % interval and unit.
+
+    Examples
+    --------
+    >>> interval(Estimate(-1.387, -1.57, -1.2, "cm", 12)), interval(Estimate(503.0, 503.0, 503.0, "cm", 9))
+    ('−1.39 (−1.57 to −1.20) cm', '503 cm')
+    """
+    ends = [end for end in (estimate.low, estimate.high) if end is not None]
+    reach = max([abs(end - estimate.value) for end in ends], default=0.0)
     unit = f" {estimate.unit}" if estimate.unit else ""
+    if reach == 0.0:
+        return minus(f"{estimate.value:.6g}{unit}")
+    digits = int(min(max(1 - np.floor(np.log10(reach)), 0), 6))
     low = "?" if estimate.low is None else f"{estimate.low:.{digits}f}"
     high = "?" if estimate.high is None else f"{estimate.high:.{digits}f}"
-    return f"{estimate.value:.{digits}f} ({low} to {high}){unit}".replace("-", "−")
+    return minus(f"{estimate.value:.{digits}f} ({low} to {high}){unit}")
 
 
 def half_interval(estimate: Estimate) -> str:

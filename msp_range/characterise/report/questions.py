@@ -3,6 +3,7 @@
 from msp_range.characterise.findings import Effect, Estimate, Findings, Point
 from msp_range.characterise.report.chapter4 import interval
 from msp_range.page.page import Table
+from msp_range.page.style import p_text
 
 METRICS = {
     "bias": "mean error, difference",
@@ -58,8 +59,8 @@ def _numbers(effect: Effect) -> tuple[str, str, str, str, str]:
         "–" if effect.estimate is None else interval(effect.estimate),
         bound,
         "–" if smallest is None else f"{smallest:.2g}" if is_ratio else f"±{smallest:.2g} cm",
-        "–" if effect.p_value is None else f"{effect.p_value:.2g}",
-        "–" if effect.p_adjusted is None else f"{effect.p_adjusted:.2g}",
+        "–" if effect.p_value is None else p_text(effect.p_value),
+        "–" if effect.p_adjusted is None else p_text(effect.p_adjusted),
     )
 
 

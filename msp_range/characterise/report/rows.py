@@ -4,6 +4,7 @@ Measured data and the sensor model enter; arrays for the drawing functions leave
 page prints in the picture's place.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -160,22 +161,33 @@ def summary(errors: Errors) -> str:
     text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
     if heard.size:
         text += (
-            f"; median error {plus(float(np.median(heard)))} cm, 95 % of the others from "
+            f"; {'of the rest ' if missed else ''}median error {plus(float(np.median(heard)))} cm, 95 % from "
             f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
         )
     return text + "."
 
 
 def sentence(text: str) -> str:
-    """A text that begins with a capital and ends with a full stop.
+    """A text that begins with a capital and ends with a full stop, its minus signs as long as its plus signs.
 
     Examples
     --------
     >>> sentence("nothing grows with range"), sentence("Said."), sentence("")
     ('Nothing grows with range.', 'Said.', '')
     """
-    text = text.strip()
+    text = minus(text.strip())
     return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".?!" else ".")
+
+
+def minus(text: str) -> str:
+    """A text whose hyphens before numbers are minus signs.
+
+    Examples
+    --------
+    >>> minus("-1.39 cm (-1.57 to -1.20), 40-60 cm")
+    '−1.39 cm (−1.57 to −1.20), 40-60 cm'
+    """
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
 
 
 def plus(number: float, digits: int = 1) -> str:

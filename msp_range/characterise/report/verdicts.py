@@ -12,10 +12,20 @@ from msp_range.acoustics.sonar import STEP_DEG
 from msp_range.characterise.findings import Estimate, Findings, Question, Verdict
 from msp_range.characterise.report.chapter4 import half_interval, interval
 from msp_range.characterise.report.chapter5 import REPORT_TABLE_5_1
-from msp_range.characterise.report.rows import plus
+from msp_range.characterise.report.rows import minus, plus, sentence
+from msp_range.page.style import p_text
 
 Kind = Literal["yes", "no", "open"]
 """Of a mark: something to look at, nothing to look at, not known."""
+
+_NAMES = {
+    "bias": "mean error",
+    "spread": "spread ×",
+    "missed": "odds of a missed echo ×",
+    "outliers": "odds of an outlier ×",
+}
+
+_AIR = {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}
 
 _MARKS: dict[Verdict, Kind] = {"matters": "yes", "does not matter": "no", "cannot tell": "open"}
 
@@ -37,7 +47,7 @@ def conclusions(findings: Findings) -> list[Conclusion]:
         *_accuracy(findings),
         *_maximum_range(findings),
         *_beam(findings),
-        *(_question(each) for each in findings.questions),
+        *_questions(findings),
         *_boxes(findings),
         *_compensation(findings),
         *_mixture(findings),
@@ -61,7 +71,7 @@ def _accuracy(findings: Findings) -> Iterator[Conclusion]:
         kept = calibration.form != "none"
         yield Conclusion(
             "Calibration",
-            f"{calibration.form}: {calibration.reason}",
+            sentence(calibration.reason),
             "–",
             "yes" if kept else "no",
             "kept" if kept else "none needed",
@@ -108,7 +118,7 @@ def _beam(findings: Findings) -> Iterator[Conclusion]:
         ]
         yield Conclusion(
             "Sonar equation",
-            f"misses the measured angles by at most {max(misses):.1f}°; {sonar.note}",
+            f"misses the measured angles by at most {max(misses):.1f}°; {minus(sonar.note)}",
             "–",
             "no" if sonar.within_a_step else "yes",
             "within a step" if sonar.within_a_step else "does not fit",
@@ -127,22 +137,49 @@ def _kind(word: str) -> Kind:
     return "yes" if word == "yes" else "no" if word == "no" else "open"
 
 
-def _question(question: Question) -> Conclusion:
-    return Conclusion(question.question, question.answer, question.report, _MARKS[question.verdict], question.verdict)
+def _questions(findings: Findings) -> Iterator[Conclusion]:
+    """A line each; what several have in common is said in the first."""
+    before = ""
+    for question in findings.questions:
+        is_first = question.name != before
+        before = question.name
+        yield Conclusion(
+            question.question if is_first else "",
+            _sizes(question),
+            sentence(question.report) if is_first else "",
+            _MARKS[question.verdict],
+            question.verdict,
+        )
+
+
+def _sizes(question: Question) -> str:
+    """The mean error's effect, the others that matter, and for an open question what would have been seen."""
+    sensor = f", {question.sensor}" if question.sensor else ""
+    parts = []
+    for effect in question.effects:
+        if effect.estimate is None or (effect.metric != "bias" and effect.verdict == "does not matter"):
+            continue
+        part = f"{_NAMES[effect.metric]} {interval(effect.estimate)}"
+        if effect.verdict == "cannot tell" and effect.smallest_detectable is not None:
+            unit = " cm" if effect.metric == "bias" else ""
+            part += f", could have seen {effect.smallest_detectable:.2g}{unit}"
+        parts.append(part)
+    compared = f"{question.level} against {question.reference}{sensor}"
+    return f"{compared}: {'; '.join(parts)}" if parts else compared
 
 
 def _boxes(findings: Findings) -> Iterator[Conclusion]:
     for box in findings.hot_boxes:
         shifts = [row.shift.value for row in box.rows]
-        hot = box.box_c > box.room_c
+        is_hot = box.box_c > box.room_c
         yield Conclusion(
             f"Air of {box.box_c:.0f} °C at the sensor",
-            f"{box.answer} Shifts of {plus(min(shifts))} to {plus(max(shifts))} cm",
-            "1 to 2 cm, and not 4.4 % of the range (which it took for 30 %)" if hot else "readings somewhat too far",
+            f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm; compensation would have to be "
+            f"{interval(box.per_cent)} of range and is {plus(box.uniform_per_cent)} % for such air all the way; "
+            f"{interval(box.depth)} of such air explain it",
+            "1 to 2 cm, and not 4.4 % of the range (which it took for 30 %)" if is_hot else "readings somewhat too far",
             "open" if box.best == "none" else "yes",
-            {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}[
-                box.best
-            ],
+            _AIR[box.best],
         )
 
 
@@ -177,8 +214,8 @@ def _mixture(findings: Findings) -> Iterator[Conclusion]:
     fits = found.pit_p_value >= 0.05
     yield Conclusion(
         "Mixture of the readings",
-        f"{shown}{sigma}",
+        f"{shown}{sigma}; of the fit, p: {p_text(found.pit_p_value)}",
         "not fitted: its quiet room showed hits and missed echoes only",
         "no" if fits else "yes",
-        "fits" if fits else f"does not fit, p = {found.pit_p_value:.1g}",
+        "fits" if fits else "does not fit",
     )

@@ -11,13 +11,19 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from msp_range.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note
+from msp_range.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
 
 _Array = NDArray[np.float64]
 
 KINDS = ("hit", "unexpected", "max", "random")
 
 _LOOKS = {"hit": (OURS, "-"), "unexpected": (ORANGE, "--"), "max": (PURPLE, "-"), "random": (GREEN, "-.")}
+
+NO_WEIGHT = 1e-7
+"""A smaller weight is that of a kind that was not seen."""
+
+SINGLE_CM = 25.0
+"""This near to the expected reading each centimetre is shown by itself [cm]."""
 
 _READ: dict[str, Any] = {
     "linestyle": "none",
@@ -81,6 +87,8 @@ def draw_unexpected(densities: Densities) -> Figure:
     # Where the hits begin nothing else can be told from them.
     hits = _bulk(densities.density["hit"], 1e-7)
     _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "unexpected")
+    if densities.weight["unexpected"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(0.0, (0.5 + densities.true_range_cm) * 1.06)
     return _finish(figure, axes, "probability of a centimetre")
@@ -143,6 +151,8 @@ def draw_random(densities: Densities) -> Figure:
     # Beyond the hits only random readings and codes are left.
     hits = _bulk(densities.density["hit"], 1e-7)
     _binned(axes, densities, (k > k[hits][-1]) & (k < k[-1]), "random")
+    if densities.weight["random"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
     for edge, side in ((k[0], "right"), (k[-1], "left")):
         axes.annotate(
             f"{edge:g} cm",
@@ -179,7 +189,7 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
     least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
     if densities.counts is not None:
         n = float(np.sum(densities.counts))
-        single = _bulk(densities.density["hit"], 1e-6) | is_code
+        single = (np.abs(k - densities.true_range_cm) <= SINGLE_CM) | is_code
         _dots(axes, k[single], densities.counts[single] / n, densities.counts[single], n, f"read ({n:,.0f} readings)")
         # Rare readings in bins: a centimetre that was read once says less than it seems to.
         for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
@@ -241,7 +251,7 @@ def draw_pit(counts: _Array, p_value: float) -> Figure:
     axes.set_xlabel("probability that the fitted model gives to a smaller reading (randomised within a centimetre)")
     axes.set_ylabel("readings more than expected [%]")
     axes.grid(axis="x", visible=False)
-    note(axes, f"p of uniform = {p_value:.2g}")
+    note(axes, f"p of uniform: {p_text(p_value)}")
     legend_below(figure)
     return figure
 
@@ -294,7 +304,7 @@ def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: st
     where = where & (parts["max"] == 0.0)
     n, weight = float(np.sum(densities.counts)), densities.weight[kind]
     places = np.flatnonzero(where)
-    if places.size < 2 or weight <= 0.0:
+    if places.size < 2 or weight < NO_WEIGHT:
         return
     shown = False
     for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
@@ -324,4 +334,5 @@ def _share_interval(count: float, total: float) -> tuple[float, float]:
     share = count / total
     centre = (share + z2 / (2 * total)) / (1 + z2 / total)
     half = np.sqrt(share * (1 - share) / total + z2 / (4 * total**2)) * 1.96 / (1 + z2 / total)
-    return max(float(centre - half), 0.0), min(float(centre + half), 1.0)
+    # Rounding may put an end on the wrong side of the share itself.
+    return max(min(float(centre - half), share), 0.0), min(max(float(centre + half), share), 1.0)
