@@ -6,6 +6,7 @@ import numpy as np
 
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_range.characterise.findings import Findings, Question
+from msp_range.characterise.questions import SHARE_BOUND
 from msp_range.characterise.report.chapter4 import Entry, interval
 from msp_range.characterise.report.chapter5 import draw_whole_mixture
 from msp_range.characterise.report.draw.accuracy import BoxOfAir, Linearity, draw_boxes, draw_linearity
@@ -61,7 +62,8 @@ def questions(findings: Findings, rows: Rows) -> Drawn:
     caption = (
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
         "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
-        "number of questions (Holm). No bars: not known. An arrow: the interval goes on."
+        f"number of questions (Holm). Missed readings and outliers that change by less than {SHARE_BOUND:.0%} of all "
+        "readings also count as too small, whatever their odds. No bars: not known. An arrow: the interval goes on."
     )
     return Drawn(draw_questions(shown), caption, "Effect sizes of every question with their intervals.")
 

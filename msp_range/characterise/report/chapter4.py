@@ -6,27 +6,29 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.characterise.field_of_view import REPORT_DEG
 from msp_range.characterise.findings import BreakawayAngle, Estimate, Findings
 from msp_range.characterise.report.draw.beam import Sweep, draw_sweep
 from msp_range.characterise.report.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_range.characterise.report.draw.readings import FixedRange, draw_histogram, draw_in_order
 from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, minus, plus, sentence, summary
+from msp_range.characterise.temperature import REPORT_ROOM_C
 from msp_range.reading_model.mixture import ReadingModel
 
 Entry = tuple[str, str, Maker]
 """Name of the file, title, and what makes the picture."""
 
-REPORT_ANGLES_DEG = {50.0: 23.4, 100.0: 18.0, 150.0: 14.4, 200.0: 12.6}
-"""Report 4.3.3: perpendicular distance [cm] -> breakaway angle [deg]; figures 4.9 to 4.12 in this order."""
+REPORT_SENSOR = "MB1242"
+"""What the report measured: its numbers are no expectation for anything else."""
 
 REPORT_MATERIALS = ("plywood", "asphalt", "concrete")
 """Report 4.3.4: figures 4.13 to 4.15 in this order."""
 
-ROOM_C = 21.1
-"""The report's room, 70 deg F (4.3.5) [deg C]."""
+MOST_LEVELS = 5
+"""Panels that a picture has room for."""
 
 NEAR_ROOM_C = 5.0
-"""Air this near to it counts as room temperature; the report's cold is 8.3, its hot 46.1 [deg C]."""
+"""Air this near to the report's room counts as room temperature; the report's cold is 8.3, its hot 46.1 [deg C]."""
 
 
 def entries(rows: Rows) -> Iterator[Entry]:
@@ -42,7 +44,7 @@ def entries(rows: Rows) -> Iterator[Entry]:
         without = ", missed reports masked" if masked else ""
         name = f"figure_4_{number:02d}_maximum_range"
         yield name, f"Figure 4.{number}: {what}{without}", partial(_maximum_range, masked=masked, kind=kind)
-    for number, range_cm in enumerate(REPORT_ANGLES_DEG, start=9):
+    for number, range_cm in enumerate(REPORT_DEG, start=9):
         name = f"figure_4_{number:02d}_field_of_view_{range_cm:g}cm"
         yield name, f"Figure 4.{number}: field of view at {range_cm:g} cm", partial(_field_of_view, range_cm=range_cm)
     for range_cm in _other_sweeps(rows):
@@ -65,11 +67,13 @@ def entries(rows: Rows) -> Iterator[Entry]:
     ):
         title = f"Figure 4.{number}: range error, two sensors, {how} transmission"
         yield f"figure_4_{number}_{how}", title, partial(_crosstalk, condition=condition)
+    yield "section_4_3_8_external", "Section 4.3.8: range error, external ultrasound", _external
 
 
 def _baseline(findings: Findings, rows: Rows) -> Drawn:
     errors = rows.errors(rows.of("baseline"))
-    figure = draw_errors([errors], ErrorAxes(band_cm=1.0, band_label="the report's largest error, ±1 cm"))
+    axes = ErrorAxes(band_cm=1.0, band_label="the report's largest error, ±1 cm")
+    figure = draw_errors([errors], axes if findings.sensor == REPORT_SENSOR else None)
     caption = summary(errors)
     if findings.baseline is not None:
         found = findings.baseline
@@ -150,7 +154,7 @@ def _other_sweeps(rows: Rows) -> list[float]:
         ranges = _sweep_ranges(rows)
     except Absent:
         return []
-    return [float(each) for each in ranges if float(each) not in REPORT_ANGLES_DEG][:8]
+    return [float(each) for each in ranges if float(each) not in REPORT_DEG][:8]
 
 
 def _field_of_view(findings: Findings, rows: Rows, range_cm: float) -> Drawn:
@@ -178,13 +182,14 @@ def _field_of_view(findings: Findings, rows: Rows, range_cm: float) -> Drawn:
         angle_deg=np.array([point.incidence_deg for point in points]),
         reliable=np.array([point.reliable.value for point in points]),
         **_sides(angle),
-        report_deg=REPORT_ANGLES_DEG.get(range_cm),
+        report_deg=REPORT_DEG.get(range_cm),
         nearest_half_angle_deg=half_deg,
         stretch=middle.nearest_cm / range_cm,
     )
     caption = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. "
     if angle is not None:
-        caption += f"Breakaway at {half_interval(angle.half_angle)}"
+        none = "not found: no angle is reliable to both sides"
+        caption += f"Breakaway {'at ' + half_interval(angle.half_angle) if half_deg else none}"
         caption += f"; the report: {angle.report_deg:g}°." if angle.report_deg is not None else "."
     else:
         caption += "No breakaway angle could be found."
@@ -199,7 +204,8 @@ def _sides(angle: BreakawayAngle | None) -> dict[str, float | None]:
     """Both sides' last reliable angles, signed, and the next ones that were tried."""
 
     def side(estimate: Estimate | None, sign: float) -> tuple[float | None, float | None]:
-        if estimate is None:
+        # 0 stands for a side on which no angle is reliable.
+        if estimate is None or estimate.value == 0.0:
             return None, None
         end = estimate.high
         return sign * estimate.value, None if end is None or end <= estimate.value else sign * end
@@ -246,9 +252,9 @@ def _temperature(findings: Findings, rows: Rows, kind: str) -> Drawn:
     if not np.any(np.isfinite(air_c[found])):
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
-        "cold": found & (air_c <= ROOM_C - NEAR_ROOM_C),
-        "room": found & (np.abs(air_c - ROOM_C) < NEAR_ROOM_C),
-        "hot": found & (air_c >= ROOM_C + NEAR_ROOM_C),
+        "cold": found & (air_c <= REPORT_ROOM_C - NEAR_ROOM_C),
+        "room": found & (np.abs(air_c - REPORT_ROOM_C) < NEAR_ROOM_C),
+        "hot": found & (air_c >= REPORT_ROOM_C + NEAR_ROOM_C),
     }
     if not np.any(kinds[kind]):
         there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint(air_c[found & np.isfinite(air_c)]))[:8])
@@ -260,7 +266,7 @@ def _temperature(findings: Findings, rows: Rows, kind: str) -> Drawn:
     caption += f", at the target {_span(far_c)} °C. " if np.any(np.isfinite(far_c)) else ". "
     caption += summary(errors)
     for box in findings.hot_boxes:
-        if kind != "room" and (box.box_c > ROOM_C) == (kind == "hot"):
+        if kind != "room" and (box.box_c > REPORT_ROOM_C) == (kind == "hot"):
             caption += f" {sentence(box.answer)}"
     caption += {
         "room": " The report: 70 °F, no errors to speak of.",
@@ -304,6 +310,18 @@ def _crosstalk(findings: Findings, rows: Rows, condition: str) -> Drawn:
         else " The report: the errors go away, at the price of the rate."
     )
     return Drawn(draw_errors(panels), caption, "Range error over true range of two sensors beside each other.")
+
+
+def _external(findings: Findings, rows: Rows) -> Drawn:
+    found = rows.of("external_interference")
+    levels = [str(each) for each in np.unique(rows.level[found])]
+    levels.sort(key=lambda level: (level != "quiet", "frequency" in level, level))
+    panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MOST_LEVELS]]
+    caption = f"{summary(rows.errors(found))} {_answers(findings, 'external_interference', None)}".strip()
+    left_out = len(levels) - len(panels)
+    caption += f" {left_out} more levels are not drawn." if left_out else ""
+    caption += " The report has no figure: its test was inconclusive."
+    return Drawn(draw_errors(panels), caption, "Range error over true range beside an external ultrasonic source.")
 
 
 def _answers(findings: Findings, name: str, level: str | None) -> str:

@@ -22,18 +22,10 @@ from msp_range.characterise.report.draw.mixture import (
     draw_unexpected,
 )
 from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence, summary
+from msp_range.characterise.temperature import REPORT_TABLE
 from msp_range.page.page import Table
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
-
-REPORT_TABLE_5_1 = {
-    305: (1.00, 1.00),
-    335: (2.821, 0.067),
-    366: (2.739, 0.196),
-    396: (2.724, 0.447),
-    427: (4.931, 0.921),
-}
-"""Report Table 5.1: range [cm] -> mean error without and with compensation [cm]."""
 
 _MIXTURE_PARAMETERS = {
     "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
@@ -77,8 +69,8 @@ def _range(findings: Findings, rows: Rows, after: bool) -> Drawn:
     before = rows.errors(found)
     errors = rows.errors(known, reading_cm=_compensated_cm(rows)) if after else before
     everything = [before, rows.errors(known, reading_cm=_compensated_cm(rows))] if np.any(known) else [before]
-    ranges = np.array(sorted(REPORT_TABLE_5_1), dtype=np.float64)
-    report_cm = np.array([REPORT_TABLE_5_1[each][int(after)] for each in sorted(REPORT_TABLE_5_1)])
+    ranges = np.array(sorted(REPORT_TABLE), dtype=np.float64)
+    report_cm = np.array([REPORT_TABLE[each][int(after)] for each in sorted(REPORT_TABLE)])
     low, high = shared_limits_cm(everything)
     limits = min(low, float(np.min(report_cm)) - 0.8), max(high, float(np.max(report_cm)) + 0.8)
     tested = np.unique(before.true_range_cm)
@@ -164,7 +156,7 @@ def _table_picture(findings: Findings, rows: Rows) -> Drawn:
     after = picture.after_cm[np.isfinite(picture.after_cm)]
     caption = f"Mean size of the error of the ranges: {np.mean(np.abs(picture.before_cm)):.2f} cm without compensation"
     caption += f", {np.mean(np.abs(after)):.2f} cm with it." if after.size else "."
-    report = np.array(list(REPORT_TABLE_5_1.values()))
+    report = np.array(list(REPORT_TABLE.values()))
     caption += f" The report's: {np.mean(report[:, 0]):.2f} and {np.mean(report[:, 1]):.2f} cm."
     return Drawn(draw_compensated(picture), caption, "Mean errors by range, without and with compensation.")
 
@@ -199,16 +191,17 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
             rows.model.model_copy(update={"reading_model": rows.model.reading_model.model_copy(update=alone)})
         )
         density[kind] = np.exp(model.log_prob(k, contexts))
-    readings = rows.reading_cm[chosen]
-    readings = readings[np.isfinite(readings)]
-    counts = np.array([np.count_nonzero(readings == each) for each in k], dtype=np.float64)
+    # The model knows whole centimetres within the sensor's limits, and so do the counts.
+    readings = np.rint(rows.reading_cm[chosen])
+    readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
+    counts = np.bincount(readings, minlength=k.size).astype(np.float64)
     peak_cm = float(np.sum(k * density["hit"]))
     fitted = Densities(
         true_range_cm=peak_cm,
         reading_cm=k,
         density=density,
         weight={kind: here if kind == "max" else share * left for kind, share in shares.items()},
-        counts=counts,
+        counts=counts if readings.size else None,
     )
     return fitted, np.exp(whole.log_prob(k, contexts))
 

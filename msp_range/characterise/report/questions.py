@@ -1,13 +1,14 @@
 """Tables of the effects and of every set-up."""
 
 from msp_range.characterise.findings import Effect, Estimate, Findings, Point
+from msp_range.characterise.questions import SHARE_BOUND
 from msp_range.characterise.report.chapter4 import interval
 from msp_range.page.page import Table
 from msp_range.page.style import p_text
 
 METRICS = {
     "bias": "mean error, difference",
-    "spread": "standard deviation, ratio",
+    "spread": "spread, ratio",
     "missed": "missed, odds ratio",
     "outliers": "outliers, odds ratio",
 }
@@ -20,11 +21,12 @@ def effects_table(findings: Findings) -> Table | None:
     """Every effect of every question; None where none was asked."""
     rows = []
     for question in findings.questions:
+        subject = f"{question.name.replace('_', ' ')}: {question.level} against {question.reference}"
+        if question.sensor:
+            subject += f" ({question.sensor})"
         for effect in question.effects:
-            subject = f"{question.name.replace('_', ' ')}: {question.level} against {question.reference}"
-            if question.sensor:
-                subject += f" ({question.sensor})"
             rows.append((subject, METRICS[effect.metric], effect.verdict, *_numbers(effect)))
+            subject = ""
     if not rows:
         return None
     return Table(
@@ -37,21 +39,20 @@ def effects_table(findings: Findings) -> Table | None:
             "effect, 95 % interval",
             "small enough",
             "smallest detectable",
-            "p",
-            "p adjusted",
+            "p, adjusted",
         ),
         rows=tuple(rows),
         caption=(
-            "No effect is a difference of 0 or a ratio of 1. Adjusted: Holm over all effects. 'Matters': there is an "
-            "effect by the adjusted p, and it may be larger than what is small enough. 'Does not matter': the 90 % "
-            "interval lies within that (two one-sided tests). Smallest detectable: in 80 % of cases, at the adjusted "
-            "level."
+            "No effect is a difference of 0 or a ratio of 1. p is adjusted by Holm over all effects. 'Matters': there "
+            "is an effect by it, and it may be larger than what is small enough. 'Does not matter': the 90 % interval "
+            "lies within that (two one-sided tests), or missed readings and outliers change by less than "
+            f"{SHARE_BOUND:.0%} of all readings. Smallest detectable: in 80 % of cases, at the adjusted level."
         ),
         words=3,
     )
 
 
-def _numbers(effect: Effect) -> tuple[str, str, str, str, str]:
+def _numbers(effect: Effect) -> tuple[str, ...]:
     is_ratio = effect.metric != "bias"
     bound = f"{1.0 / effect.bound:.2g} to {effect.bound:.3g}" if is_ratio else f"±{effect.bound:.2g} cm"
     smallest = effect.smallest_detectable
@@ -59,7 +60,6 @@ def _numbers(effect: Effect) -> tuple[str, str, str, str, str]:
         "–" if effect.estimate is None else interval(effect.estimate),
         bound,
         "–" if smallest is None else f"{smallest:.2g}" if is_ratio else f"±{smallest:.2g} cm",
-        "–" if effect.p_value is None else p_text(effect.p_value),
         "–" if effect.p_adjusted is None else p_text(effect.p_adjusted),
     )
 

@@ -31,6 +31,7 @@ CONDITIONS = {
     "vibration": "vibration",
     "crosstalk_simultaneous": "two sensors that ping at once",
     "crosstalk_sequential": "two sensors that ping in turn",
+    "external_interference": "external ultrasound",
     "temperature_compensation": "temperature compensation",
 }
 """Experiments of a campaign by their word in the column `condition`, and how a sentence calls them."""
@@ -94,6 +95,14 @@ class Rows:
         for point in self._points:
             missed[point.rows] = ~point.is_heard
         return missed
+
+    @cached_property
+    def level(self) -> NDArray[np.str_]:
+        """What each row's experiment varies, as a word."""
+        level = np.full(len(self.data), "", dtype="<U48")
+        for point in self._points:
+            level[point.rows] = point.level
+        return level
 
     @cached_property
     def apparent_cm(self) -> _Array:

@@ -10,9 +10,9 @@ from typing import Literal
 
 from msp_range.acoustics.sonar import STEP_DEG
 from msp_range.characterise.findings import Estimate, Findings, Question, Verdict
-from msp_range.characterise.report.chapter4 import half_interval, interval
-from msp_range.characterise.report.chapter5 import REPORT_TABLE_5_1
+from msp_range.characterise.report.chapter4 import REPORT_SENSOR, half_interval, interval
 from msp_range.characterise.report.rows import minus, plus, sentence
+from msp_range.characterise.temperature import REPORT_TABLE
 from msp_range.page.style import p_text
 
 Kind = Literal["yes", "no", "open"]
@@ -57,14 +57,15 @@ def conclusions(findings: Findings) -> list[Conclusion]:
 def _accuracy(findings: Findings) -> Iterator[Conclusion]:
     found = findings.baseline
     if found is not None:
+        is_theirs = findings.sensor == REPORT_SENSOR
         within = abs(found.largest_hit_error_cm) <= found.report_largest_error_cm + 0.5
         yield Conclusion(
             "Accuracy, nothing varied",
             f"largest error of a hit {plus(found.largest_hit_error_cm)} cm; mean {interval(found.bias)}; standard "
             f"deviation {interval(found.spread)}",
             f"largest error {found.report_largest_error_cm:g} cm",
-            "no" if within else "yes",
-            "as the report" if within else "more than the report",
+            "open" if not is_theirs else "no" if within else "yes",
+            "another sensor" if not is_theirs else "as the report" if within else "more than the report",
         )
     calibration = findings.calibration
     if calibration is not None:
@@ -174,9 +175,9 @@ def _boxes(findings: Findings) -> Iterator[Conclusion]:
         is_hot = box.box_c > box.room_c
         yield Conclusion(
             f"Air of {box.box_c:.0f} °C at the sensor",
-            f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm; compensation would have to be "
-            f"{interval(box.per_cent)} of range and is {plus(box.uniform_per_cent)} % for such air all the way; "
-            f"{interval(box.depth)} of such air explain it",
+            f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm: they call for a correction of "
+            f"{interval(box.per_cent)} of range, and not of the {plus(box.uniform_per_cent)} % of such air all over; "
+            f"{interval(box.depth)} of it explain them",
             "1 to 2 cm, and not 4.4 % of the range (which it took for 30 %)" if is_hot else "readings somewhat too far",
             "open" if box.best == "none" else "yes",
             _AIR[box.best],
@@ -189,7 +190,7 @@ def _compensation(findings: Findings) -> Iterator[Conclusion]:
         return
     before = _mean_size([row.uncompensated for row in rows])
     after = _mean_size([row.compensated for row in rows if row.compensated is not None])
-    report = list(REPORT_TABLE_5_1.values())
+    report = list(REPORT_TABLE.values())
     yield Conclusion(
         "Temperature compensation (Table 5.1)",
         f"mean error of the ranges {before:.2f} cm without, {after:.2f} cm with it",

@@ -64,6 +64,7 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         mixture_table=None if findings.mixture is None else chapter5.mixture_table(findings.mixture),
         points=points_table(findings),
         rows_in_all=len(data),
+        report_sensor=chapter4.REPORT_SENSOR,
     )
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,10 @@ from msp_range.page.style import GREEN, GREY, INK, OURS, PALE, PURPLE, REFERENCE
 _Array = NDArray[np.float64]
 
 
+CROWDED = 60
+"""With more points than this they are drawn smaller and paler than the lines."""
+
+
 @dataclass(frozen=True)
 class Linearity:
     """Points' mean readings against the reference.
@@ -55,15 +59,17 @@ def draw_linearity(linearity: Linearity) -> Figure:
     if linearity.reference_std_cm:
         half = 2.0 * linearity.reference_std_cm
         axes.axhspan(-half, half, color=PALE, alpha=0.5, linewidth=0, label="± 2 standard deviations of the reference")
+    is_crowded = true_cm.size > CROWDED
     axes.errorbar(
         true_cm,
         linearity.reading_cm - true_cm,
         yerr=1.96 * linearity.reading_std_cm,
         linestyle="none",
         marker="o",
-        markersize=4.0,
+        markersize=2.0 if is_crowded else 4.0,
         color=OURS,
-        elinewidth=0.9,
+        alpha=0.4 if is_crowded else 1.0,
+        elinewidth=0.5 if is_crowded else 0.9,
         capsize=0,
         label="mean of a point, 95 % by its readings",
         zorder=3,

@@ -79,15 +79,9 @@ def draw_sweep(sweep: Sweep) -> Figure:
 
     _shares(top, sweep, low, high)
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="eq 8: along the axis, r₀ / cos θ", zorder=4)
-    top.plot(
-        np.degrees(theta),
-        nearest_cm,
-        "-",
-        color=GREEN,
-        linewidth=1.3,
-        zorder=4,
-        label=f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°",
-    )
+    if sweep.nearest_half_angle_deg > 0.0:
+        label = f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°"
+        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4, label=label)
     top.set_ylim(low, high)
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))

@@ -139,7 +139,7 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
     if ranges_cm.size <= MOST_RANGES:
         _bars(row, each, ranges_cm, limits_cm, compressed)
     else:
-        _cloud(row, each, limits_cm)
+        _cloud(row, each, limits_cm, compressed)
     for number, line in enumerate(axes.lines):
         colour, dashes = ((REFERENCE, "--"), (SERIES[2][0], "-."), (SERIES[3][0], ":"))[number % 3]
         row.plot(line.range_cm, line.error_cm, dashes, color=colour, label=line.label, zorder=4)
@@ -267,8 +267,8 @@ def _count_above(row: Axes, range_cm: float, count: int, of: int, ranges: int, l
     )
 
 
-def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float]) -> None:
-    """Every reading as a dot, and the mean of what is within the limits in bins of range."""
+def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float], compressed: bool) -> None:
+    """Every reading as a dot, and their mean, or where the axis is compressed their median, in bins of range."""
     low, high = limits_cm
     x, y = each.true_range_cm[~each.missed], each.error_cm[~each.missed]
     row.plot(x, np.clip(y, low, high), ".", color=OURS, markersize=2, alpha=0.35, label="readings", rasterized=True)
@@ -279,19 +279,19 @@ def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float]) -> None:
         index = np.digitize(x, edges) - 1
         kept = [i for i in range(24) if np.count_nonzero(index == i) >= 5]
         centres = [float(np.mean(x[index == i])) for i in kept]
-        means = [float(np.mean(y[index == i])) for i in kept]
+        means = [float(np.median(y[index == i]) if compressed else np.mean(y[index == i])) for i in kept]
         spreads = [1.96 * float(np.std(y[index == i])) / np.sqrt(np.count_nonzero(index == i)) for i in kept]
         row.errorbar(
             centres,
             means,
-            yerr=spreads,
+            yerr=None if compressed else spreads,
             marker="o",
             markersize=4,
             color=INK,
             markerfacecolor="white",
             linewidth=1.0,
             capsize=2,
-            label="mean in bins and its 95 % interval",
+            label="median in bins" if compressed else "mean in bins and its 95 % interval",
             zorder=5,
         )
     missed = int(np.count_nonzero(each.missed))

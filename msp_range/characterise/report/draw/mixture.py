@@ -130,15 +130,15 @@ def draw_max(densities: Densities, codes: dict[float, float]) -> Figure:
         axes.annotate(
             words,
             (value, 100.0 * codes[value]),
-            xytext=(14 * side, 0),
+            xytext=(14 * side, 2),
             textcoords="offset points",
             fontsize=8,
-            va="top",
+            va="bottom",
             ha="right" if side < 0 else "left",
         )
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(0.0, float(k[-1]) * 1.06)
-    axes.margins(y=0.15)
+    axes.margins(y=0.3)
     return _finish(figure, axes, "share of all readings [%]")
 
 
