@@ -22,7 +22,8 @@ SHARES: dict[Kind, float] = {"null": 0.3, "one": 0.25, "three": 0.1, "unknown": 
 RUNS, ROWS = 40, 100
 """Of a case; half of them choose and fit."""
 
-BASE_RUNS, BASE_ROWS = 120, 250
+BASE_READINGS = 400
+"""At each height of a base."""
 
 TOGETHER = {
     "bias": ("one_hangs_lower", "slow_clock", "air_not_compensated", "one_thermometer_for_the_path", "read_late"),
@@ -147,15 +148,23 @@ def fly_case(case: Case) -> tuple[Columns, Array, list[dict[str, object]]]:
 
 
 def fly_base(seed: int, regime: Regime) -> tuple[Columns, Array]:
-    """Flights with nothing hidden, and the sensor turned before a wall (`condition` field_of_view)."""
+    """What a user characterises: readings on a lift at fixed heights, nothing hidden, and the sensor turned to a wall.
+
+    A height is a run. Only what a bench knows is in the columns.
+    """
     rng = np.random.default_rng((seed, 2, REGIMES.index(regime)))
-    columns = contexts(rng, BASE_RUNS, BASE_ROWS, regime)
-    reading_cm = land(fly(columns, habits(regime), rng), rng)
+    heights_cm = np.arange(50.0, 371.0, 5.0)
+    lifted = contexts(rng, heights_cm.size, BASE_READINGS, regime, step_s=0.1)
+    lifted["true_range_cm"] = np.repeat(heights_cm, BASE_READINGS)
+    lifted["incidence_deg"] = np.zeros(lifted["true_range_cm"].size)
     turned = _turned(rng)
-    wall_cm = land(fly(turned, habits(regime), rng), rng)
-    joined = {name: np.concatenate([columns[name], turned[name]]) for name in columns}
-    joined["condition"] = np.repeat(["flight", "field_of_view"], [reading_cm.size, wall_cm.size])
-    return joined, np.concatenate([reading_cm, wall_cm])
+    readings = [land(fly(lifted, habits(regime), rng), rng), land(fly(turned, habits("iid"), rng), rng)]
+    turned["run"] = np.char.add("wall", turned["true_range_cm"].astype(int).astype(str))
+    known = ("time_s", "sensor", "run", "true_range_cm", "incidence_deg")
+    joined = {name: np.concatenate([lifted[name], turned[name]]) for name in known}
+    joined["sensor"] = np.full(joined["true_range_cm"].size, "front")
+    joined["condition"] = np.repeat(["baseline", "field_of_view"], [each.size for each in readings])
+    return joined, np.concatenate(readings)
 
 
 def _turned(rng: np.random.Generator) -> Columns:
