@@ -19,7 +19,9 @@ PEAK_HALF_CM = 3
 """Readings this near to each other belong to one peak [cm]."""
 LEAST_PEAK = 0.001
 LEAST_READINGS = 10
-"""A peak has this share of all readings, and so many: random ones, spread over the whole range, have far less."""
+BEYOND_CHANCE = 6.0
+"""A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
+evenly over the sensor's range would have."""
 
 
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
@@ -77,6 +79,7 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
     readings = np.rint(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]))
     kept = np.rint(np.concatenate([point.reading_cm[point.is_heard] for point in here]))
     values, counts = np.unique(readings, return_counts=True)
+    span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
     no_echo = int((readings == sensor.maximum_cm).sum())
     return MaximumRange(
         true_range_cm=range_cm,
@@ -84,22 +87,29 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
         histogram=tuple(zip(values.astype(int).tolist(), counts.tolist(), strict=True)),
         no_echo=no_echo,
         saturated=int(readings.size - kept.size) - no_echo,
-        peaks_before=peaks(readings),
-        peaks_after=peaks(kept),
+        peaks_before=peaks(readings, span_cm),
+        peaks_after=peaks(kept, span_cm),
         peak=_mode(kept),
     )
 
 
-def peaks(reading_cm: NDArray[np.float64]) -> tuple[Peak, ...]:
+def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings, the largest first.
 
-    A peak is where the readings within 3 cm hold the most, at least 0.1 % of all and 10; it ends where they hold less
+    A peak is where the readings within 3 cm hold the most, by `LEAST_PEAK` and the like; it ends where they hold less
     than a tenth of its top.
+
+    Parameters
+    ----------
+    reading_cm
+        Readings.
+    span_cm
+        From the sensor's shortest reading to its longest.
 
     Examples
     --------
     >>> readings = np.repeat([502.0, 503.0, 504.0, 765.0], [30, 50, 30, 10])
-    >>> [(peak.reading_cm, round(peak.share, 2)) for peak in peaks(readings)]
+    >>> [(peak.reading_cm, round(peak.share, 2)) for peak in peaks(readings, 745.0)]
     [(503.0, 0.92), (765.0, 0.08)]
     """
     if not reading_cm.size:
@@ -107,11 +117,13 @@ def peaks(reading_cm: NDArray[np.float64]) -> tuple[Peak, ...]:
     first = int(reading_cm.min()) - 2 * PEAK_HALF_CM
     counts = np.bincount(reading_cm.astype(int) - first, minlength=int(np.ptp(reading_cm)) + 4 * PEAK_HALF_CM + 1)
     near = np.convolve(counts, np.ones(2 * PEAK_HALF_CM + 1), "same")
+    evenly = reading_cm.size * (2 * PEAK_HALF_CM + 1) / span_cm
+    least = max(LEAST_PEAK * reading_cm.size, LEAST_READINGS, evenly + BEYOND_CHANCE * math.sqrt(evenly))
     free = np.ones(counts.size, dtype=bool)
     found: list[Peak] = []
     while True:
         top = int(np.where(free, near, -1.0).argmax())
-        if not free[top] or near[top] < max(LEAST_PEAK * reading_cm.size, LEAST_READINGS):
+        if not free[top] or near[top] < least:
             return tuple(sorted(found, key=lambda each: -each.share))
         low = high = top
         while low > 0 and free[low - 1] and near[low - 1] >= 0.1 * near[top]:

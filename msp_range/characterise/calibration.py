@@ -78,7 +78,9 @@ def calibrate(
     line = None
     if ranges.size >= 3:
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
-    form, knots, reason, held_out = _choose(data, sensor)
+    # Set-ups differ by more than chance in the readings; what the line leaves over is added to every point.
+    between_cm2 = 0.0 if line is None else line.between
+    form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2), sensor)
     linearity, by_chance = (None, None) if line is None else _linearity(data, line)
     step_cm = used[0].step_cm
     return Calibration(
@@ -201,11 +203,10 @@ def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
     if pieces == 0:
         return None
     x, y = data.true_cm, data.reading_cm
-    between = fit_points(line_design(x), y, data.variance_cm2).between if np.unique(x).size > 2 else 0.0
     places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
     # Hat functions; the outer ones go on beyond the ends as straight lines.
     design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])
-    root_weight = 1.0 / np.sqrt(data.variance_cm2 + between + 1e-12)
+    root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
     values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
     return places, values.astype(np.float64)
 

@@ -145,7 +145,7 @@ def load_map(options: Sequence[str]) -> ColumnMap:
     >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).places()["reading_cm"].factor
     100.0
     """
-    if len(options) == 1 and "=" not in options[0]:
+    if len(options) == 1 and Path(options[0]).suffix in (".yaml", ".yml"):
         return load(options[0], ColumnMap)
     columns: dict[str, str | int | MappedColumn] = {}
     for option in options:

@@ -104,7 +104,7 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
     if freedom > 0 and fit(0.0)[2] > freedom:
         while fit(high)[2] > freedom:
             high *= 4.0
-        for _ in range(60):
+        for _ in range(40):
             middle = (low + high) / 2
             low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
     coefficients, covariance, _ = fit(low)
@@ -164,8 +164,8 @@ def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:
     mean_ends, spread_ends = (average - 1.0, average + 1.0), (0.02, 2.0)
     # Three looks, each at what the one before found likely.
     for _ in range(3):
-        means = np.linspace(*mean_ends, 81)
-        spreads = np.geomspace(*spread_ends, 61)
+        means = np.linspace(*mean_ends, 41)
+        spreads = np.geomspace(*spread_ends, 41)
         log_likelihood = _log_likelihood(steps, counts, means, spreads)
         by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
         top = float(log_likelihood.max())

@@ -223,7 +223,9 @@ def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point
     error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
     freedom = len(varied) + len(reference) - 2.0
     if max(over, over_reference) > MORE_THAN_CHANCE and freedom >= 1.0:
-        p_value = 2.0 * float(stats.t.sf(abs(value) / error, freedom))
+        # By ranks: one point that is unlike all others is no evidence.
+        shares = [[count(p) / of(p) for p in each] for each in (varied, reference)]
+        p_value = float(stats.mannwhitneyu(*shares, method="asymptotic").pvalue)
     else:
         freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
     difference = a / n - c / m

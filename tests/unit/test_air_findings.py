@@ -1,0 +1,100 @@
+"""Where hot air must have been, and Table 5.1: one air temperature a row, and what is wrong with its first row."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.points import sort_into_points
+from msp_range.characterise.temperature import compensation_table, hot_boxes
+from msp_range.correction.calibration import IDENTITY, Calibration
+from msp_range.reading_model.sensor_model import load_sensor_model
+from tests.support.plain_bench import point, table
+
+SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+RANGES_CM = tuple(range(40, 261, 20))
+
+
+def read_cm(range_cm: float, air_c, pieces: int = 2000) -> float:
+    """What a sensor made for 22.5 deg C reads: its speed of sound times the time that each millimetre takes."""
+    x = (np.arange(pieces) + 0.5) / pieces * range_cm
+    return range_cm * float(np.mean(np.sqrt(295.65 / (air_c(x, range_cm) + 273.15))))
+
+
+IDEAS = {
+    "confined": lambda x, r: np.where(x < 30.0, 46.1, 21.1),
+    "uniform": lambda x, r: np.full_like(x, 46.1),
+    "gradient": lambda x, r: 46.1 + (21.1 - 46.1) * x / r,
+}
+
+
+@pytest.mark.parametrize("idea", IDEAS)
+def test_where_the_hot_air_was_is_found(idea: str) -> None:
+    rng = np.random.default_rng(1)
+    parts = []
+    for z in RANGES_CM:
+        for air_c, profile in ((46.1, IDEAS[idea]), (21.1, lambda x, r: np.full_like(x, 21.1))):
+            error_cm = read_cm(z, profile) - z + rng.normal(0.0, 0.1)
+            context = {"air_temperature_c": air_c, "target_temperature_c": 21.1}
+            parts.append(point(rng, z, condition="temperature", error_cm=error_cm, **context))
+    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    assert found.best == idea
+    assert found.uniform_per_cent == pytest.approx(100 * (np.sqrt(319.25 / 294.25) - 1), abs=1e-6)
+    if idea == "confined":
+        assert found.depth.low < 30.0 < found.depth.high
+        assert found.per_cent.low < 0.0 < found.per_cent.high
+        assert "over the first" in found.answer
+    if idea == "uniform":
+        # The reading is short by 4.16 % of what it is in the room's air; the per cent are of range.
+        assert found.per_cent.value == pytest.approx(100 * (1 - np.sqrt(294.25 / 319.25)) * 1.0024, abs=0.15)
+        assert found.depth.high is None
+
+
+def test_a_box_that_changes_nothing_is_said_to() -> None:
+    rng = np.random.default_rng(2)
+    parts = [
+        point(rng, z, condition="temperature", error_cm=rng.normal(0.0, 0.2), air_temperature_c=air_c)
+        for z in RANGES_CM
+        for air_c in (46.1, 21.1)
+    ]
+    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    assert found.best == "none"
+
+
+def test_table_5_1_gets_its_air_back_row_by_row() -> None:
+    rng = np.random.default_rng(3)
+    air_c = {305: 15.0, 335: 15.2, 366: 16.0, 396: 16.7, 427: 14.6}
+    parts = [
+        point(
+            rng,
+            z,
+            n=400,
+            condition="temperature_compensation",
+            error_cm=z * np.sqrt(295.65 / (air + 273.15)) - z,
+            **({"air_temperature_c": air} if z != 305 else {}),
+        )
+        for z, air in air_c.items()
+    ]
+    rows = compensation_table(sort_into_points(table(*parts), SENSOR), IDENTITY)
+    assert [row.range_cm for row in rows] == list(air_c)
+    for row in rows:
+        assert row.implied_c.low < air_c[int(row.range_cm)] < row.implied_c.high
+    first, *others = rows
+    assert first.compensated is None
+    assert "not compensated at all" in first.note
+    for row in others:
+        assert row.uncompensated.value > 3.0
+        assert row.compensated is not None
+        assert row.compensated.low < 0.0 < row.compensated.high
+    # The temperatures that the report's own two columns imply with its 20 deg C (erratum 12).
+    assert [first.report_implied_c] == [None]
+    assert [round(row.report_implied_c, 1) for row in others if row.report_implied_c] == [15.2, 16.0, 16.7, 14.6]
+
+
+def test_the_calibration_is_taken_back_before_the_air_is_judged() -> None:
+    rng = np.random.default_rng(4)
+    part = point(rng, 400, n=400, condition="temperature_compensation", error_cm=5.0, air_temperature_c=22.5)
+    (row,) = compensation_table(sort_into_points(table(part), SENSOR), Calibration((0.0, 100.0), (5.0, 105.0)))
+    assert row.uncompensated.value == pytest.approx(0.0, abs=0.1)
+    assert row.implied_c.value == pytest.approx(22.5, abs=0.2)
+    assert row.note == "after the calibration"

@@ -1,0 +1,129 @@
+"""Calibration of readings against the reference: recovered, kept only where it predicts, with honest intervals."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.calibration import calibrate
+from msp_range.characterise.findings import Calibration
+from msp_range.characterise.points import sort_into_points
+from msp_range.correction.calibration import Calibration as Curve
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.csv_form import MeasuredData
+from tests.support.plain_bench import point, table
+
+SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+RANGES_CM = np.arange(40.0, 301.0, 20.0)
+
+
+def calibrated(data: MeasuredData, reference_std_cm: float | None = None) -> Calibration:
+    found = calibrate(sort_into_points(data, SENSOR), SENSOR, reference_std_cm)
+    assert found is not None
+    return found
+
+
+def bench(
+    seed: int, error, *, setup_cm: float = 0.1, sigma_cm: float = 0.7, n: int = 60, air_c: float = 22.5
+) -> MeasuredData:
+    """A bench whose sensor errs by `error(range)` in air of its calibration, and whose tape errs by `setup_cm`."""
+    rng = np.random.default_rng(seed)
+    factor = np.sqrt(295.65 / (air_c + 273.15))
+    return table(
+        *(
+            point(
+                rng,
+                z,
+                error_cm=z * factor + error(z * factor) - z + rng.normal(0.0, setup_cm),
+                sigma_cm=sigma_cm,
+                n=n,
+                missed=0.02,
+                stray=0.01,
+                air_temperature_c=air_c,
+            )
+            for z in RANGES_CM
+        )
+    )
+
+
+def test_offset_and_scale_are_found_in_air_that_is_not_the_calibrations() -> None:
+    found = calibrated(bench(1, lambda z: 2.0 + 0.01 * z, air_c=10.0))
+    assert found.form == "offset and scale"
+    assert found.offset is not None
+    assert found.scale is not None
+    assert found.offset.low < 2.0 < found.offset.high
+    assert found.scale.low < 1.01 < found.scale.high
+    curve = Curve(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
+    assert curve.forward(150.0) == pytest.approx(153.5, abs=0.15)
+    assert found.spread.value == pytest.approx(0.7, abs=0.05)
+    assert (found.resolution.value, found.held_out_unit) == (1.0, "range")
+
+
+def test_a_bend_is_kept_and_predicts_ranges_that_were_left_out() -> None:
+    found = calibrated(bench(2, lambda z: 1.0 + 0.05 * max(z - 170.0, 0.0)))
+    assert found.form == "piecewise linear"
+    by_form = {each.form: each for each in found.held_out}
+    assert by_form["piecewise linear"].rms_cm < 0.5 * by_form["offset and scale"].rms_cm
+    curve = Curve(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
+    assert curve.forward(100.0) == pytest.approx(101.0, abs=0.3)
+    assert curve.forward(300.0) == pytest.approx(307.5, abs=0.4)
+    assert found.linearity is not None
+    assert found.linearity_by_chance_cm is not None
+    assert abs(found.linearity.value) > 3 * found.linearity_by_chance_cm
+
+
+def test_a_sensor_without_error_gets_no_calibration() -> None:
+    forms = [calibrated(bench(seed, lambda z: 0.0, setup_cm=0.3)).form for seed in range(20)]
+    assert forms.count("none") >= 18
+    assert "piecewise linear" not in forms
+
+
+def test_the_intervals_hold_with_set_ups_that_err_and_readings_that_hide_it() -> None:
+    held = {"bias": 0, "offset": 0, "scale": 0}
+    trials = 40
+    for seed in range(trials):
+        found = calibrated(bench(100 + seed, lambda z: 0.4 + 0.002 * z, setup_cm=0.25, sigma_cm=0.2, n=40))
+        # Of the bias at the bench's mean range.
+        truth = {"bias": 0.4 + 0.002 * RANGES_CM.mean(), "offset": 0.4, "scale": 1.002}
+        for name, value in truth.items():
+            estimate = getattr(found, name)
+            held[name] += estimate.low <= value <= estimate.high
+    assert min(held.values()) >= 34
+
+
+def test_runs_that_disagree_keep_a_calibration_out() -> None:
+    rng = np.random.default_rng(5)
+    # Each run has an offset of its own, so that none predicts another.
+    data = table(
+        *(
+            point(rng, z, error_cm=offset_cm, run=f"run {i}", n=40)
+            for i, offset_cm in enumerate((-3.0, 4.5, -2.0))
+            for z in RANGES_CM
+        )
+    )
+    found = calibrated(data)
+    assert found.held_out_unit == "range and run"
+    assert found.form == "none"
+
+
+def test_what_the_reference_may_err_by_widens_the_bias() -> None:
+    data = bench(6, lambda z: 0.0)
+    narrow, wide = calibrated(data).bias, calibrated(data, reference_std_cm=0.5).bias
+    assert wide.value == narrow.value
+    assert wide.high - wide.low == pytest.approx(np.hypot(narrow.high - narrow.low, 2 * 1.96 * 0.5), rel=1e-3)
+
+
+def test_few_ranges_are_said_to_be_too_few() -> None:
+    rng = np.random.default_rng(7)
+    one = calibrated(table(point(rng, 100.0, error_cm=3.0)))
+    assert (one.form, one.held_out, one.scale) == ("none", (), None)
+    assert one.reason == "found 1 range, expected 4 to check it on one left out"
+    assert one.bias.low is None
+    three = calibrated(table(*(point(rng, z, error_cm=3.0) for z in (100.0, 150.0, 200.0))))
+    assert (three.form, three.held_out) == ("none", ())
+    assert three.scale is not None
+
+
+def test_nothing_heard_is_no_calibration() -> None:
+    rng = np.random.default_rng(8)
+    assert calibrate(sort_into_points(table(point(rng, 100.0, missed=1.0)), SENSOR), SENSOR) is None

@@ -1,0 +1,129 @@
+"""Other people's names and units, and what is said where a map does not fit."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.column_map import load_map, read_mapped
+from msp_range.recording.error import RecordingError
+from msp_range.yaml_file import ConfigError
+
+MAPS = Path(__file__).parents[2] / "configs" / "maps"
+
+
+def written(folder: Path, text: str, name: str = "theirs.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def mapped(folder: Path, table: str, column_map: str):
+    return read_mapped(written(folder, table), load_map([str(written(folder, column_map, "map.yaml"))]), 765.0)
+
+
+def test_units_signs_codes_and_constants(tmp_path: Path) -> None:
+    data = mapped(
+        tmp_path,
+        "dist [in],actual,T,angle\n39.37,1.0,68,0.1\n300,2.0,32,-0.2\n-1,3.0,,0\n",
+        "columns:\n"
+        "  reading_cm: {column: 'dist [in]', unit: in}\n"
+        "  true_range_cm: {column: actual, unit: m, offset: -1.5}\n"
+        "  air_temperature_c: {column: T, unit: F}\n"
+        "  incidence_deg: {column: angle, unit: rad, factor: -1}\n"
+        "  condition: {value: baseline}\n"
+        "codes: {no_echo: [300], no_answer: [-1]}\n",
+    )
+    assert data["reading_cm"] == pytest.approx([100.0, 765.0, np.nan], abs=0.01, nan_ok=True)
+    assert data["true_range_cm"] == pytest.approx([98.5, 198.5, 298.5])
+    assert data["air_temperature_c"] == pytest.approx([20.0, 0.0, np.nan], nan_ok=True)
+    assert data["incidence_deg"] == pytest.approx([-5.7296, 11.4592, 0.0], abs=1e-4)
+    assert data["condition"].tolist() == ["baseline"] * 3
+    assert data["sensor"].tolist() == ["theirs"] * 3
+    assert data["time_s"].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_tables_side_by_side_and_compressed(tmp_path: Path) -> None:
+    path = tmp_path / "two.csv.gz"
+    path.write_bytes(gzip.compress(b"a,d,,a,d\n1,10,,2,20\n3,11,,,\n"))
+    column_map = written(
+        tmp_path,
+        "parts:\n"
+        "  - columns: {incidence_deg: 1, reading_cm: 2, true_range_cm: {value: 10}}\n"
+        "  - columns: {incidence_deg: 4, reading_cm: 5, true_range_cm: {value: 20}}\n",
+        "map.yaml",
+    )
+    data = read_mapped(path, load_map([str(column_map)]), 765.0)
+    assert data["reading_cm"].tolist() == [10.0, 11.0, 20.0]
+    assert data["true_range_cm"].tolist() == [10.0, 10.0, 20.0]
+    assert data["incidence_deg"].tolist() == [1.0, 3.0, 2.0]
+
+
+def test_a_map_on_the_command_line_and_names_that_are_right_already(tmp_path: Path) -> None:
+    path = written(tmp_path, "distance,true_range_cm,sensor\n1.2,121,left\n")
+    data = read_mapped(path, load_map(["reading_cm=distance*100"]), 765.0)
+    assert data["reading_cm"].tolist() == [120.0]
+    assert (data["true_range_cm"].tolist(), data["sensor"].tolist()) == ([121.0], ["left"])
+
+
+def test_rows_are_left_out_by_value(tmp_path: Path) -> None:
+    data = mapped(
+        tmp_path,
+        "r,a\n10,0\n11,1\n12,2\n",
+        "columns: {reading_cm: r, incidence_deg: a}\nleave_out: {incidence_deg: [0, 1]}\n",
+    )
+    assert data["reading_cm"].tolist() == [12.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["reading=dist"],
+            "found the column name 'reading', which the CSV form does not have. Did you mean 'reading_cm'",
+        ),
+        (["reading_cm"], "expected one YAML file, or NAME=COLUMN"),
+        (["reading_cm=a", "b"], "expected one YAML file, or NAME=COLUMN"),
+        (["reading_cm=dist*ten"], "there is no column"),
+        (["missing.yaml"], "no such file"),
+    ],
+)
+def test_mistakes_in_options(tmp_path: Path, options: list[str], message: str) -> None:
+    path = written(tmp_path, "dist,b\n1,2\n")
+    with pytest.raises((ConfigError, RecordingError), match=message):
+        read_mapped(
+            path, load_map([str(tmp_path / each) if each.endswith("yaml") else each for each in options]), 765.0
+        )
+
+
+@pytest.mark.parametrize(
+    ("column_map", "message"),
+    [
+        ("columns: {reading_cm: dst}", "there is no column 'dst' for reading_cm. Did you mean 'dist'"),
+        ("columns: {reading_cm: twice}", "'twice' is there 2 times; give its number"),
+        ("columns: {reading_cm: 9}", "found 4 columns, expected a number 9"),
+        ("columns: {true_range_cm: dist}", "does not say where reading_cm is"),
+        ("columns: {reading_cm: {column: dist, unit: rad}}", "found the unit 'rad', expected one of m, cm, mm, in, ft"),
+        ("columns: {reading_cm: {column: dist, value: 3}}", "either a column or a value"),
+        ("columns: {reading: dist}", "Did you mean 'reading_cm'"),
+        ("columns: {reading_cm: word}", "theirs.csv:2: column 'word': found 'x', expected a number"),
+        ("columns: {reading_cm: dist}\nleave_out: {throttle: [1]}", "leaves out rows by throttle"),
+        ("columns: {reading_cm: dist}\ncode: {no_echo: [1]}", "Did you mean 'codes'"),
+    ],
+)
+def test_mistakes_in_a_map_file(tmp_path: Path, column_map: str, message: str) -> None:
+    with pytest.raises((ConfigError, RecordingError), match=message):
+        mapped(tmp_path, "dist,word,twice,twice\n1,x,2,3\n", column_map)
+
+
+def test_a_file_that_is_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "broken.csv.gz"
+    path.write_bytes(b"\x1f\x8bnot really")
+    with pytest.raises(RecordingError, match="broken"):
+        read_mapped(path, load_map(["reading_cm=a"]), 765.0)
+
+
+@pytest.mark.parametrize("path", sorted(MAPS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_maps_that_are_shipped_are_maps(path: Path) -> None:
+    assert load_map([str(path)])
