@@ -117,7 +117,8 @@ def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
     first = int(reading_cm.min()) - 2 * PEAK_HALF_CM
     counts = np.bincount(reading_cm.astype(int) - first, minlength=int(np.ptp(reading_cm)) + 4 * PEAK_HALF_CM + 1)
     near = np.convolve(counts, np.ones(2 * PEAK_HALF_CM + 1), "same")
-    evenly = reading_cm.size * (2 * PEAK_HALF_CM + 1) / span_cm
+    # What is there almost everywhere; most of the range holds nothing where readings do not stray.
+    evenly = float(np.median(np.concatenate([near, np.zeros(max(int(span_cm) - near.size, 0))])))
     least = max(LEAST_PEAK * reading_cm.size, LEAST_READINGS, evenly + BEYOND_CHANCE * math.sqrt(evenly))
     free = np.ones(counts.size, dtype=bool)
     found: list[Peak] = []
