@@ -125,7 +125,8 @@ def _calibration_comment(findings: Findings, changes: Changes, kept: str) -> lis
     found = findings.calibration
     if changes.calibration is None or found is None:
         return [f"{kept}: {found.reason if found else 'nothing was measured on the axis'}."]
-    bias = f"Mean error {_interval(found.bias, 2)} cm over {found.bias.n} points."
+    stated = "is not stated" if found.reference_std_cm is None else f"of {found.reference_std_cm:g} cm is in it"
+    bias = f"Mean error {_interval(found.bias, 2)} cm over {found.bias.n} points; the reference's own {stated}."
     return [f"Fitted: {found.form}. {found.reason[0].upper()}{found.reason[1:]}. {bias}"]
 
 

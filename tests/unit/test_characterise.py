@@ -1,0 +1,193 @@
+"""msp-range characterise: from a bench by plain sampling, and from real data, to a sensor model that can fly."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner, Result
+
+from msp_range.cli import app
+from msp_range.config import load_airframe
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.csv_form import write_csv
+from msp_range.yaml_file import ConfigError
+from tests.support.data import measured_data
+from tests.support.plain_bench import point, table
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
+EDGES = {50: 23.4, 100: 18.0, 150: 14.4, 200: 12.6}
+
+
+def bench(folder: Path, name: str = "bench.csv") -> Path:
+    """A sensor that reads 3 cm too far, and sees as the report's did."""
+    rng = np.random.default_rng(1)
+    noise = {"error_cm": 3.0, "sigma_cm": 0.8, "missed": 0.02, "saturated": 0.01, "stray": 0.01, "n": 200}
+    parts = [point(rng, z, **noise, air_temperature_c=22.5) for z in range(40, 301, 20)]
+    parts.append(
+        point(rng, 480, error_cm=3.0, sigma_cm=0.8, missed=0.02, saturated=0.01, n=500, condition="maximum_range")
+    )
+    for z, edge in EDGES.items():
+        for k in range(-14, 15):
+            missed = 0.02 if abs(1.8 * k) <= edge + 0.1 else 0.98
+            error_cm = 3.0 + z / np.cos(np.radians(1.8 * k)) - z
+            parts.append(
+                point(rng, z, n=40, error_cm=error_cm, missed=missed, condition="field_of_view", incidence_deg=1.8 * k)
+            )
+    parts += [point(rng, z, **noise, condition="vibration", vibration_hz=60) for z in range(40, 301, 20)]
+    write_csv(folder / name, table(*parts))
+    return folder / name
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner(env={"COLUMNS": "200"}).invoke(app, ["characterise", *map(str, arguments)])
+
+
+def test_a_bench_becomes_a_sensor_model_that_flies(tmp_path: Path) -> None:
+    data, out = bench(tmp_path), tmp_path / "model.yaml"
+    result = run(data, "--out", out, "--sensor", SENSOR, "--date", "2026-10-05")
+    assert result.exit_code == 0, result.output
+    model, started = load_sensor_model(out), load_sensor_model(SENSOR)
+    assert (model.timing, model.minimum_cm, model.maximum_cm) == (started.timing, 20, 765)
+    assert model.calibration_curve.inverse(203.0) == pytest.approx(200.0, abs=0.15)
+    assert [(each.range_cm, each.half_angle_deg) for each in model.breakaway] == list(EDGES.items())
+    assert (model.oblique_reading, model.heard_on_axis_cm) == ("slant", 480.0)
+    weights = model.reading_model.weights
+    assert model.reading_model.sigma_cm == pytest.approx(0.8, abs=0.05)
+    assert weights.max == pytest.approx(0.03, abs=0.01)
+    assert model.reading_model.saturated_fraction == pytest.approx(1 / 3, abs=0.1)
+    (evidence,) = model.evidence
+    assert evidence["date"] == "2026-10-05"
+    assert evidence["data"][0]["name"] == "bench.csv"
+    assert re.fullmatch("[0-9a-f]{64}", evidence["data"][0]["sha256"])
+    assert evidence["data"][0]["rows"] == len(data.read_text().splitlines()) - 1
+
+    text = out.read_text(encoding="utf-8")
+    assert "# Fitted: offset and scale." in text
+    assert "# Kept from mb1242.yaml." in text
+    assert "does not matter" in result.output
+    assert "breakaway at 150 cm" in result.output
+    assert "not in these data: material, temperature, crosstalk_simultaneous" in result.output
+
+    airframe = yaml.safe_load((CONFIGS / "quad_pallet.yaml").read_text(encoding="utf-8"))
+    for sensor in airframe["sensors"]:
+        sensor["model"] = str(out)
+    (tmp_path / "airframe.yaml").write_text(yaml.safe_dump(airframe), encoding="utf-8")
+    assert load_airframe(tmp_path / "airframe.yaml").sensors[0].sensor_model == model
+
+
+def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    assert run(bench(tmp_path), "--out", first, "--sensor", SENSOR).exit_code == 0
+    rng = np.random.default_rng(2)
+    write_csv(
+        tmp_path / "more.csv",
+        table(*(point(rng, z, condition="vibration", vibration_hz=v) for z in (60, 90) for v in (0, 60))),
+    )
+    assert run(tmp_path / "more.csv", "--out", second, "--sensor", first).exit_code == 0
+    before, after = load_sensor_model(first), load_sensor_model(second)
+    assert after.calibration == before.calibration
+    assert after.reading_model == before.reading_model
+    assert len(after.evidence) == 2
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    data, out = bench(tmp_path), tmp_path / "model.yaml"
+    out.write_text("mine", encoding="utf-8")
+    result = run(data, "--out", out, "--sensor", SENSOR)
+    assert result.exit_code == 3
+    assert "there is a file already" in result.output
+    assert out.read_text(encoding="utf-8") == "mine"
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "findings.json").write_text("mine", encoding="utf-8")
+    result = run(data, "--out", tmp_path / "other.yaml", "--report", tmp_path / "report", "--sensor", SENSOR)
+    assert result.exit_code == 3
+    assert not (tmp_path / "other.yaml").exists()
+
+
+def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    write_csv(tmp_path / "a.csv", table(*(point(rng, z) for z in range(40, 261, 20))))
+    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--report", tmp_path / "r", "--sensor", SENSOR)
+    assert result.exit_code == 0, result.output
+    numbers = json.loads((tmp_path / "r" / "findings.json").read_text(encoding="utf-8"))
+    assert numbers["calibration"]["form"] == "none"
+    assert len(numbers["points"]) == 12
+    assert (tmp_path / "r" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        (lambda rng: [point(rng, 100, n=10)], "found 10 readings with a true range, expected at least 30"),
+        (lambda rng: [point(rng, 100, missed=1.0)], "nothing can be found"),
+        (
+            lambda rng: [point(rng, 100, condition="basline")],
+            "no analysis knows the condition 'basline'; is it 'baseline'?",
+        ),
+    ],
+)
+def test_data_that_say_nothing_are_refused(tmp_path: Path, parts, message: str) -> None:
+    write_csv(tmp_path / "a.csv", table(*parts(np.random.default_rng(4))))
+    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    assert result.exit_code == 3
+    assert message in result.output
+    assert "Traceback" not in result.output
+    assert not (tmp_path / "m.yaml").exists()
+
+
+def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05)))
+    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    assert result.exit_code == 0, result.output
+    assert "one range only" in result.output
+    assert "no air_temperature_c" in result.output
+    assert load_sensor_model(tmp_path / "m.yaml").calibration == ()
+
+
+def test_a_sensor_without_a_driver_does_not_fly(tmp_path: Path) -> None:
+    airframe = yaml.safe_load((CONFIGS / "quad_pallet.yaml").read_text(encoding="utf-8"))
+    airframe["sensors"][0]["model"] = str(CONFIGS / "sensors" / "hcsr04.yaml")
+    for sensor in airframe["sensors"][1:]:
+        sensor["model"] = str(SENSOR)
+    (tmp_path / "airframe.yaml").write_text(yaml.safe_dump(airframe), encoding="utf-8")
+    with pytest.raises(ConfigError, match="driver for"):
+        load_airframe(tmp_path / "airframe.yaml")
+
+
+def on_real_data(tmp_path: Path, name: str, map_name: str, sensor: str) -> tuple[str, Path]:
+    out = tmp_path / "model.yaml"
+    sensor_file = CONFIGS / "sensors" / sensor
+    result = run(measured_data(name), "--map", CONFIGS / "maps" / map_name, "--sensor", sensor_file, "--out", out)
+    assert result.exit_code == 0, result.output
+    return result.output, out
+
+
+def test_calibration_of_real_readings_at_ruler_distances(tmp_path: Path) -> None:
+    output, out = on_real_data(tmp_path, "hcsr04-ccu/readings.csv", "hcsr04-ccu.yaml", "hcsr04.yaml")
+    model = load_sensor_model(out)
+    # Medians of the readings at 30 and 100 cm, taken to 20 deg C: 0.63 and 0.30 cm short.
+    curve = model.calibration_curve
+    assert curve.forward(30.0) - 30.0 == pytest.approx(-0.63, abs=0.3)
+    assert curve.forward(100.0) - 100.0 == pytest.approx(-0.30, abs=0.3)
+    assert "offset and scale" in output
+
+
+def test_angles_of_a_real_sensor(tmp_path: Path) -> None:
+    output, out = on_real_data(tmp_path, "hcsr04-tilt/Misure_prove.csv", "hcsr04-tilt.yaml", "hcsr04.yaml")
+    angles = {each.range_cm: each.half_angle_deg for each in load_sensor_model(out).breakaway}
+    # Read off the file: at 2 cm the first readings of something else come at 28 deg in each of the four sweeps.
+    assert angles[2.0] == 27.0
+    assert 12.0 <= angles[6.0] <= 16.0
+    assert "where the plate turns is not told" in output
+
+
+def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:
+    output, out = on_real_data(tmp_path, "carmen-fhw/fhw-pairs-derived.csv.gz", "carmen-fhw.yaml", "lidar_sick.yaml")
+    weights = load_sensor_model(out).reading_model.weights
+    assert weights.unexpected == pytest.approx(0.127, abs=0.02)
+    assert "max 0.0069" in output
+    assert "hits look better than they are" in output
