@@ -126,7 +126,7 @@ def test_verdicts_stand_first_with_the_reports_numbers(complete):
         < text.index("Does it matter?")
         < text.index("Figure 4.4: range error, all")
     )
-    head = text[: text.index("Every effect")]
+    head = text[: text.index("Every effect in numbers")]
     for words in ("within a step", "23.4°", "near 503 cm", "−1.25 (−1.37 to −1.13) cm", "cannot tell", "Inconclusive."):
         assert words in head, words
     assert "The reference is a tape measure" in head

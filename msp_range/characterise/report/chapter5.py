@@ -162,7 +162,7 @@ def _table_picture(findings: Findings, rows: Rows) -> Drawn:
 
 
 def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.float64]]:
-    """The fitted mixture at the range with the most readings, and the probability of each reading by all of it.
+    """The fitted mixture at one range, and the probability of each reading by all of it.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     """
     if findings.mixture is None:
         raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
-    chosen = _most_read(rows)
+    chosen = _one_range(rows)
     minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
     apparent_cm = float(np.mean(rows.apparent_cm[chosen]))
@@ -206,14 +206,15 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     return fitted, np.exp(whole.log_prob(k, contexts))
 
 
-def _most_read(rows: Rows) -> NDArray[np.bool_]:
-    """Rows at the one range with the most readings, of the maximum range where there is one, else of the baseline."""
+def _one_range(rows: Rows) -> NDArray[np.bool_]:
+    """Rows at one range: the one with the most readings of the maximum range, else a middle one of the baseline."""
     try:
         found = rows.of("maximum_range")
     except Absent:
         found = rows.of("baseline")
     ranges, counts = np.unique(rows.true_cm[found], return_counts=True)
-    return np.asarray(found & (rows.true_cm == ranges[np.argmax(counts)]))
+    much = ranges[counts >= 0.5 * np.max(counts)]
+    return np.asarray(found & (rows.true_cm == much[much.size // 2]))
 
 
 def _density(findings: Findings, rows: Rows, kind: str) -> Drawn:

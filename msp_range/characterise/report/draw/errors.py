@@ -94,7 +94,7 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
     """
     axes = axes or ErrorAxes()
     limits_cm = axes.limits_cm or shared_limits_cm(panels, axes)
-    figure = new_figure(1.1 + 2.5 * len(panels) if len(panels) > 1 else 3.5)
+    figure = new_figure(3.5 if len(panels) == 1 else 6.1 if len(panels) == 2 else 1.1 + 1.7 * len(panels))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for each, row in zip(panels, rows, strict=True):
         _panel(row, each, axes, limits_cm)

@@ -145,6 +145,7 @@ def draw_histogram(
         is_code = np.isin(values, codes)
         axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings", zorder=2)
         axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo", zorder=3)
+        axes.set_xlim(0.0, 1.06 * max(float(np.max(values)), fixed.true_range_cm))
         axes.set_yscale("log")
         axes.set_ylim(0.7, float(np.max(counts)) * 4.0)
         axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else ""))
