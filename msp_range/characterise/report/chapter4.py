@@ -1,5 +1,6 @@
 """Pictures of the report's chapter 4: figures 4.4 to 4.21."""
 
+import re
 from collections.abc import Iterator
 from functools import partial
 
@@ -315,7 +316,7 @@ def _crosstalk(findings: Findings, rows: Rows, condition: str) -> Drawn:
 def _external(findings: Findings, rows: Rows) -> Drawn:
     found = rows.of("external_interference")
     levels = [str(each) for each in np.unique(rows.level[found])]
-    levels.sort(key=lambda level: (level != "quiet", "frequency" in level, level))
+    levels.sort(key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0")))
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MOST_LEVELS]]
     caption = f"{summary(rows.errors(found))} {_answers(findings, 'external_interference', None)}".strip()
     left_out = len(levels) - len(panels)

@@ -100,6 +100,10 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
         _panel(row, each, axes, limits_cm)
         if len(panels) > 1:
             row.set_title(each.label, pad=24.0)
+    if len(panels) > 1:
+        figure.supylabel(axes.error_label, fontsize=9.0)
+    else:
+        rows[0].set_ylabel(axes.error_label)
     rows[-1].set_xlabel("true range [cm]")
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
     handles = {str(handle.get_label()): handle for row in rows for handle in row.get_legend_handles_labels()[0]}
@@ -146,7 +150,6 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
     for line in axes.points:
         looks: dict[str, Any] = {"marker": "X", "markersize": 7, "color": REFERENCE, "markeredgecolor": "white"}
         row.plot(line.range_cm, line.error_cm, linestyle="none", label=line.label, zorder=6, **looks)
-    row.set_ylabel(axes.error_label)
 
 
 def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, float], compressed: bool) -> None:
