@@ -152,4 +152,7 @@ def _unit_hint(reading_cm: Column, true_cm: Column, ratio: float) -> str:
                 return f" Is {column} in {unit}? Then: --map {column}=COLUMN*{1 / factor:g}"
     if float(np.median(true_cm)) < 12.0 and 0.5 < ratio < 2.0:
         return " Are both in metres? Then: --map reading_cm=COLUMN*100 --map true_range_cm=COLUMN*100"
-    return " Both have to be centimetres of the same thing, and the sensor model that of the sensor that read; --map converts."
+    return (
+        " Both have to be centimetres of the same thing, and the sensor model that of the sensor that read; "
+        "--map converts."
+    )

@@ -52,7 +52,9 @@ class Partition:
         return Partition(self.variables, self.labels, self.cell[rows], self.centres)
 
 
-def partitions(contexts: Mapping[str, Any], variables: Sequence[str] | None = None, pairs: bool = True) -> list[Partition]:
+def partitions(
+    contexts: Mapping[str, Any], variables: Sequence[str] | None = None, pairs: bool = True
+) -> list[Partition]:
     """All readings in one, one partition a variable, and one for each pair of variables.
 
     Parameters
@@ -153,7 +155,7 @@ def _filled(
     place = np.full(len(labels), kept.size)
     place[kept] = np.arange(kept.size)
     cell = place[index]
-    names = [labels[i] for i in kept]
+    names = [labels[i] for i in kept.tolist()]
     middle = None if centres is None else centres[kept]
     if (cell == kept.size).any():
         names.append("the rest of " + " and ".join(variables))

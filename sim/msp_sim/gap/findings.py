@@ -104,11 +104,14 @@ class Rival:
         By how much its best fit is worse, in log-likelihood over all readings of the fit [nat].
     correlation
         Of both effects' scores.
+    of
+        The sensor, run or target that it is of.
     """
 
     name: str
     loss_nats: float
     correlation: float | None = None
+    of: str | None = None
 
 
 @dataclass(frozen=True)
@@ -213,7 +216,7 @@ class Slice:
     z, p_value
         Of that; the p-value is corrected for the number of slices and measures.
     after
-        The same measures with the extended model, by name, as far as they were taken.
+        The same numbers with the extended model, by name, as far as they were taken.
     """
 
     where: str
@@ -244,15 +247,14 @@ class Step:
     ----------
     added
         What was added last; empty: the model as given.
-    nats_per_reading, bias_cm
-        As in `Gap`.
+    nats_per_reading
+        As in `Gap`, after this step.
     log_score
         Mean log probability of a confirming reading [nat].
     """
 
     added: str
     nats_per_reading: float | None
-    bias_cm: float | None
     log_score: float | None
 
 

@@ -194,11 +194,11 @@ def free_fit(model: Model, table: Table, partition: Partition, first: Scores, si
     cell, cells = partition.cell, len(partition.labels)
     prior = _prior()
     numbers = _beginning(model, table, partition, sigma_cm)
-    base = np.bincount(cell, first.log_p, cells)
+    base = _sum_by(cell, first.log_p, cells)
     zero_is_best = _posterior(_log_sum(model, table, partition, numbers), numbers, prior) < base
     numbers[zero_is_best] = 0.0
     now = scores_of(model, table, numbers[cell])
-    best = _posterior(np.bincount(cell, now.log_p, cells), numbers, prior)
+    best = _posterior(_sum_by(cell, now.log_p, cells), numbers, prior)
     for _ in range(ROUNDS):
         total, information = _sums(now.scores, partition)
         step = np.linalg.solve(information + prior, (total - numbers @ prior)[..., None])[..., 0]
@@ -218,7 +218,7 @@ def free_fit(model: Model, table: Table, partition: Partition, first: Scores, si
         if gained.max() < 0.02:
             break
     _, information = _sums(now.scores, partition)
-    gain = np.bincount(cell, now.log_p, cells) - base
+    gain = _sum_by(cell, now.log_p, cells) - base
     return _fitted(numbers, gain, information + prior, now.scores, table, partition, sigma_cm)
 
 
@@ -247,7 +247,7 @@ def _fitted(
 def _scale(partition: Partition, sigma_cm: _Array) -> _Array:
     """From standard deviations of a hit to centimetres, (K, 5)."""
     scale = np.ones((len(partition.labels), len(CHANNELS)))
-    scale[:, 0] = np.bincount(partition.cell, sigma_cm, len(partition.labels)) / np.maximum(partition.counts, 1)
+    scale[:, 0] = _sum_by(partition.cell, sigma_cm, len(partition.labels)) / np.maximum(partition.counts, 1)
     return scale
 
 
@@ -258,7 +258,7 @@ def _unit_variance(scores: _Array, unit: NDArray[np.intp], partition: Partition)
     found = np.empty((cells, size, size))
     for i in range(size):
         for j in range(i, size):
-            found[:, i, j] = found[:, j, i] = np.bincount(of_cell, sums[:, i] * sums[:, j], cells)
+            found[:, i, j] = found[:, j, i] = _sum_by(of_cell, sums[:, i] * sums[:, j], cells)
     groups = np.bincount(of_cell, minlength=cells)
     correction = np.where(groups > 1, groups / np.maximum(groups - 1, 1), 0.0)
     return np.asarray(found * correction[:, None, None])
@@ -272,8 +272,8 @@ def unit_sums(
     key = partition.cell * units + unit
     seen = np.bincount(key, minlength=units * len(partition.labels))
     present = np.flatnonzero(seen)
-    sums = np.stack([np.bincount(key, scores[:, i], seen.size)[present] for i in range(scores.shape[1])], axis=1)
-    return present // units, present % units, sums
+    sums = np.stack([_sum_by(key, scores[:, i], seen.size)[present] for i in range(scores.shape[1])], axis=1)
+    return (present // units).astype(np.intp), (present % units).astype(np.intp), sums
 
 
 def _beginning(model: Model, table: Table, partition: Partition, sigma_cm: _Array) -> _Array:
@@ -316,7 +316,13 @@ def _log_sum(model: Model, table: Table, partition: Partition, numbers: _Array) 
     found = np.empty(len(table))
     for part, rows in model.chunks(table.contexts):
         found[part] = _log_prob(rows, table.reading_cm[part], numbers[partition.cell[part]])
-    return np.bincount(partition.cell, found, len(partition.labels))
+    return _sum_by(partition.cell, found, len(partition.labels))
+
+
+def _sum_by(index: NDArray[np.intp], values: _Array, count: int) -> _Array:
+    """Sums of the values of each index, (count,)."""
+    sums: Any = np.bincount(index, values, count)
+    return np.asarray(sums, dtype=np.float64)
 
 
 def _posterior(log_sum: _Array, numbers: _Array, prior: _Array) -> _Array:
@@ -331,18 +337,17 @@ def _prior() -> _Array:
 def _sums(scores: _Array, partition: Partition) -> tuple[_Array, _Array]:
     """Of each cell the sum of the scores (K, 5) and of their outer products (K, 5, 5)."""
     cells, size = len(partition.labels), len(CHANNELS)
-    total = np.stack([np.bincount(partition.cell, scores[:, i], cells) for i in range(size)], axis=1)
+    total = np.stack([_sum_by(partition.cell, scores[:, i], cells) for i in range(size)], axis=1)
     products = np.empty((cells, size, size))
     for i in range(size):
         for j in range(i, size):
-            products[:, i, j] = products[:, j, i] = np.bincount(partition.cell, scores[:, i] * scores[:, j], cells)
+            products[:, i, j] = products[:, j, i] = _sum_by(partition.cell, scores[:, i] * scores[:, j], cells)
     return total, products
 
 
 def sigma_of(model: Model, table: Table) -> _Array:
     """Standard deviation of each reading's hit [cm], (n,)."""
     return np.concatenate([rows.sigma_cm for _, rows in model.chunks(table.contexts)] or [np.zeros(0)])
-
 
 
 @dataclass(frozen=True)
@@ -431,9 +436,7 @@ def twins(
     }
     shown: dict[str, list[float]] = {}
     for twin, one in zip(drawn, scores, strict=True):
-        fits = {
-            each.variables: one_step(one, twin, each, sigma_cm, information[each.variables]) for each in parts
-        }
+        fits = {each.variables: one_step(one, twin, each, sigma_cm, information[each.variables]) for each in parts}
         kept = _kept(fits, parts)
         for name, number in _measures({key: fits[key] for key in kept}, 0.0).numbers().items():
             shown.setdefault(name, []).append(number.value)
@@ -454,9 +457,7 @@ def measure(model: Model, table: Table, parts: Sequence[Partition], twins: Twins
     """
     sigma_cm = sigma_of(model, table)
     first = scores_of(model, table)
-    fits = {
-        each.variables: one_step(first, table, each, sigma_cm, twins.information[each.variables]) for each in parts
-    }
+    fits = {each.variables: one_step(first, table, each, sigma_cm, twins.information[each.variables]) for each in parts}
     by_name = {each.variables: each for each in parts}
     kept = {key: free_fit(model, table, by_name[key], first, sigma_cm) for key in _kept(fits, parts)}
     return _measures(kept, float(first.log_p.mean()))
@@ -472,8 +473,12 @@ def _measures(fits: Mapping[tuple[str, ...], FreeFit], log_score: float) -> Meas
     nats = max(fits.values(), key=lambda fit: fit.nats)
     error = 1.96 * nats.nats_error
     return Measures(
-        Number(max(nats.nats, 0.0), max(nats.nats - error, 0.0), max(nats.nats + error, 0.0)),
-        *(_largest(fits, channel) for channel in CHANNELS),
+        nats=Number(max(nats.nats, 0.0), max(nats.nats - error, 0.0), max(nats.nats + error, 0.0)),
+        bias_cm=_largest(fits, "bias"),
+        spread_ratio=_largest(fits, "spread"),
+        short=_largest(fits, "short"),
+        missed=_largest(fits, "missed"),
+        random=_largest(fits, "random"),
         fits=fits,
         log_score=log_score,
     )

@@ -8,6 +8,8 @@ does, and says where to look.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +25,30 @@ DRAWS = 999
 MOST_UNITS = 256
 """Units of the bootstrap: more are put together, which loses nothing that matters."""
 SHOWN = 40
+PAIRS_SHOWN = 2
+"""Pairs of variables of which slices are shown: more say the same again."""
+Fits: TypeAlias = Mapping[tuple[str, ...], FreeFit]
 FEWEST_UNITS = 4
 """In a slice; with fewer, nothing is known of what units share, and it is not judged."""
 
 
 def ranked(
-    model: Model, table: Table, parts: Sequence[Partition], twins: Twins, rng: np.random.Generator, shown: int = SHOWN
+    model: Model,
+    table: Table,
+    parts: Sequence[Partition],
+    twins: Twins,
+    known: Fits,
+    rng: np.random.Generator,
+    shown: int = SHOWN,
 ) -> tuple[Slice, ...]:
-    """The slices that differ most, the surest first; then the whole, whatever it shows.
+    """The whole, and then the slices that differ most, the surest first.
 
     Parameters
     ----------
     model, table, parts, twins
         As for `measures.measure`.
+    known
+        Free fits that there are already, by the partition's variables.
     rng
         Source of the bootstrap's multipliers.
     shown
@@ -59,35 +72,40 @@ def ranked(
     for number in np.argsort(-statistic, kind="stable"):
         i, k, _ = places[int(number)]
         best.setdefault((i, k), int(number))
-    first = sorted(best, key=lambda key: -statistic[best[key]])[:shown]
-    if (0, 0) not in first:
-        first.append((0, 0))
-    fitted: dict[int, FreeFit] = {}
+    pairs: list[int] = []
+    first = [(0, 0)]
+    for i, k in sorted(best, key=lambda key: -statistic[best[key]]):
+        if len(parts[i].variables) > 1 and i not in pairs:
+            if len(pairs) == PAIRS_SHOWN:
+                continue
+            pairs.append(i)
+        if len(first) < shown and (i, k) != (0, 0):
+            first.append((i, k))
+    # What is said of a slice is its own fit, not the one step that only ranks it.
+    fitted = {
+        i: known.get(parts[i].variables) or free_fit(model, table, parts[i], scores, sigma_cm)
+        for i in {i for i, _ in first}
+    }
     found = []
     for i, k in first:
-        if i not in fitted:
-            # What is drawn and said of a slice is its own fit, not the one step that only ranks it.
-            fitted[i] = free_fit(model, table, parts[i], scores, sigma_cm) if len(fitted) < 4 else fits[parts[i].variables]
         number = best[(i, k)]
         j = places[number][2]
         found.append(_slice(parts[i], k, fitted[i], CHANNELS[j], float(z[i][k, j]), float(p_value[number])))
     return tuple(found)
 
 
-def after(
-    slices: Sequence[Slice], parts: Sequence[Partition], fits: Mapping[tuple[str, ...], FreeFit]
-) -> dict[str, dict[str, float | None]]:
-    """The same slices' numbers with another model, by the slice's name, as far as its partition was fitted."""
-    wanted = {each.where for each in slices}
-    found: dict[str, dict[str, float | None]] = {}
+def again(
+    slices: Sequence[Slice], model: Model, table: Table, parts: Sequence[Partition], known: Fits
+) -> tuple[Slice, ...]:
+    """The same slices with what they show of another model beside it."""
+    scores, sigma_cm = scores_of(model, table), sigma_of(model, table)
+    wanted = {each.variables for each in slices}
+    numbers: dict[str, dict[str, float | None]] = {}
     for part in parts:
-        fit = fits.get(part.variables)
-        if fit is None:
-            continue
-        for k, label in enumerate(part.labels):
-            if label in wanted:
-                found[label] = _numbers(fit, k)
-    return found
+        if part.variables in wanted:
+            fit = known.get(part.variables) or free_fit(model, table, part, scores, sigma_cm)
+            numbers |= {label: _numbers(fit, k) for k, label in enumerate(part.labels)}
+    return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
 
 
 def _contributions(
@@ -98,17 +116,22 @@ def _contributions(
     of_cell, of_unit, sums = unit_sums(scores, unit, partition)
     per_cell = np.zeros((cells, units, len(CHANNELS)))
     per_cell[of_cell, of_unit] = sums
+    size = np.zeros((cells, units))
+    np.add.at(size, (partition.cell, unit), 1.0)
+    size /= np.maximum(size.sum(axis=1, keepdims=True), 1.0)
+    # About their mean: a gap must not look like scatter.
+    about_mean = per_cell - size[:, :, None] * per_cell.sum(axis=1)[:, None, :]
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
-    deviation = np.sqrt((per_cell**2).sum(axis=1))
+    deviation = np.sqrt((about_mean**2).sum(axis=1))
     scale = np.zeros((cells, len(CHANNELS)))
     scale[:, 0] = np.bincount(partition.cell, sigma_cm, cells) / np.maximum(partition.counts, 1)
     expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
     # Of a class of which nothing came the units show no spread, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
-    few = (per_cell != 0.0).any(axis=2).sum(axis=1) < FEWEST_UNITS
+    few = (size > 0.0).sum(axis=1) < FEWEST_UNITS
     deviation[few] = np.inf
-    shares = per_cell / deviation[:, None, :]
-    return shares.sum(axis=1), np.moveaxis(shares, 1, 2)
+    statistic = per_cell.sum(axis=1) / deviation
+    return statistic, np.moveaxis(about_mean / deviation[:, None, :], 1, 2)
 
 
 def _information(fit: FreeFit, scale: _Array) -> _Array:
@@ -153,13 +176,22 @@ def _nats(fit: FreeFit, k: int) -> float:
 
 
 def _slice(partition: Partition, k: int, fit: FreeFit, channel: str, z: float, p_value: float) -> Slice:
-    values, errors = fit.values[k].tolist(), fit.errors[k].tolist()
-    both = [number for pair in zip(values, errors, strict=True) for number in pair]
+    (bias, spread, short, missed, random) = fit.values[k].tolist()
+    (bias_se, spread_se, short_se, missed_se, random_se) = fit.errors[k].tolist()
     return Slice(
-        partition.labels[k],
-        partition.variables,
-        int(fit.counts[k]),
-        *both,
+        where=partition.labels[k],
+        variables=partition.variables,
+        readings=int(fit.counts[k]),
+        bias_cm=bias,
+        bias_se_cm=bias_se,
+        log_spread=spread,
+        log_spread_se=spread_se,
+        log_odds_short=short,
+        log_odds_short_se=short_se,
+        log_odds_missed=missed,
+        log_odds_missed_se=missed_se,
+        log_odds_random=random,
+        log_odds_random_se=random_se,
         nats=_nats(fit, k),
         channel=channel,
         z=z,
