@@ -78,8 +78,6 @@ def sentence(findings: GapFindings) -> str:
     numbers = [each for each in findings.calibration if each.name not in ("resolution", "code")]
     if numbers:
         told += f". Calibration: {'; '.join(each.finding for each in numbers)}"
-    if findings.verdict == "nothing missing" and findings.could_have_seen:
-        told += f". These data would have shown: {findings.could_have_seen}"
     return told + "."
 
 

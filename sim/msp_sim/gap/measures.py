@@ -112,7 +112,7 @@ class FreeFit:
         values, variance = self.values[:, i], self.errors[:, i] ** 2
         known = np.isfinite(values) & (variance > 0.0)
         if channel not in ("bias", "spread"):
-            known &= (variance < LARGEST_VARIANCE) | (values.size == 1)
+            known &= variance < LARGEST_VARIANCE
         if known.sum() < 0.7 * values.size:
             return 0.0, np.inf
         values, variance = values[known], variance[known]
@@ -440,7 +440,12 @@ def twins(
         kept = _kept(fits, parts)
         for name, number in _measures({key: fits[key] for key in kept}, 0.0).numbers().items():
             shown.setdefault(name, []).append(number.value)
-    return Twins(information, {name: float(np.quantile(values, share)) for name, values in shown.items()})
+    return Twins(information, {name: _quantile(values, share) for name, values in shown.items()})
+
+
+def _quantile(values: Sequence[float], share: float) -> float:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.quantile(known, share)) if known else np.nan
 
 
 def measure(model: Model, table: Table, parts: Sequence[Partition], twins: Twins) -> Measures:
@@ -485,10 +490,10 @@ def _measures(fits: Mapping[tuple[str, ...], FreeFit], log_score: float) -> Meas
 
 
 def _largest(fits: Mapping[tuple[str, ...], FreeFit], channel: str) -> Number:
-    """Root mean square of a number over the cells of the partition in which it is surest to be there."""
+    """Root mean square of a number over the cells of the partition in which it is surest; NaN: outliers are too few."""
     squares = [fit.mean_square(channel) for fit in fits.values()]
     square, error = max(squares, key=lambda each: each[0] - each[1])
     if not np.isfinite(error):
-        square, error = 0.0, 0.0
+        return Number(np.nan, np.nan, np.nan)
     ends = [float(np.sqrt(max(each, 0.0))) for each in (square, square - 1.96 * error, square + 1.96 * error)]
     return Number(*(ends if channel == "bias" else np.exp(ends).tolist()))

@@ -224,7 +224,7 @@ def _draw_residual(
     x = _places(table, part, column)
     low, middle, high, error = _of_bins(residual, part)
     twin = np.stack([_of_bins(model.sample(table.contexts, rng) - centre, part)[:3] for _ in range(TWINS)]).mean(axis=0)
-    wide = 2.0 * float(np.nanmedian(np.concatenate([high - low, twin[2] - twin[0]])))
+    wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, twin[2] - twin[0]])))
     reach = float(np.nanmax(np.abs(middle))) + wide + 1.0
     shown = rng.permutation(len(table))[:DOTS]
     jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
@@ -299,11 +299,14 @@ def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array,
     order = np.argsort(part.cell, kind="stable")
     pieces = np.split(order, np.cumsum(part.counts)[:-1])
     quantiles = np.array(
-        [np.nanquantile(residual[rows], [1 / 6, 0.5, 5 / 6]) if rows.size else [np.nan] * 3 for rows in pieces]
+        [
+            np.nanquantile(residual[rows], [1 / 6, 0.25, 0.5, 0.75, 5 / 6]) if rows.size else [np.nan] * 5
+            for rows in pieces
+        ]
     )
-    spread = (quantiles[:, 2] - quantiles[:, 0]) / 1.935
+    spread = (quantiles[:, 3] - quantiles[:, 1]) / 1.349
     error = 1.2533 * np.maximum(spread, 0.3) / np.sqrt(np.maximum(part.counts, 1))
-    return quantiles[:, 0], quantiles[:, 1], quantiles[:, 2], error
+    return quantiles[:, 0], quantiles[:, 2], quantiles[:, 4], error
 
 
 def _centre(model: Model, table: Table) -> _Array:

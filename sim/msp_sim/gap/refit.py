@@ -228,7 +228,7 @@ def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
     total = sum(odds.values())
     knots = sensor.calibration
     if base[0] != 0.0:
-        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(0.0, 0.0), (100.0, 100.0)]
+        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(100.0, 100.0), (200.0, 200.0)]
         knots = tuple(CalibrationKnot(true_cm=true, reading_cm=reading + float(base[0])) for true, reading in before)
     factor = float(np.exp(base[1]))
     update: dict[str, Any] = {

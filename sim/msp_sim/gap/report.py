@@ -170,7 +170,7 @@ def _gap_table(findings: GapFindings, before: Model) -> Table | None:
 
 
 def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
-    interval = "" if measure.low is None or measure.high is None else f"{_short(measure.low)} to {_short(measure.high)}"
+    interval = "" if not _short(measure.low) or not _short(measure.high) else f"{_short(measure.low)} to {_short(measure.high)}"
     return (_short(measure.before), _short(measure.after), interval, _short(measure.floor), _short(limit))
 
 
@@ -219,6 +219,6 @@ def _not_testable(findings: GapFindings) -> list[tuple[str, list[str]]]:
 
 
 def _short(value: float | None) -> str:
-    if value is None:
+    if value is None or value != value:
         return ""
     return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"

@@ -67,6 +67,8 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
             console.print(f"  {plain(piece.where)}: {piece.channel}{p}", markup=False, highlight=False)
+    if findings.could_have_seen and not findings.effects and not findings.unknown:
+        console.print(f"These data would have shown: {findings.could_have_seen}", markup=False, highlight=False)
     for message in findings.messages:
         console.print(f"note: {message}", style="dim", markup=False, highlight=False)
     columns = sorted({name for each in findings.not_testable for name in each.columns})
@@ -106,9 +108,9 @@ def _gap_table(findings: GapFindings) -> Table:
 
 
 def _cells(measure: Measure) -> tuple[str, ...]:
-    interval = "" if measure.low is None or measure.high is None else f"{measure.low:.3g} to {measure.high:.3g}"
+    interval = "" if measure.low is None or measure.high is None or measure.low != measure.low else f"{measure.low:.3g} to {measure.high:.3g}"
     return (_number(measure.before), _number(measure.after), interval, _number(measure.floor))
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+    return "-" if value is None or value != value else f"{value:.3g}"

@@ -138,7 +138,7 @@ def compare(readings: Readings, model: Model, settings: Settings, date: str, say
     findings = GapFindings(
         verdict=None,
         rows=len(readings.data),
-        runs=int(np.unique(parts.runs).size),
+        runs=int(np.unique(data["run"]).size),
         gap=before,
         calibration=readings.calibration,
         slices=slices,
