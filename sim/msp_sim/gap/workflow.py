@@ -259,9 +259,9 @@ def _gap(
         first, floor = before.numbers()[key], drawn.floor[key]
         if after is None:
             # Nothing has been added, so the interval is that of the gap itself.
-            return found.Measure(first.value, None, floor, first.low, first.high)
+            return found.Measure(*(_known(each) for each in (first.value, np.nan, floor, first.low, first.high)))
         last = after.numbers()[key]
-        return found.Measure(first.value, last.value, floor, last.low, last.high)
+        return found.Measure(*(_known(each) for each in (first.value, last.value, floor, last.low, last.high)))
 
     code = found.Measure(
         1.0 + impossible / LEAST_WEIGHT,
@@ -274,6 +274,10 @@ def _gap(
         number("spread_ratio"),
         found.Odds(number("short"), number("missed"), number("random"), code),
     )
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else float(value)
 
 
 def _effect(each: Any) -> found.FoundEffect:
