@@ -33,6 +33,8 @@ POINT_MASS_SHARE = 0.001
 POINT_MASS_TIMES = 8.0
 """How many times as frequent as the values beside it a point mass is, among readings that are no hits."""
 FAR_SIGMAS = 6.0
+RELATIVE = 1e-9
+"""Of a number: what differs by less does not differ."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def read_readings(
     del tables
     check_comparable(", ".join(str(path) for path in paths), _within(data), model.sensor)
     notes = [column_map.note] if column_map is not None and column_map.note else []
-    data, messages = _cleaned(data)
+    data, messages = _cleaned(_settled(data))
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
     constant = _constant(data)
@@ -129,6 +131,17 @@ def _within(data: MeasuredData) -> MeasuredData:
     """Without codes that no distance can be, so that units are judged by distances."""
     reading_cm = data["reading_cm"]
     return MeasuredData({**data.columns, "reading_cm": np.where(reading_cm >= 32768.0, np.nan, reading_cm)})
+
+
+def _settled(data: MeasuredData) -> MeasuredData:
+    """Without what arithmetic adds to a number that never changes: 100.00000000000142 is 100."""
+    columns = dict(data.columns)
+    for name, column in data.columns.items():
+        if column.dtype.kind == "f" and np.isfinite(column).any():
+            low, high = float(np.nanmin(column)), float(np.nanmax(column))
+            if low < high <= low + RELATIVE * max(abs(low), abs(high)):
+                columns[name] = np.where(np.isnan(column), np.nan, float(f"{low:.9g}"))
+    return MeasuredData(columns)
 
 
 def _cleaned(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
