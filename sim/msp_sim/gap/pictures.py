@@ -17,7 +17,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.gap.cells import Partition, partitions
 from msp_sim.gap.findings import GapFindings, Slice, Unknown
 from msp_sim.gap.measures import Table
-from msp_sim.gap.words import column_words, plain
+from msp_sim.gap.words import column_words, name_of, plain
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -338,7 +338,12 @@ def _pit(model: Model, table: Table, rng: np.random.Generator) -> _Array:
 def _step_name(added: str, place: int) -> str:
     if place == 0 and not added:
         return "the model as given"
-    return {"calibrated": "its numbers fitted again"}.get(added, f"+ {added.replace('_', ' ')}")
+    if added in ("calibration", "calibrated"):
+        return "its numbers fitted again"
+    channel, over, columns = added.partition(" over ")
+    if not over:
+        return f"+ {added.replace('_', ' ')}"
+    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
 
 
 def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:

@@ -218,20 +218,17 @@ def add(compared: Compared, findings: GapFindings, explained: Explanation, say: 
     measured = measure(proved, table, partition, drawn)
     gap = _gap(compared.measures, measured, drawn, compared.impossible, 1.0 - float(can.mean()))
     say("measuring each step of the way", 0.95)
-    path = [*findings.path]
-    for step in _steps(explained):
-        score = _log_score(step.model, compared.table)
-        left = max(compared.measures.nats.value - (score - compared.measures.log_score), 0.0)
-        path.append(found.Step(step.name, left, score))
+    scores = [(step.name, _log_score(step.model, compared.table)) for step in explained.path if step.name]
+    # The last step is the gap that was measured; each before it had what the ones after it gain.
+    path = [*findings.path, *(found.Step(step, _left(measured, scores[-1][1] - score), score) for step, score in scores)]
     slices = again(findings.slices, proved, table, partition, measured.fits)
     findings = replace(findings, gap=gap, path=tuple(path), slices=slices)
     findings = replace(findings, verdict=verdict(findings, compared.before))
     return Added(proved, explained.model, replace(findings, sentence=sentence(findings)))
 
 
-def _steps(explained: Explanation) -> list[Any]:
-    """The steps after the given model: the calibrated one, and one for each effect."""
-    return [each for each in explained.path if each.name]
+def _left(measured: Measures, gain: float) -> float:
+    return max(measured.nats.value + gain, 0.0)
 
 
 def _log_score(model: Model, table: Table) -> float:
