@@ -60,7 +60,7 @@ def test_a_column_may_tell_the_runs(tmp_path: Path) -> None:
     columns = readings(100)
     columns["battery"] = np.repeat(np.arange(5.0), 20)
     assert np.unique(taken(tmp_path, columns, run_column="battery").data["run"]).tolist() == ["0", "1", "2", "3", "4"]
-    with pytest.raises(ConfigError, match="--run-column pack: .* has the columns .*battery"):
+    with pytest.raises(ConfigError, match=r"--run-column pack: .* has the columns .*battery"):
         read_readings([tmp_path / "flight.csv"], MODEL_GIVEN, run_column="pack")
 
 

@@ -170,7 +170,8 @@ def _gap_table(findings: GapFindings, before: Model) -> Table | None:
 
 
 def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
-    interval = "" if not _short(measure.low) or not _short(measure.high) else f"{_short(measure.low)} to {_short(measure.high)}"
+    low, high = _short(measure.low), _short(measure.high)
+    interval = f"{low} to {high}" if low and high else ""
     return (_short(measure.before), _short(measure.after), interval, _short(measure.floor), _short(limit))
 
 
@@ -219,6 +220,6 @@ def _not_testable(findings: GapFindings) -> list[tuple[str, list[str]]]:
 
 
 def _short(value: float | None) -> str:
-    if value is None or value != value:
+    if value is None:
         return ""
     return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"

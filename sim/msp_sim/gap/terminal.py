@@ -108,9 +108,9 @@ def _gap_table(findings: GapFindings) -> Table:
 
 
 def _cells(measure: Measure) -> tuple[str, ...]:
-    interval = "" if measure.low is None or measure.high is None or measure.low != measure.low else f"{measure.low:.3g} to {measure.high:.3g}"
+    interval = "" if measure.low is None or measure.high is None else f"{measure.low:.3g} to {measure.high:.3g}"
     return (_number(measure.before), _number(measure.after), interval, _number(measure.floor))
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None or value != value else f"{value:.3g}"
+    return "-" if value is None else f"{value:.3g}"

@@ -220,9 +220,9 @@ def add(compared: Compared, findings: GapFindings, explained: Explanation, say: 
     say("measuring each step of the way", 0.95)
     scores = [(step.name, _log_score(step.model, compared.table)) for step in explained.path if step.name]
     # The last step is the gap that was measured; each before it had what the ones after it gain.
-    path = [*findings.path, *(found.Step(step, _left(measured, scores[-1][1] - score), score) for step, score in scores)]
+    later = [found.Step(step, _left(measured, scores[-1][1] - score), score) for step, score in scores]
     slices = again(findings.slices, proved, table, partition, measured.fits)
-    findings = replace(findings, gap=gap, path=tuple(path), slices=slices)
+    findings = replace(findings, gap=gap, path=(*findings.path, *later), slices=slices)
     findings = replace(findings, verdict=verdict(findings, compared.before))
     return Added(proved, explained.model, replace(findings, sentence=sentence(findings)))
 
