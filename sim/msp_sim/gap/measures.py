@@ -25,6 +25,8 @@ STEPS = (0.05, 0.02, 0.02, 0.02, 0.02)
 PRIOR_SD = (50.0, 2.0, 2.5, 2.5, 2.5)
 """Weak prior in the same units: what a cell says nothing of stays where it is."""
 ROUNDS = 12
+MOST_BIAS_CM, MOST_BIAS_SHARE = 10.0, 0.2
+"""Of the range: what is farther off is another echo, and no bias of this one."""
 LOG_LEAST = np.log(1e-12)
 """Of a reading that the model cannot give: it counts as a code, and not as ever so improbable."""
 
@@ -291,6 +293,9 @@ def _beginning(model: Model, table: Table, partition: Partition, sigma_cm: _Arra
         if here.size < 10:
             continue
         low, middle, high = np.quantile(here, [0.25, 0.5, 0.75])
+        scale_cm = float(np.mean(sigma_cm[rows]))
+        if abs(middle) * scale_cm > MOST_BIAS_CM + MOST_BIAS_SHARE * float(np.nanmedian(centre[rows])):
+            continue
         spread = max((high - low) / 1.349, 0.05)
         numbers[i, 0] = middle
         numbers[i, 1] = np.clip(np.log(spread), -2.0, 3.0)

@@ -225,7 +225,9 @@ def _draw_residual(
     low, middle, high, error = _of_bins(residual, part)
     twin = np.stack([_of_bins(model.sample(table.contexts, rng) - centre, part)[:3] for _ in range(TWINS)]).mean(axis=0)
     wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, twin[2] - twin[0]])))
-    reach = float(np.nanmax(np.abs(middle))) + wide + 1.0
+    far = np.abs(middle[np.isfinite(middle)])
+    # A bin of outliers alone must not make all others a line.
+    reach = float(far[far <= 8.0 * np.median(far) + 2.0 * wide].max()) + wide + 1.0
     shown = rng.permutation(len(table))[:DOTS]
     jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
