@@ -16,7 +16,7 @@ _Array = NDArray[np.float64]
 
 FEW_RUNS = 4
 """With fewer, runs are cut into blocks of consecutive readings."""
-BLOCKS = 20
+BLOCKS = 60
 SURE = 1e-3
 """Chance of finding dependence where there is none."""
 
