@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from msp_sim.gap import adequacy
 from msp_sim.gap.adequacy import FreeForm
+from msp_sim.gap.beginning import fit_base
 from msp_sim.gap.refit import Fitted, refit
 from msp_sim.gap.screen import Screen, Sums, information_of, screen, sums, twin
 from msp_sim.gap.tangent import BASE, Channels, Entry, Prepared, entries
@@ -120,7 +121,7 @@ class Search:
         self.some_unit = self.unit[thin]
         self.scale = n / len(self.prepared)
         self.curves = adequacy.curves_of(self.some)
-        self.null = refit(self.prepared, [])
+        self.null = fit_base(self.prepared)
         drawn = twin(self.model, self.null.base, [], self.contexts, self.rng)
         self.information = information_of(drawn, self.null.base, [], self.tested)
         self.by_run = self.depends(self.null).dependent
