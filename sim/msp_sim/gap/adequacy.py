@@ -20,11 +20,13 @@ from msp_sim.gap.tangent import BASE, CHANNELS
 
 _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition"})
-KNOTS = 6
-PAIR_KNOTS = 3
-LEAST_EVENTS = 6.0
-"""Information that a direction of a curve needs, in events."""
-PAIR_COST = 6.0
+KNOTS = (2, 3, 6, 12)
+"""How fine curves are: from a straight line on."""
+PAIR_KNOTS = (2, 3)
+MOST_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
+LEAST_EVENTS = 5.0
+"""Information that a curve needs for each of its knots, in events."""
+PAIR_COST = 4.0
 """How many times less likely, in nats, a pair of columns has to be than the best single one."""
 
 
@@ -52,9 +54,9 @@ class FreeForm:
     log_p: float
 
 
-def variables_of(contexts: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """Columns that vary, with their knots."""
-    found: dict[str, tuple[Any, ...]] = {}
+def variables_of(contexts: Mapping[str, Any]) -> dict[str, list[tuple[Any, ...]]]:
+    """Columns that vary, with their knots, the coarse ones first."""
+    found: dict[str, list[tuple[Any, ...]]] = {}
     for name, column in contexts.items():
         if name in NO_VARIABLES:
             continue
@@ -62,11 +64,11 @@ def variables_of(contexts: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
         if name in WORD_COLUMNS:
             words = [str(word) for word in np.unique(values) if word]
             if 2 <= len(words) <= 12:
-                found[name] = tuple(words)
+                found[name] = [tuple(words)]
         elif values.dtype.kind == "f":
-            knots = _knots(values, KNOTS)
-            if len(knots) >= 2:
-                found[name] = knots
+            sizes = [knots for count in KNOTS if len(knots := _knots(values, count)) >= 2]
+            if sizes:
+                found[name] = list(dict.fromkeys(sizes))
     return found
 
 
@@ -98,14 +100,16 @@ def curves_of(contexts: Mapping[str, Any]) -> Asked:
     """Every column that varies, and every pair of them."""
     places = variables_of(contexts)
     asked: list[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]] = [
-        ((name,), (knots,)) for name, knots in places.items()
+        ((name,), (knots,)) for name, sizes in places.items() for knots in sizes
     ]
-    coarse = {
-        name: knots if name in WORD_COLUMNS else _knots(np.asarray(contexts[name], dtype=float), PAIR_KNOTS)
-        for name, knots in places.items()
-    }
-    names = [name for name, knots in coarse.items() if 2 <= len(knots) <= 4]
-    asked += [((a, b), (coarse[a], coarse[b])) for a, b in combinations(names, 2)]
+    for count in PAIR_KNOTS:
+        coarse = {
+            name: sizes[0] if name in WORD_COLUMNS else _knots(np.asarray(contexts[name], dtype=float), count)
+            for name, sizes in places.items()
+        }
+        names = [name for name, knots in coarse.items() if 2 <= len(knots) <= 4]
+        asked += [((a, b), (coarse[a], coarse[b])) for a, b in combinations(names, 2)]
+    asked = list(dict.fromkeys(asked))
     weights = []
     for variables, knots in asked:
         weight = hats(contexts, variables, knots)
@@ -145,7 +149,10 @@ def scan(
         slope = nuisance[:, CHANNELS.index(channel)]
         if not np.any(slope):
             continue
+        told = float(slope @ slope)
         for (variables, knots), weight in zip(asked.curves, asked.weights, strict=True):
+            if weight.shape[1] > MOST_KNOTS[channel] or told < LEAST_EVENTS * weight.shape[1]:
+                continue
             found.append(_judged(channel, variables, knots, slope[:, None] * weight, own, inner, unit))  # type: ignore[arg-type]
     return sorted(found, key=lambda each: each.log_p + (PAIR_COST if len(each.variables) > 1 else 0.0))
 
@@ -165,9 +172,7 @@ def _judged(
     total = scores.sum(axis=0) - cross.T @ (inner @ own.sum(axis=0))
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
     values, vectors = np.linalg.eigh(efficient / np.outer(scale, scale))
-    # What rests on few events is far from normal: a direction needs some information of its own.
-    told = ((vectors * scale[:, None]) ** 2).sum(axis=0) * values
-    clear = (values > 0.02) & (told > LEAST_EVENTS)
+    clear = values > 0.02
     degrees = int(clear.sum())
     if degrees == 0:
         return FreeForm(channel, variables, knots, 0.0, 0, 0.0)

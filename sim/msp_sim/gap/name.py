@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
 
 from msp_sim.gap import adequacy
 from msp_sim.gap.adequacy import FreeForm
@@ -28,6 +29,9 @@ Say = Callable[[str, float], None]
 MOST_ROWS = 20_000
 """Rows of a refit while effects are chosen; of more, every k-th."""
 TRIED = 6
+MOST_TRIED = 12
+"""Refits in one go: as many as seem near, and so many at most."""
+SHAPES = 25
 NEAR_NATS = 3.0
 """Rivals: within this of the best."""
 SEPARABLE = 3.0
@@ -36,7 +40,7 @@ SHAPE_NATS = 0.7
 """What a parameter of a shape gains by chance."""
 KEEP = 0.6
 """Share of the gain needed to come in that an effect needs to stay."""
-UNKNOWN_P = 2e-3
+UNKNOWN_P = 0.02
 """Chance of a curve, of all that are asked for, where nothing is there."""
 RIDGE = 0.05
 SPECIAL = frozenset({"run_offsets"})
@@ -164,22 +168,56 @@ class Search:
             if entry.key not in taken and seen.gain[j] > seen.gain[best.get(entry.key, j)] - 1e-12:
                 best[entry.key] = j
         order = sorted(best.values(), key=lambda j: -seen.gain[j])
-        top = seen.gain[order[0]] if order else 0.0
-        refits = []
-        for j in order[:TRIED]:
-            if seen.gain[j] < least or seen.gain[j] < top - within:
+        refits: list[tuple[float, Item, Fitted]] = []
+        top = 0.0
+        for j in order[:MOST_TRIED]:
+            # What the screen promises is not always there: the best refit so far says what is near.
+            if seen.gain[j] < least or (len(refits) >= TRIED and seen.gain[j] < top - within):
                 break
-            entry = self.tested[j]
-            null = entry.parameter.null or 0.0
-            size = max(abs(seen.z[j] * seen.deviation[j]), entry.parameter.step) ** (1.0 / entry.parameter.power)
-            start = float(np.clip(null + np.sign(seen.z[j]) * size, entry.parameter.low, entry.parameter.high))
-            if entry.linear:
-                start = min(start, 0.3)
-            there = refit(self.prepared, [*fitted.effects, entry.at(start)], fitted.base, ridge=RIDGE)
+            if refits and seen.gain[j] < top - within:
+                break
+            there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
-            gained -= SHAPE_NATS * len(entry.shape)
-            refits.append((gained, Item(there.effects[-1], entry, float(seen.z[j]), gained), there))
+            gained -= SHAPE_NATS * len(self.tested[j].shape)
+            top = max(top, gained)
+            refits.append((gained, Item(there.effects[-1], self.tested[j], float(seen.z[j]), gained), there))
         return sorted(refits, key=lambda each: -each[0])
+
+    def _start(self, entry: Entry, seen: Screen, j: int) -> float:
+        """Where a refit begins."""
+        parameter = entry.parameter
+        null = parameter.null or 0.0
+        if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
+            return float(np.clip(null + seen.best[j], parameter.low, parameter.high))
+        size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
+        return float(np.clip(null + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
+
+    def refitted(self, fitted: Fitted, entry: Entry, start: float) -> Fitted:
+        """A joint refit with one more effect, from the best of some starts and shapes."""
+        best: tuple[float, Active] | None = None
+        for shape in self._shapes(entry):
+            for part in (1.0, 0.25):
+                active = replace(entry, shape=shape).at(start * part)
+                value = float(self.prepared.log_prob(fitted.base, [*fitted.effects, active]).sum())
+                if best is None or value > best[0]:
+                    best = value, active
+        assert best is not None
+        return refit(self.prepared, [*fitted.effects, best[1]], fitted.base, ridge=RIDGE)
+
+    def _shapes(self, entry: Entry) -> list[tuple[tuple[str, float], ...]]:
+        """Its shape, and with one number of it moved over what is between and beside the values tried."""
+        shapes = [entry.shape]
+        for parameter in entry.effect.parameters:
+            if parameter.null is not None or len(parameter.tried) < 2:
+                continue
+            low, high = min(parameter.tried), max(parameter.tried)
+            wide = [each for each in (low - (high - low) / 2, high + (high - low) / 2)]
+            places = np.linspace(max(wide[0], parameter.low), min(wide[1], parameter.high), SHAPES)
+            shapes += [
+                tuple((name, float(f"{place:.4g}") if name == parameter.name else value) for name, value in entry.shape)
+                for place in places
+            ]
+        return shapes
 
     def without(self, fitted: Fitted, k: int) -> Fitted:
         """The fit with the k-th effect taken out."""
@@ -235,11 +273,12 @@ def _forward(
     say: Say,
 ) -> tuple[Fitted, list[Item]]:
     while len(items) < max_effects:
-        if seen.largest < seen.critical:
-            break
-        found = search.candidates(fitted, items, seen, 6.0, 0.6 * needed)
+        found = search.candidates(fitted, items, seen, 6.0, 0.6 * needed) if seen.largest >= seen.critical else []
         if not found or found[0][0] < needed:
-            break
+            between = _between_runs(search, fitted, items, seen, needed) if search.by_run else None
+            if between is None:
+                break
+            found = [between]
         _, item, fitted = found[0]
         items = [*items, item]
         say(f"found {item.key[0]}", 0.1 + 0.1 * len(items))
@@ -248,6 +287,31 @@ def _forward(
         _update_unit(search, fitted)
         seen = search.screen(fitted, items)
     return fitted, items
+
+
+def _between_runs(
+    search: Search, fitted: Fitted, items: list[Item], seen: Screen, needed: float
+) -> tuple[float, Item, Fitted] | None:
+    """An effect that differs from run to run looks like dependence until it is named: with it, the dependence is gone.
+
+    Its number over its error by whole runs has to be beyond chance by as many runs as there are, and readings have to
+    be independent beside it.
+    """
+    free = replace(seen, gain=seen.gain * seen.inflation, inflation=np.ones_like(seen.inflation))
+    runs = int(np.unique(search.some_unit).size)
+    for gained, item, there in search.candidates(fitted, items, free, 6.0, needed):
+        left = search.depends(there)
+        if left.p_between < 0.02 or left.lag_z > 2.5 or gained < needed:
+            continue
+        at = len(BASE) + sum(len(each.values) for each in there.effects[:-1])
+        error = float(np.sqrt(there.covariance(search.some_unit)[at, at]))
+        value = there.values[at]
+        if error <= 0.0:
+            continue
+        chance = 2.0 * float(student.sf(abs(value / error), max(runs - 2, 1)))
+        if chance < 2.0 * float(norm.sf(seen.critical)):
+            return gained, replace(item, z=float(value / error)), there
+    return None
 
 
 def _update_unit(search: Search, fitted: Fitted) -> None:
@@ -287,7 +351,7 @@ def _curves(
     say("asking for what no name explains", 0.5)
     for _ in range(3):
         forms = search.free_forms(fitted)
-        if not forms or not _unlikely(forms[0], len(forms)):
+        if not forms or not _unlikely(forms[0], sum(len(each.variables) == 1 for each in forms)):
             break
         fitted, items = _with_curve(search, fitted, items, forms[0])
         fitted, items = _eliminate(search, fitted, items, needed)
@@ -304,7 +368,7 @@ def _curves(
         there, others = _with_curve(search, less, rest, forms[0])
         more = search.loss(fitted, there)
         spare = max(forms[0].degrees - sum(1 + len(items[k].entry.shape) for k in named), 1)  # type: ignore[union-attr]
-        if more > 0.5 * float(chi2.isf(UNKNOWN_P / len(forms), spare)) - 0.5 * max(len(named) - 1, 0):
+        if more > 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0):
             fitted, items, changed = there, others, True
     if changed:
         path.append(("curve", fitted.base, fitted.effects))
@@ -354,6 +418,7 @@ def _swaps(
             better = max(others, key=lambda each: each[0] - SHAPE_NATS * len(_shape(each[1])), default=None)
             if better is not None and better[0] - SHAPE_NATS * len(_shape(better[1])) > priced + 0.3:
                 order = [*rest, better[1]]
+                say(f"{better[1].key[0]} in place of {item.key[0]}", 0.65)
                 fitted = better[2]
                 items = [replace(old, active=each) for old, each in zip(order, fitted.effects, strict=True)]
                 swapped = True

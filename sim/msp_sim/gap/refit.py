@@ -228,8 +228,11 @@ def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
     total = sum(odds.values())
     knots = sensor.calibration
     if base[0] != 0.0:
-        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(100.0, 100.0), (200.0, 200.0)]
-        knots = tuple(CalibrationKnot(true_cm=true, reading_cm=reading + float(base[0])) for true, reading in before)
+        # A reading below nothing is none: what lies there is said by the line through the next two knots.
+        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(100.0, 100.0), (500.0, 500.0)]
+        after = [(true, reading + float(base[0])) for true, reading in before]
+        after = [each for each in after if each[1] > 0.0] if len(after) > 2 else [(t, max(r, 1e-3)) for t, r in after]
+        knots = tuple(CalibrationKnot(true_cm=true, reading_cm=reading) for true, reading in after)
     factor = float(np.exp(base[1]))
     update: dict[str, Any] = {
         "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}),

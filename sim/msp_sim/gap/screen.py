@@ -15,13 +15,16 @@ from scipy.sparse import csr_matrix
 
 from msp_sim.effects.base import Scene
 from msp_sim.gap.tangent import BASE, Channels, Entry, Prepared, channels, chunks, of_entry
-from msp_sim.model.model import Active, Model
+from msp_sim.model.model import Active, Model, acts
 from msp_sim.model.rows import Rows
 from msp_sim.model.streams import Streams
 
 _Array = NDArray[np.float64]
 TWIN_ROWS = 6_000
 GRID = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+"""Of what is mixed into the probability, in units of its number."""
+STEPS = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+"""Of log odds where an effect acts most."""
 DRAWS = 2_000
 COLLINEAR = 1e-3
 """An entry of which the nuisance leaves less than this share cannot be told from it."""
@@ -36,14 +39,17 @@ class Sums:
     by_unit
         (units, 7 + entries).
     profile
-        (entries,): for what mixes into the probability, twice the largest gain with all else held [nat]; infinite for
-        the others.
+        (entries,): for what mixes into the probability, and for odds, twice the largest gain with all else held [nat];
+        infinite for the others.
+    best
+        The number at which that is; NaN for the others.
     rows
         Readings.
     """
 
     by_unit: _Array
     profile: _Array
+    best: _Array
     rows: int
 
 
@@ -59,20 +65,74 @@ def sums(
     """Sums of scores by unit, in chunks."""
     units = int(unit.max()) + 1
     total = np.zeros((units, len(BASE) + len(tested)))
-    gains = np.zeros((len(tested), GRID.size))
+    linear = np.array([entry.linear for entry in tested], dtype=bool)
+    sizes = _sizes(model, effects, tested, contexts)
+    gains = np.zeros((len(tested), max(GRID.size, 2 * STEPS.size)))
     for part, columns, reading in chunks(contexts, reading_cm):
         prepared = Prepared.of(model, columns, reading)
-        scores = score_matrix(prepared, base, effects, tested)
+        rows = prepared.at(base, effects)
+        here = channels(rows, reading)
+        scores = _matrix(rows, prepared.scene, reading, here, tested)
         place = csr_matrix((np.ones(reading.size), (unit[part], np.arange(reading.size))), (units, reading.size))
         total += place @ scores
         for j, entry in enumerate(tested):
             if entry.linear:
-                slope = scores[:, len(BASE) + j]
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    gains[j] += np.log1p(np.maximum(GRID[:, None] * slope[None, :], -0.999999)).sum(axis=1)
-    linear = np.array([entry.linear for entry in tested], dtype=bool)
-    profile = np.where(linear, 2.0 * np.maximum(gains.max(axis=1, initial=0.0), 0.0), np.inf)
-    return Sums(total, profile, reading_cm.size)
+                slope = np.maximum(scores[:, len(BASE) + j], -1.0 / 0.31)
+                gains[j, : GRID.size] += np.log1p(GRID[:, None] * slope[None, :]).sum(axis=1)
+            elif entry.odds is not None:
+                gains[j, : 2 * STEPS.size] += _odds_gains(entry, rows, prepared.scene, here, sizes[j])
+    numbers = np.zeros_like(gains)
+    numbers[:, : 2 * STEPS.size] = np.concatenate([STEPS, -STEPS]) * sizes[:, None]
+    numbers[linear] = 0.0
+    numbers[linear, : GRID.size] = GRID
+    low = np.array([entry.parameter.low for entry in tested])
+    high = np.array([entry.parameter.high for entry in tested])
+    gains = np.where((numbers < low[:, None]) | (numbers > high[:, None]) | (numbers == 0.0), 0.0, gains)
+    profiled = linear | np.array([entry.odds is not None for entry in tested], dtype=bool)
+    at = gains.argmax(axis=1)
+    best = np.where(profiled, numbers[np.arange(len(tested)), at], np.nan)
+    profile = np.where(profiled, 2.0 * np.maximum(gains.max(axis=1, initial=0.0), 0.0), np.inf)
+    return Sums(total, profile, best, reading_cm.size)
+
+
+def _template(entry: Entry, scene: Scene) -> _Array:
+    """Log odds by a number of 1, where it acts."""
+    active = entry.at((entry.parameter.null or 0.0) + entry.parameter.step)
+    known = acts(scene, active)
+    n = int(np.shape(scene.range_cm)[0])
+    if known is False:
+        return np.zeros(n)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        change = active.effect.act(scene, active.values)
+    moved = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)[(entry.odds or 1) - 1]
+    return np.broadcast_to(np.nan_to_num(np.where(known, moved, 0.0)) / entry.parameter.step, (n,))
+
+
+def _sizes(model: Model, effects: Sequence[Active], tested: Sequence[Entry], contexts: Mapping[str, Any]) -> _Array:
+    """For odds, the number that changes them by one where it acts most, as of some of the rows."""
+    n = np.shape(contexts["true_range_cm"])[0]
+    some = {name: np.asarray(column)[:: max(1, n // 5000)] for name, column in contexts.items()}
+    scene = Scene(model.sensor, some)
+    sizes = np.ones(len(tested))
+    for j, entry in enumerate(tested):
+        if entry.odds is not None:
+            largest = float(np.abs(_template(entry, scene)).max(initial=0.0))
+            sizes[j] = 1.0 / largest if largest > 0.0 else 1.0
+    return sizes
+
+
+def _odds_gains(entry: Entry, rows: Rows, scene: Scene, here: Channels, size: float) -> _Array:
+    """Gain of changed odds, all else held: exact in the posterior share of the class."""
+    which = entry.odds or 1
+    template = _template(entry, scene)
+    some = np.flatnonzero(template)
+    weights = [np.broadcast_to(np.exp(each), template.shape)[some] for each in rows.log_weights]
+    share = weights[which] / sum(weights)
+    posterior = np.clip(here.by[some, 1 + which] + share, 0.0, 1.0)
+    steps = np.concatenate([STEPS, -STEPS])
+    factor = np.expm1(np.clip(steps[:, None] * size * template[some], -30.0, 30.0))
+    gains: _Array = (np.log1p(posterior * factor) - np.log1p(share * factor)).sum(axis=1)
+    return gains
 
 
 def score_matrix(prepared: Prepared, base: _Array, effects: Sequence[Active], tested: Sequence[Entry]) -> _Array:
@@ -128,6 +188,8 @@ class Screen:
         The largest |z|, the value that it passes with probability alpha where nothing is there, and its p-value.
     inflation
         Variance of the sums over runs against that of independent readings; 1 where they are independent.
+    best
+        Numbers at which the profile is highest; NaN where there is none.
     """
 
     z: _Array
@@ -138,6 +200,7 @@ class Screen:
     critical: float
     p_value: float
     inflation: _Array
+    best: _Array
 
 
 def screen(
@@ -214,7 +277,7 @@ def screen(
     critical = float(np.quantile(maxima, 1.0 - alpha))
     p_value = float((1 + np.sum(maxima >= largest)) / (1 + DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
-    return Screen(z, 0.5 * z**2, deviation, correlation, largest, critical, p_value, inflation)
+    return Screen(z, 0.5 * z**2, deviation, correlation, largest, critical, p_value, inflation, measured.best)
 
 
 def information_of(prepared: Prepared, base: _Array, effects: Sequence[Active], tested: Sequence[Entry]) -> _Array:

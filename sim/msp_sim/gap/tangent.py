@@ -60,6 +60,12 @@ class Entry:
         return self.parameter.low >= 0.0
 
     @property
+    def odds(self) -> int | None:
+        """Which of the three odds it changes, if that is all it does: 1 short, 2 missed, 3 random."""
+        found = [i for i, channel in enumerate(("short", "missed", "random"), 1) if channel in self.effect.channels]
+        return found[0] if len(found) == 1 and len(self.effect.channels) == 1 else None
+
+    @property
     def linear(self) -> bool:
         """It mixes something into the probability."""
         return bool({"component", "code"} & set(self.effect.channels))
