@@ -144,13 +144,16 @@ class FitResult:
 
         From the standard error, on the scale of log odds (weights and fraction) or of the logarithm (sigma, lambda);
         within four standard errors of a bound from the profile of the likelihood, which refits the others at every
-        step. All that the parameter can be, where it is not identified.
+        step. All that the parameter can be, where it is not identified; the value twice, where it was not fitted, as
+        the fraction of a sensor without a second code.
         """
         if name not in self.estimates:
             raise ValueError(f"found {name!r}, expected one of {', '.join(self.estimates)}")
         value, error = self.estimates[name], self.standard_errors[name]
         if name == "hit":
             return _share_interval(value, error, level, self.readings)
+        if _NUMBERS[name] not in self._moving:
+            return value, value
         low, high = _ends(name)
         if name in self.not_identified:
             return low, high
