@@ -148,7 +148,10 @@ def characterise(
         hot_boxes=boxes,
         temperature_compensation=table,
         absent=absent,
-        warnings=tuple(_warnings(gathered, points, undisturbed, calibration, view.angles if view else (), rows)),
+        warnings=(
+            *_warnings(gathered, points, undisturbed, calibration, view.angles if view else (), rows),
+            *_quieter(sensor, fitted.parameters if isinstance(fitted, Fitted) else None),
+        ),
     )
     changes = Changes(
         calibration=_knots(calibration),
@@ -240,6 +243,16 @@ def _warnings(
             + " cm"
         )
     return told
+
+
+def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:
+    """A bench's noise is not a vehicle's, and a filter that is too sure is the worse mistake."""
+    if fitted is None or fitted.sigma_cm > sensor.reading_model.sigma_cm / 2.0:
+        return []
+    return [
+        f"the spread of {fitted.sigma_cm:.2g} cm is a bench's, and {sensor.reading_model.sigma_cm:.2g} cm was taken "
+        "before: filters that trust it on a vehicle, which shakes, may be too sure"
+    ]
 
 
 def provenance(findings: Findings) -> dict[str, object]:

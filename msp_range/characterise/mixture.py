@@ -119,7 +119,7 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
         return "not tried: all readings are of one range"
     if not grown:
         return "nothing depends on range (by BIC)"
-    told = f"{' and '.join(grown)} depend on range (by BIC)"
+    told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "max_growth_per_m" not in result.estimates:
         return told
     weights = result.parameters.weights
