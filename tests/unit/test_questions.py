@@ -130,6 +130,13 @@ def test_crosstalk_is_asked_of_each_sensor_and_each_has_its_own_answer() -> None
         "crosstalk_sequential sequential one": "does not matter",
         "crosstalk_sequential sequential two": "does not matter",
     }
+    # Only the first sensor has a baseline: what the second one's own offset is, another sensor's does not say.
+    assert [each.reference for each in found.values()] == [
+        "baseline",
+        "sequential",
+        "baseline",
+        "the baseline of another sensor",
+    ]
 
 
 def test_crosstalk_that_comes_and_goes_is_seen_in_the_odds() -> None:
