@@ -27,8 +27,6 @@ def check_free(out: Path, folder: Path | None) -> None:
     for path in taken:
         if path.exists():
             raise ConfigError(f"{path}: there is a file already, and none is overwritten")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: there is no folder {out.parent}")
     missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
     if folder is not None and missing:
         raise ConfigError(f"--report needs {' and '.join(missing)}: pip install 'msp-range[lab]'; or leave it out")

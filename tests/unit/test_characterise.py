@@ -141,11 +141,12 @@ def test_data_that_say_nothing_are_refused(tmp_path: Path, parts, message: str) 
 
 def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05)))
-    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    out = tmp_path / "a folder that" / "is not there" / "m.yaml"
+    result = run(tmp_path / "a.csv", "--out", out, "--sensor", SENSOR)
     assert result.exit_code == 0, result.output
     assert "one range only" in result.output
     assert "no air_temperature_c" in result.output
-    assert load_sensor_model(tmp_path / "m.yaml").calibration == ()
+    assert load_sensor_model(out).calibration == ()
 
 
 def test_a_sensor_without_a_driver_does_not_fly(tmp_path: Path) -> None:

@@ -12,7 +12,17 @@ from msp_range.characterise.findings import BreakawayAngle, Estimate, Findings
 from msp_range.characterise.report.draw.beam import Sweep, draw_sweep
 from msp_range.characterise.report.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_range.characterise.report.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, minus, plus, sentence, summary
+from msp_range.characterise.report.rows import (
+    Absent,
+    Drawn,
+    Maker,
+    Rows,
+    minus,
+    plus,
+    sentence,
+    set_up_error_cm,
+    summary,
+)
 from msp_range.characterise.temperature import REPORT_ROOM_C
 from msp_range.reading_model.mixture import ReadingModel
 
@@ -135,8 +145,9 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
 
 
 def _probabilities(findings: Findings, rows: Rows, true_cm: float) -> NDArray[np.float64]:
-    """Probability of each reading from 0 cm on by the fitted model, at a true range in the fit's own centimetres."""
+    """Probability of each reading from 0 cm on by the fitted model, about the range that the fit took it to be."""
     expected_cm = float(np.mean(rows.apparent_cm[rows.of("maximum_range") & (rows.true_cm == true_cm)]))
+    expected_cm += set_up_error_cm(findings, "maximum_range", true_cm)
     readings = np.arange(0.0, rows.model.maximum_cm + 1.0)
     model = ReadingModel.of(rows.model)
     return np.exp(model.log_prob(readings, {"true_range_cm": np.full(readings.size, expected_cm)}))
