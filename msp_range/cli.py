@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 from collections.abc import Callable
+from datetime import date as day
 from functools import wraps
 from pathlib import Path
 from types import FrameType
@@ -25,6 +26,9 @@ app = typer.Typer(
 )
 
 Parameters = ParamSpec("Parameters")
+
+MB1242 = Path("configs/sensors/mb1242.yaml")
+"""In the repository's folder."""
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
@@ -390,7 +394,7 @@ def characterise(
     ] = None,
     sensor: Annotated[
         Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
-    ] = Path("configs/sensors/mb1242.yaml"),
+    ] = MB1242,
     column_map: Annotated[
         list[str] | None,
         typer.Option(
@@ -417,6 +421,10 @@ def characterise(
     from msp_range.reading_model.sensor_model import load_sensor_model
 
     check_free(out, report)
+    if date is not None and not _is_date(date):
+        raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
+    if sensor == MB1242 and not sensor.exists():
+        raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
     started = load_sensor_model(sensor)
     mapping = load_map(column_map) if column_map else None
     progress = Console(stderr=True)
@@ -438,6 +446,13 @@ def characterise(
     console = Console()
     show(findings, console)
     console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"), markup=False)
+
+
+def _is_date(text: str) -> bool:
+    try:
+        return day.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from msp_range.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows,
 from msp_range.characterise.findings import BreakawayAngle, Calibration, Findings, Source
 from msp_range.characterise.gather import Gathered
 from msp_range.characterise.mixture import Fitted, fit_mixture
-from msp_range.characterise.points import BASELINE, PointReadings, sort_into_points
+from msp_range.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
 from msp_range.characterise.questions import TOPICS, questions
 from msp_range.characterise.temperature import compensation_table, hot_boxes
 from msp_range.correction.calibration import IDENTITY
@@ -89,6 +89,8 @@ def characterise(
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
     absent: dict[str, str] = {}
+
+    _check_together(gathered, undisturbed)
 
     say("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
@@ -164,6 +166,18 @@ def characterise(
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
         raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
+
+
+def _check_together(gathered: Gathered, undisturbed: Sequence[PointReadings]) -> None:
+    """Refuse readings of which most are nowhere near their true ranges, though they are readings of something."""
+    heard = [p for p in undisturbed if 2 * int(p.is_heard.sum()) >= p.reading_cm.size]
+    astray = [p for p in heard if p.hits < LEAST_HITS <= int(p.is_heard.sum())]
+    if 2 * len(astray) > len(heard):
+        where = ", ".join(f"{p.range_cm:g}" for p in astray[:5])
+        raise RecordingError(
+            f"{_names(gathered.sources)}: at {len(astray)} of {len(heard)} undisturbed points the readings are not "
+            f"near the true range ({where} cm ...); do true_range_cm and reading_cm belong together, row by row?"
+        )
 
 
 def _names(sources: Sequence[Source]) -> str:

@@ -6,7 +6,7 @@ here, before any: no true range, hardly any readings, another unit.
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +26,12 @@ WRONG_UNIT = 0.5
 LEAST_NEAR = 0.1
 """Where more than this share of the readings is outside of the sensor's limits, or less than this within a factor of 2
 of the truth, they are in another unit or of something else."""
+
+
+AGAIN = 0.95
+"""Of two files of which this share of the smaller one's rows is in both, one was made of the other."""
+AIR_C = (-50.0, 65.0)
+"""Air that people and sensors stand [deg C]."""
 
 
 class Gathered(NamedTuple):
@@ -61,6 +67,8 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
+        if column_map is None:
+            _check_not_again(path, table, zip(paths, tables, strict=False))
         tables.append(table)
         sources.append(source)
     data = _joined(tables)
@@ -72,10 +80,40 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
     return Gathered(data, tuple(sources), tuple(warnings))
 
 
+def _check_not_again(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:
+    """Refuse readings that are in an earlier file, as those of a recording are in the table made of it."""
+    names = ("time_s", "sensor", "reading_cm", "true_range_cm")
+    rows = _rows(table, names)
+    for other, earlier in before:
+        others = _rows(earlier, names)
+        again = len(rows & others)
+        if again > AGAIN * min(len(rows), len(others)):
+            raise RecordingError(
+                f"{path}: {again} of its readings are in {other} too; each may count once, so leave one of them out"
+            )
+
+
+def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
+    # Times to a millisecond: a recording has more digits than a table. Unknown numbers are equal here.
+    columns = [
+        np.nan_to_num(np.round(table[name], 3), nan=-1.0) if table[name].dtype.kind == "f" else table[name]
+        for name in names
+        if name in table
+    ]
+    return set(zip(*(column.tolist() for column in columns), strict=True))
+
+
 def _read(path: Path, sensor: SensorModel, column_map: ColumnMap | None) -> MeasuredData:
     if column_map is not None:
         return read_mapped(path, column_map, sensor.maximum_cm)
-    return measured_data(Recording(path)) if is_recording(path) else read_csv(path)
+    if is_recording(path):
+        return measured_data(Recording(path))
+    try:
+        return read_csv(path)
+    except RecordingError as error:
+        if "is missing" not in str(error):
+            raise
+        raise RecordingError(f"{error}; --map NAME=COLUMN tells of columns with other names") from None
 
 
 def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
@@ -111,6 +149,12 @@ def _check(name: str, data: MeasuredData, sensor: SensorModel) -> None:
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
             "column, or name the column that it is in with --map true_range_cm=COLUMN"
         )
+    for column in ("air_temperature_c", "target_temperature_c"):
+        if column in data and ((data[column] < AIR_C[0]) | (data[column] > AIR_C[1])).any():
+            raise RecordingError(
+                f"{name}: found {column} of {_span(data[column][~np.isnan(data[column])])}, expected deg C from "
+                f"{AIR_C[0]:g} to {AIR_C[1]:g}. In deg F or K? --map takes a file that says so (unit: F or K)"
+            )
     answered = ~np.isnan(data["reading_cm"])
     usable = answered & ~np.isnan(data["true_range_cm"])
     if usable.sum() < LEAST_READINGS:

@@ -94,6 +94,23 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
     assert len(after.evidence) == 2
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "{}/a.csv/m.yaml"), "a.csv is a file, expected a folder"),
+        (("--out", "{}/m.yaml", "--report", "{}/a.csv"), "a.csv is a file, expected a folder"),
+        (("--out", "{}"), "there is a folder already"),
+        (("--out", "{}/m.yaml", "--date", "today"), "expected a day such as 2026-10-05"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_work(tmp_path: Path, options, message: str) -> None:
+    write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(6), 100)))
+    result = run(tmp_path / "a.csv", "--sensor", SENSOR, *(each.format(tmp_path) for each in options))
+    assert result.exit_code == 3
+    assert message in result.output
+    assert [each.name for each in tmp_path.iterdir()] == ["a.csv"]
+
+
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     data, out = bench(tmp_path), tmp_path / "model.yaml"
     out.write_text("mine", encoding="utf-8")
@@ -124,6 +141,11 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
     [
         (lambda rng: [point(rng, 100, n=10)], "found 10 readings with a true range, expected at least 30"),
         (lambda rng: [point(rng, 100, missed=1.0)], "nothing can be found"),
+        (
+            lambda rng: [point(rng, z, error_cm=300 - z) for z in (100, 150, 200)],
+            "at 3 of 3 undisturbed points the readings are not near the true range",
+        ),
+        (lambda rng: [point(rng, 100, air_temperature_c=70.0)], "expected deg C from -50 to 65"),
         (
             lambda rng: [point(rng, 100, condition="basline")],
             "no analysis knows the condition 'basline'; is it 'baseline'?",
