@@ -55,7 +55,7 @@ class _Channel:
     def __init__(self, sensor: Sensor, airframe: Airframe) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
-        self.chain = Chain([parameters.make() for parameters in airframe.filters])
+        self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters])
         self.topic = RANGE_PREFIX + sensor.name
         self.readings = 0
         self.rejected: dict[str, int] = {}
