@@ -53,7 +53,7 @@ class Changepoint:
         self._reading_m[0] = measured.range_m
         self._reading_variance_m2[0] = variance_m2 if variance_m2 < np.inf else self._variance_m2
         estimate = self._runs.update(self._elapsed_s, self._reading_m, self._reading_variance_m2)
-        if not estimate.known[0]:
+        if not estimate.sure[0]:
             return None
         return Estimate(float(estimate.range_m[0]), float(estimate.variance_m2[0]))
 

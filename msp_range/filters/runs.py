@@ -6,7 +6,7 @@ has one stream (`msp_range.filters.changepoint`), a study has one a seed.
 A hypothesis is a run since its last change, with a Gaussian of range x and rate v; a run that stands has v = 0 and no
 variance of it. Between two readings, T apart, a run either goes on, or
 
-    kinks   x goes on, v is drawn anew, N(0, START_RATE_STD_M_S^2), or becomes 0
+    kinks   x goes on; v changes by N(0, (BEND_M_S2 T)^2), is drawn anew from N(0, TURN_M_S^2), or becomes 0
     jumps   x is drawn anew, uniform over all that the sensor can report; v becomes 0 or stays as it was
 
 Both happen at rates that each hypothesis learns from its own kinks and jumps, as Gamma(a + count, b + time). A reading
@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from msp_range.reading_model.sensor_model import MixtureParameters
 
@@ -38,13 +38,19 @@ RATES_MEMORY_S = 60.0
 """Changes and time longer ago than this no longer count for the rates [s]."""
 STANDS = 0.3
 """Share of the kinks of a moving run after which it stands."""
-START_RATE_STD_M_S = 1.0
-"""Standard deviation of the rate after a kink [m/s]: what a vehicle climbs at."""
-SURPRISE = 0.05
-"""A jump to a reading is at most so many times as probable as that the reading is not of the surface, where the
-reading model has such readings at all. So it takes a second one to believe a step."""
+TURN_M_S = 1.0
+"""Standard deviation of the rate after a turn [m/s]: what a vehicle climbs at."""
+BENDS = 0.5
+"""Share of bends in the other kinks; the rest are turns."""
+BEND_M_S2 = 1.0
+"""Standard deviation of the acceleration between the two readings of a bend [m/s^2]: what a vehicle speeds up with."""
+SURPRISE = 0.01
+"""A jump or a turn to a reading is at most so many times as probable as that there is none, where the reading model has
+readings that are not of the surface. So it takes a second reading to believe a step."""
 KNOWN = 1e-3
 """The first range is put out when 'nowhere' is less probable than this."""
+SURE = 0.5
+"""A reading that is less probably of the surface moves the runs, but nothing is put out."""
 TOLERANCE_M = 1e-5
 """Of the posterior median [m]."""
 MOST_ITERATIONS = 60
@@ -151,11 +157,21 @@ def rounding_bias_m2(std_m: float, step_m: float) -> float:
 
 
 class Posterior(NamedTuple):
-    """After a step, one a stream: the median range [m], the variance about it [m^2], and whether a level is known."""
+    """After a step, one a stream.
+
+    Attributes
+    ----------
+    range_m
+        Median of the range [m].
+    variance_m2
+        About it [m^2].
+    sure
+        Whether a level is known and the reading was probably of the surface: then the range is worth putting out.
+    """
 
     range_m: _Array
     variance_m2: _Array
-    known: NDArray[np.bool_]
+    sure: NDArray[np.bool_]
 
 
 class Runs:
@@ -211,6 +227,11 @@ class Runs:
         off = reading - x
         hit = likelihood.hit / math.sqrt(2 * math.pi) * np.exp(-0.5 * off * off / spread) / np.sqrt(spread)
         elsewhere = likelihood.elsewhere(reading, x)
+        wild = (before * elsewhere).sum(axis=1, keepdims=True)
+        hits, soft = before * hit, 2 * HYPOTHESES
+        straight, turn = hits[:, :soft].sum(axis=1, keepdims=True), hits[:, soft:].sum(axis=1, keepdims=True)
+        most = np.where(wild > 0.0, SURPRISE * (wild + straight), np.inf)
+        hit[:, soft:] *= np.minimum(1.0, most / np.maximum(turn, 1e-300))
         either = hit + elsewhere
         # Of a reading that nothing explains all products are 0, and the jump below takes it.
         beta = hit / np.maximum(either, 1e-300)
@@ -218,11 +239,9 @@ class Runs:
         step = beta * off
         shrink = beta * ((1.0 - beta) * off * off - spread)
 
-        known = before[:, :HYPOTHESES]
         jump = moved.jump * (likelihood.hit / likelihood.length_m)
-        wild = (known * elsewhere[:, :HYPOTHESES]).sum(axis=1, keepdims=True)
         fair = jump
-        jump = np.where(wild > 0.0, np.minimum(jump, SURPRISE * wild), jump)
+        jump = np.where(wild > 0.0, np.minimum(jump, most), jump)
         nowhere = self.nowhere[:, None]
         found = jump + nowhere * (likelihood.hit / likelihood.length_m)
         lost = (jump * (likelihood.length_m / likelihood.hit) + nowhere) * likelihood.anywhere(reading)
@@ -242,7 +261,8 @@ class Runs:
         after[2, :, size + 1 :], after[5, :, size + 1 :] = moved.rate_m_s, moved.rate_m2_s2
         after[3, :, size:] = noise
         after[4, :, size:] = 0.0
-        after[6, :, size:], after[7, :, size:] = moved.kinks, moved.jumps + 1.0
+        # The first range of all was no jump.
+        after[6, :, size:], after[7, :, size:] = moved.kinks, moved.jumps + jump / np.maximum(found, 1e-300)
 
         best = np.argpartition(after[0], size + 2 - HYPOTHESES, axis=1)[:, size + 2 - HYPOTHESES :]
         self.state = after[:, self._rows, best]
@@ -251,7 +271,25 @@ class Runs:
         self.nowhere = (lost / total)[:, 0]
         # The share that a jump to this reading would have without the bound: the estimate waits, its variance does not.
         doubt = (fair - jump) / (total + fair - jump)
-        return self._posterior(reading_m, doubt[:, 0])
+        surface = (before * hit).sum(axis=1, keepdims=True) + found
+        return self._posterior(reading_m, doubt[:, 0], (surface > SURE * (surface + wild + lost))[:, 0])
+
+    def innovation(self, elapsed_s: _Array, reading_m: _Array, variance_m2: _Array) -> _Array:
+        """The next reading's normalised innovation, before it is taken; shapes as for `update`.
+
+        The normal deviate of the reading's cumulative probability under all that the runs predict. Only for a reading
+        model without readings of something else.
+        """
+        state, time_s = self.state, self.time_s
+        moved = self._predict(elapsed_s[:, None])
+        self.state, self.time_s = state, time_s
+        probability, x, _, p_xx, _, _, _, _ = moved.runs
+        likelihood = self.likelihood
+        below = ndtr((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
+        share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
+        cumulative = (probability * below).sum(axis=1) + (moved.jump[:, 0] + self.nowhere) * share
+        deviate: _Array = ndtri(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
+        return deviate
 
     def _predict(self, elapsed_s: _Array) -> "_Moved":
         """The runs at the next reading, without it: those that go on, that kink and move, and that kink and stand."""
@@ -268,22 +306,31 @@ class Runs:
         turn = probability * kink - stand
 
         size = HYPOTHESES
-        runs = np.zeros((8, x.shape[0], 3 * size))
-        runs[0] = np.concatenate((probability - turn - stand, turn, stand), axis=1)
+        runs = np.zeros((8, x.shape[0], 4 * size))
+        bend = BENDS * turn
+        runs[0] = np.concatenate((probability - turn - stand, bend, turn - bend, stand), axis=1)
         straight = slice(0, size)
-        runs[1], runs[3] = np.tile(x, 3), np.tile(p_xx, 3)
+        runs[1], runs[3] = np.tile(x, 4), np.tile(p_xx, 4)
         runs[1, :, straight] += v * elapsed_s
         runs[2, :, straight] = v
         runs[3, :, straight] += (2.0 * p_xv + p_vv * elapsed_s) * elapsed_s
         runs[4, :, straight] = p_xv + p_vv * elapsed_s
         runs[5, :, straight] = p_vv
-        turned = slice(size, 2 * size)
-        start = START_RATE_STD_M_S * START_RATE_STD_M_S
+        bent = slice(size, 2 * size)
+        softly = (BEND_M_S2 * elapsed_s) ** 2
+        runs[1, :, bent] += v * elapsed_s
+        runs[2, :, bent] = v
+        p_vv = p_vv + softly
+        runs[3, :, bent] += (2.0 * p_xv + p_vv * elapsed_s) * elapsed_s
+        runs[4, :, bent] = p_xv + p_vv * elapsed_s
+        runs[5, :, bent] = p_vv
+        turned = slice(2 * size, 3 * size)
+        start = TURN_M_S * TURN_M_S
         runs[3, :, turned] += start * elapsed_s * elapsed_s
         runs[4, :, turned] = start * elapsed_s
         runs[5, :, turned] = start
-        runs[6] = np.concatenate((kinks, kinks + 1.0, kinks + 1.0), axis=1)
-        runs[7] = np.tile(jumps, 3)
+        runs[6] = np.concatenate((kinks, kinks + 1.0, kinks + 1.0, kinks + 1.0), axis=1)
+        runs[7] = np.tile(jumps, 4)
 
         jumped = jump.sum(axis=1, keepdims=True)
         share = jump / np.maximum(jumped, 1e-300)
@@ -292,12 +339,12 @@ class Runs:
             runs,
             jump=jumped,
             rate_m_s=rate,
-            rate_m2_s2=(share * (p_vv + (v - rate) ** 2)).sum(axis=1, keepdims=True),
+            rate_m2_s2=(share * (self.state[5] + (v - rate) ** 2)).sum(axis=1, keepdims=True),
             kinks=(share * kinks).sum(axis=1, keepdims=True),
             jumps=(share * jumps).sum(axis=1, keepdims=True),
         )
 
-    def _posterior(self, reading_m: _Array, doubt: _Array) -> Posterior:
+    def _posterior(self, reading_m: _Array, doubt: _Array, heard: NDArray[np.bool_]) -> Posterior:
         likelihood = self.likelihood
         probability, x, _, p_xx, _, _, _, _ = self.state
         median = _median(probability, x, np.sqrt(p_xx), self.nowhere, likelihood.minimum_m, likelihood.length_m)
@@ -310,7 +357,7 @@ class Runs:
             + likelihood.bias_m2
         )
         self.known = self.known | (self.nowhere < KNOWN)
-        return Posterior(median, variance, self.known)
+        return Posterior(median, variance, self.known & heard)
 
 
 class _Moved(NamedTuple):

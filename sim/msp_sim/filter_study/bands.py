@@ -15,8 +15,8 @@ from msp_sim.filter_study.scenarios import NAMES, NOISE_CM2, Array, Runs, report
 from msp_sim.filter_study.statistics import mirrored, statistics
 from msp_sim.filter_study.table import Row
 
-WIDTH = 3.5
-"""Half the width of a band in spreads: a value of the same study is outside of its band less than once in a thousand."""
+WIDTH = 4.0
+"""Half the width of a band in spreads; of a normal variable, one in 16 000 is outside, and a table has 135 values."""
 TAIL, TAIL_SPREADS = 1.0, 2.326
 """The spread to one side is the distance of this percentile from the middle, over what it is for a normal variable."""
 FLOOR = 0.02

@@ -9,7 +9,7 @@ from msp_sim.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, A
 
 
 def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array, Array]:
-    """Estimates [cm] and their variances [cm^2]; they hold where a reading is missing, NaN before the first estimate.
+    """Estimates [cm], which hold where none is put out and are NaN before the first, and variances [cm^2], which do not.
 
     The same class as in the bridge (`msp_range.filters.changepoint`), with one stream a run.
     """
@@ -20,7 +20,7 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
     estimate_cm, variance_cm2 = np.full((2, runs, samples), np.nan)
     for sample in range(samples):
         if sample:
-            estimate_cm[:, sample], variance_cm2[:, sample] = estimate_cm[:, sample - 1], variance_cm2[:, sample - 1]
+            estimate_cm[:, sample] = estimate_cm[:, sample - 1]
         heard = np.flatnonzero(~np.isnan(reading_cm[:, sample]))
         if heard.size == 0:
             continue
@@ -30,9 +30,9 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
         noise_m2 = np.full(heard.size, likelihood.variance_m2)
         posterior: Posterior = some.update(elapsed_s, reading_cm[heard, sample] / 100.0, noise_m2)
         hypotheses.put(heard, some)
-        known = heard[posterior.known]
-        estimate_cm[known, sample] = 100.0 * posterior.range_m[posterior.known]
-        variance_cm2[known, sample] = 1e4 * posterior.variance_m2[posterior.known]
+        sure = heard[posterior.sure]
+        estimate_cm[sure, sample] = 100.0 * posterior.range_m[posterior.sure]
+        variance_cm2[sure, sample] = 1e4 * posterior.variance_m2[posterior.sure]
     return estimate_cm, variance_cm2
 
 

@@ -16,7 +16,7 @@ from msp_sim.filter_study.changes import ROUND, Change, Changes, all_made, doubl
 from msp_sim.filter_study.nine import AS_REPORTED
 from msp_sim.filter_study.table import Row, Table
 
-SEEDS = 400
+SEEDS = 1000
 """Runs a scenario for the bands."""
 SEARCH_SEEDS = 60
 """For the search; what it finds is then judged by the bands of all `SEEDS`."""
@@ -127,7 +127,7 @@ def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
             return Verdict(name, rows, before, changes, bands(all_made(changes, base), SEEDS), len(tried))
     alone = {scenario: _best_alone(tried, base, {scenario: row}) for scenario, row in rows.items()}
     singles = [each for each in tried if len(each) == 1]
-    nearest = min(singles, key=lambda each: misfit(all_made(each, base), rows, SEARCH_SEEDS)[0])
+    nearest: Changes = min(singles, key=lambda each: misfit(all_made(each, base), rows, SEARCH_SEEDS)[0])
     nearest = _refined(nearest, base, rows)
     after = bands(all_made(nearest, base), SEEDS)
     return Verdict(name, rows, before, None, after, len(tried), nearest, alone)

@@ -101,6 +101,22 @@ def behind_the_gate(filter_: Callable[[Array], Array], reading_cm: Array) -> Arr
     return np.where(newest >= 0, estimate_cm, np.nan)
 
 
+def over_samples(variant: Variant, reading_cm: Array) -> Array:
+    """A causal window over the last M samples, of which some are missing, instead of the last M readings.
+
+    Where a reading is missing the estimate holds.
+    """
+    padded = np.pad(reading_cm, ((0, 0), (variant.window - 1, 0)), constant_values=np.nan)
+    windows = sliding_window_view(padded, variant.window, axis=1)
+    there = ~np.isnan(reading_cm)
+    estimate_cm = np.full_like(reading_cm, np.nan)
+    # A window that ends at a reading is never empty.
+    estimate_cm[there] = (np.nanmean if variant.family == "moving average" else np.nanmedian)(windows[there], axis=1)
+    newest = np.maximum.accumulate(np.where(there, np.arange(reading_cm.shape[1]), -1), axis=1)
+    held_cm: Array = np.take_along_axis(estimate_cm, np.maximum(newest, 0), axis=1)
+    return held_cm
+
+
 def _windowed(variant: Variant, reading_cm: Array) -> Array:
     window, samples = variant.window, reading_cm.shape[1]
     ahead = (window - 1) // 2 if variant.centred else 0
