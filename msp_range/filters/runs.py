@@ -305,38 +305,30 @@ class Runs:
         stand = probability * kink * STANDS * (p_vv > 0.0)
         turn = probability * kink - stand
 
-        size = HYPOTHESES
-        runs = np.zeros((8, x.shape[0], 4 * size))
         bend = BENDS * turn
-        runs[0] = np.concatenate((probability - turn - stand, bend, turn - bend, stand), axis=1)
-        straight = slice(0, size)
-        runs[1], runs[3] = np.tile(x, 4), np.tile(p_xx, 4)
-        runs[1, :, straight] += v * elapsed_s
-        runs[2, :, straight] = v
-        runs[3, :, straight] += (2.0 * p_xv + p_vv * elapsed_s) * elapsed_s
-        runs[4, :, straight] = p_xv + p_vv * elapsed_s
-        runs[5, :, straight] = p_vv
-        bent = slice(size, 2 * size)
-        softly = (BEND_M_S2 * elapsed_s) ** 2
-        runs[1, :, bent] += v * elapsed_s
-        runs[2, :, bent] = v
-        p_vv = p_vv + softly
-        runs[3, :, bent] += (2.0 * p_xv + p_vv * elapsed_s) * elapsed_s
-        runs[4, :, bent] = p_xv + p_vv * elapsed_s
-        runs[5, :, bent] = p_vv
-        turned = slice(2 * size, 3 * size)
-        start = TURN_M_S * TURN_M_S
-        runs[3, :, turned] += start * elapsed_s * elapsed_s
-        runs[4, :, turned] = start * elapsed_s
-        runs[5, :, turned] = start
-        runs[6] = np.concatenate((kinks, kinks + 1.0, kinks + 1.0, kinks + 1.0), axis=1)
-        runs[7] = np.tile(jumps, 4)
+        # Straight on, bent, turned, standing: before and after the change they are at the same place.
+        runs = np.zeros((8, x.shape[0], 4, HYPOTHESES))
+        for index, share in enumerate((probability - turn - stand, bend, turn - bend, stand)):
+            runs[0, :, index] = share
+        runs[1:4] = np.stack((x, np.zeros_like(x), p_xx))[:, :, None]
+        runs[1, :, :2] += (v * elapsed_s)[:, None]
+        runs[2, :, :2] = v[:, None]
+        runs[4, :, :2] = p_xv[:, None]
+        runs[5, :, 0] = p_vv
+        runs[5, :, 1] = p_vv + (BEND_M_S2 * elapsed_s) ** 2
+        runs[5, :, 2] = TURN_M_S * TURN_M_S
+        longer_s = elapsed_s[:, None]
+        runs[3] += (2.0 * runs[4] + runs[5] * longer_s) * longer_s
+        runs[4] += runs[5] * longer_s
+        runs[6] = kinks[:, None]
+        runs[6, :, 1:] += 1.0
+        runs[7] = jumps[:, None]
 
         jumped = jump.sum(axis=1, keepdims=True)
         share = jump / np.maximum(jumped, 1e-300)
         rate = (share * v).sum(axis=1, keepdims=True)
         return _Moved(
-            runs,
+            runs.reshape(8, x.shape[0], 4 * HYPOTHESES),
             jump=jumped,
             rate_m_s=rate,
             rate_m2_s2=(share * (self.state[5] + (v - rate) ** 2)).sum(axis=1, keepdims=True),
@@ -361,7 +353,7 @@ class Runs:
 
 
 class _Moved(NamedTuple):
-    """Runs before a reading, shape (8, streams, 3 HYPOTHESES), and what a jump would start with, shape (streams, 1)."""
+    """Runs before a reading, shape (8, streams, 4 HYPOTHESES), and what a jump would start with, shape (streams, 1)."""
 
     runs: _Array
     jump: _Array

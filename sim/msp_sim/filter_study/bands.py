@@ -20,7 +20,8 @@ WIDTH = 4.0
 TAIL, TAIL_SPREADS = 1.0, 2.326
 """The spread to one side is the distance of this percentile from the middle, over what it is for a normal variable."""
 FLOOR = 0.02
-"""A spread is at least this share of the median RMS: the medians of whole numbers hardly spread."""
+"""A spread is at least this share of the median RMS, or of the value itself: the medians of whole numbers hardly
+spread."""
 SMALLEST_CM = 0.01
 """Of a median RMS, for that [cm]."""
 SEARCH_SEED = 20_240
@@ -47,7 +48,17 @@ class Setting:
 
 @dataclass(frozen=True)
 class Band:
-    """Of one setting in one scenario, arrays in the order of the statistics: middle, spread below, spread above."""
+    """Of one setting in one scenario, arrays in the order of the statistics.
+
+    RMS and variance are positive and skewed: their spreads are those of their logarithms.
+
+    Attributes
+    ----------
+    middle
+        Median over the seeds.
+    below, above
+        Spread to either side.
+    """
 
     middle: Array
     below: Array
@@ -56,9 +67,12 @@ class Band:
     def distance(self, row: Row) -> Array:
         """How many spreads each value of a row is away from the middle; what its rounding explains is taken off."""
         rounding = 0.5 * 10.0 ** -np.array(row.decimals, dtype=float)
-        off = np.array(row.values) - self.middle
-        off = np.sign(off) * np.maximum(np.abs(off) - rounding, 0.0)
-        return np.where(off < 0, off / self.below, off / self.above)
+        values = np.array(row.values)
+        off = _scaled(values) - _scaled(self.middle)
+        explained = np.where(_POSITIVE, rounding / np.maximum(values, SMALLEST_CM), rounding)
+        off = np.sign(off) * np.maximum(np.abs(off) - explained, 0.0)
+        distance: Array = np.where(off < 0, off / self.below, off / self.above)
+        return distance
 
     @property
     def log_spread(self) -> float:
@@ -68,12 +82,25 @@ class Band:
     @property
     def low(self) -> Array:
         """Lower end."""
-        return self.middle - WIDTH * self.below
+        return _unscaled(_scaled(self.middle) - WIDTH * self.below)
 
     @property
     def high(self) -> Array:
         """Upper end."""
-        return self.middle + WIDTH * self.above
+        return _unscaled(_scaled(self.middle) + WIDTH * self.above)
+
+
+_POSITIVE = np.array([True, False, False, False, True])
+
+
+def _scaled(values: Array) -> Array:
+    """Logarithms of RMS and variance, and the other three as they are."""
+    positive = _POSITIVE if values.ndim == 1 else _POSITIVE[:, None]
+    return np.where(positive, np.log(np.maximum(values, SMALLEST_CM**2)), values)
+
+
+def _unscaled(values: Array) -> Array:
+    return np.where(_POSITIVE, np.exp(np.where(_POSITIVE, values, 0.0)), values)
 
 
 def bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
@@ -89,11 +116,11 @@ def band_in(setting: Setting, name: str, seeds: int) -> Band:
 
 def band(values: Array) -> Band:
     """The band of statistics of shape (5, seeds)."""
-    low, middle, high = np.percentile(values, (TAIL, 50.0, 100.0 - TAIL), axis=1)
-    rms = max(float(middle[0]), SMALLEST_CM)
-    floor = FLOOR * rms * np.array([1.0, 1.0, 1.0, 1.0, 2.0 * rms])
+    low, middle, high = np.percentile(_scaled(values), (TAIL, 50.0, 100.0 - TAIL), axis=1)
+    middle_cm = _unscaled(middle)
+    floor = np.where(_POSITIVE, FLOOR, FLOOR * max(float(middle_cm[0]), SMALLEST_CM))
     return Band(
-        middle, np.maximum((middle - low) / TAIL_SPREADS, floor), np.maximum((high - middle) / TAIL_SPREADS, floor)
+        middle_cm, np.maximum((middle - low) / TAIL_SPREADS, floor), np.maximum((high - middle) / TAIL_SPREADS, floor)
     )
 
 

@@ -9,7 +9,7 @@ from msp_sim.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, A
 
 
 def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array, Array]:
-    """Estimates [cm], which hold where none is put out and are NaN before the first, and variances [cm^2], which do not.
+    """Estimates [cm] and variances [cm^2]; NaN before the first, and then estimates hold where none is put out.
 
     The same class as in the bridge (`msp_range.filters.changepoint`), with one stream a run.
     """

@@ -98,7 +98,9 @@ def single(base: Setting, each_factor: int = 1) -> Iterator[Change]:
         for window in range(1, 2 * variant.window + 2):
             if window != variant.window and (window % 2 or not variant.centred):
                 yield Change("window", float(window))
-        delays = range(-variant.window, 2 * variant.window + 1)
+        # Half a window late or early is what the other kind of window is.
+        half = (variant.window - 1) // 2 * (1 if variant.centred else -1)
+        delays = [delay for delay in range(-variant.window, 2 * variant.window + 1) if delay != half]
     yield from (Change("delay", delay) for delay in delays if delay)
     yield from (Change("noise_factor", factor) for factor in factors)
     yield Change("sign", None)

@@ -107,7 +107,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
         total = 0.0
         for name, rows in of_filter.items():
             base = Setting(AS_REPORTED[name], reversed=reverse)
-            choices = (base, *(change.made_in(base) for change in single(base, each_factor=4) if change.kind in _LAGS))
+            choices = (base, *(change.made_in(base) for change in single(base) if change.kind in _LAGS))
             total += min(misfit(setting, rows, SEARCH_SEEDS)[0] for setting in choices)
         totals.append(total)
     return totals[1] < totals[0]

@@ -51,7 +51,7 @@ class Compared:
     """
 
     rms_cm: Mapping[str, Array]
-    delay: Mapping[str, float]
+    delay: dict[str, float]
     squared: float
     covered: float
 
@@ -183,3 +183,12 @@ def study(seeds: int, seed: int) -> Study:
         {name: innovations(name, seeds, parts[6 + index]) for index, name in enumerate(NAMES)},
         responses(parts[9]),
     )
+
+
+def delays(results: Study) -> Mapping[str, Mapping[str, float]]:
+    """Delay [samples] by scenario and filter, of the filters as the report states them: its medians look ahead."""
+    return {
+        name: compared.delay
+        | {each: compared.delay[f"centred {each}"] for each in CENTRED if each.startswith("median")}
+        for name, compared in results.report_noise.items()
+    }
