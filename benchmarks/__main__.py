@@ -10,6 +10,7 @@ from rich.table import Table
 
 from benchmarks import (
     bench_bridge,
+    bench_filters,
     bench_fit,
     bench_fit_coverage,
     bench_laboratory,
@@ -25,6 +26,7 @@ PARTS = (
     bench_fit_coverage,
     bench_laboratory,
     bench_bridge,
+    bench_filters,
     bench_virtual_flight,
     bench_rates,
     bench_start,

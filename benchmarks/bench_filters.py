@@ -1,4 +1,4 @@
-"""The changepoint filter: cost of an update in the bridge, early and late in a flight; and the time of the whole study."""
+"""The changepoint filter: cost of an update early and late in a flight; and the time of the whole filter study."""
 
 import statistics
 import time

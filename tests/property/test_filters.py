@@ -95,7 +95,7 @@ def assert_alike(here: list[Filtered], there: list[Filtered], offset_m: float, t
         assert one.rejected == other.rejected
         if one.estimate is not None and other.estimate is not None:
             assert other.estimate.range_m - one.estimate.range_m == pytest.approx(offset_m, abs=tolerance_m)
-            assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=0.05)
+            assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=0.3)
 
 
 # Wild enough for steps and slopes, and not so wild that two runs are equally probable, when rounding would decide.

@@ -3,6 +3,7 @@
 The tables to be explained are made here by an implementation that shares no code with the study.
 """
 
+import json
 import math
 import random
 import statistics as plain
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from msp_range.yaml_file import ConfigError
+from msp_sim.cli import app
 from msp_sim.filter_study.candidates import changepoint, oracle
 from msp_sim.filter_study.explain import Verdict, explain
 from msp_sim.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
@@ -285,6 +287,32 @@ def test_what_nothing_explains_is_said_to_be_unexplained(tmp_path: Path) -> None
     assert verdict.tried > 500
     assert verdict.alone["fixed"] == verdict.alone["random"] == ()
     assert verdict.alone["steps"] is None
+
+
+def test_the_command_explains_the_report_and_draws_its_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        app(["filters", "--seeds", "10", "--out", str(tmp_path)])
+    assert not ended.value.code
+    told = capsys.readouterr().out
+    found = json.loads((tmp_path / "filters.json").read_text())
+    explained = {each["filter"]: each for each in found["explanations"]}
+    assert found["errors_are_truth_less_estimate"] is True
+    for name, late in (("moving average 5", 3), ("moving average 11", 6), ("moving average 15", 8)):
+        assert [(each["what"], each["value"]) for each in explained[name]["changes"]] == [("delay", late)]
+        assert f"{name}: {late} samples late" in told
+    for name in ("kalman 2", "kalman 3"):
+        assert [(each["what"], each["value"]) for each in explained[name]["changes"]] == [("q_factor", 10.0)]
+    for name in ("median 3", "median 7", "median 11", "kalman 1"):
+        assert explained[name]["changes"] == []
+        assert f"{name}: in the bands as stated" in told
+    assert explained["kalman 3"]["rows"]["steps"]["gap_before"] > 20
+    assert explained["kalman 3"]["rows"]["steps"]["gap_after"] < 4
+    for number in range(7, 16):
+        assert (tmp_path / f"figure_5_{number}.png").stat().st_size > 10_000
+    # Its own table of middles has nothing to explain.
+    assert len(read_table(tmp_path / "table.csv")) == 27
 
 
 def test_the_report_s_columns_are_put_in_order() -> None:
