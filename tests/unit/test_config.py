@@ -142,7 +142,7 @@ def test_what_is_left_out() -> None:
         ),
         (
             lambda c: c["filters"][0].update(filter="kalmn"),
-            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman, changepoint. Did you mean '",
+            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman, changepoint. Did",
         ),
         (
             lambda c: c["temperature"]["sources"][0].update(source="files"),

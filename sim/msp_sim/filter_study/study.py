@@ -29,8 +29,8 @@ from msp_sim.filter_study.statistics import delay_samples, statistics
 
 CHANGEPOINT, ORACLE = "changepoint", "oracle"
 STEP_CM, NEAR_CM, WILD_CM = 50.0, 10.0, 100.0
-STEPS = 2000
-"""Steps up and as many down, for the time that a step takes."""
+STEPS_A_SEED = 10
+"""Steps up and as many down a seed of the study, for the time that a step takes."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Response:
     moved_cm: float
 
 
-def responses(rng: np.random.Generator, steps: int = STEPS) -> Response:
+def responses(rng: np.random.Generator, steps: int) -> Response:
     """Steps and wild readings, up and down, after 4 s at one level."""
     before, after = 40, 4
     arrived, moved = [], []
@@ -181,7 +181,7 @@ def study(seeds: int, seed: int) -> Study:
         {name: compare_report_noise(name, seeds, parts[index]) for index, name in enumerate(NAMES)},
         {name: compare_wild(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},
         {name: innovations(name, seeds, parts[6 + index]) for index, name in enumerate(NAMES)},
-        responses(parts[9]),
+        responses(parts[9], STEPS_A_SEED * seeds),
     )
 
 
