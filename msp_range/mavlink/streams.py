@@ -10,6 +10,7 @@ from typing import Any
 
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.filters.base import Estimate
+from msp_range.fusion import Fused
 from msp_range.mavlink.distance_sensor import Stream, distance_sensor, no_echo
 from msp_range.mavlink.outbox import Outbox
 from msp_range.reading import Status
@@ -23,9 +24,10 @@ HELD_BEAM_QUALITY = 0.5
 class _Source:
     """What is known of a sensor's recent readings."""
 
-    def __init__(self, beam: BreakawayTable, stream: Stream | None) -> None:
+    def __init__(self, beam: BreakawayTable, stream: Stream | None, object_stream: Stream | None) -> None:
         self.beam = beam
         self.stream = stream
+        self.object_stream = object_stream
         self.status: Status | None = None
         self.quality = 0
         self._used: deque[bool] = deque(maxlen=QUALITY_READINGS)
@@ -49,6 +51,8 @@ class Streams:
         The fused stream; None: there is none.
     downward
         Names of the sensors of the fused stream.
+    objects
+        Streams that speak only while an object is below a sensor, by name.
     send
         Sends one message now.
     """
@@ -59,9 +63,10 @@ class Streams:
         singles: Mapping[str, Stream],
         fused: Stream | None,
         downward: Sequence[str],
+        objects: Mapping[str, Stream],
         send: Callable[[Any], object],
     ) -> None:
-        self._sources = {name: _Source(beam, singles.get(name)) for name, beam in beams.items()}
+        self._sources = {name: _Source(beam, singles.get(name), objects.get(name)) for name, beam in beams.items()}
         self._fused = fused
         self._downward = [self._sources[name] for name in downward]
         self._outbox = Outbox(send)
@@ -76,7 +81,14 @@ class Streams:
         self._outbox.send_due(now_s)
 
     def take(
-        self, now_s: float, boot_ms: int, sensor: str, status: Status, single: Estimate | None, fused: Estimate | None
+        self,
+        now_s: float,
+        boot_ms: int,
+        sensor: str,
+        status: Status,
+        single: Estimate | None,
+        fused: Fused | None,
+        object_below: bool = False,
     ) -> None:
         """Send what one reading means.
 
@@ -92,6 +104,8 @@ class Streams:
             What came out of the sensor's filters; None where the reading was not used.
         fused
             The fused distance at this time; None where there is none, or the sensor is not a downward one.
+        object_below
+            Whether the sensor sees something nearer than the ground.
         """
         source = self._sources[sensor]
         source.note(status, single is not None)
@@ -108,6 +122,10 @@ class Streams:
             elif status is Status.NO_ECHO:
                 self._outbox.put(source.stream.id, _no_echo(source.stream, boot_ms, source.beam))
             self._outbox.send_due(now_s)
+        elif object_below and single is not None and source.object_stream is not None:
+            stream = source.object_stream
+            self._outbox.put(stream.id, _distance(stream, boot_ms, single, source.beam, source.quality))
+            self._outbox.send_due(now_s)
 
     def _most_hear_nothing(self) -> bool:
         silent = working = 0
@@ -118,7 +136,7 @@ class Streams:
         return 2 * silent > working
 
 
-def _distance(stream: Stream, boot_ms: int, estimate: Estimate, beam: BreakawayTable, quality: int) -> Any:
+def _distance(stream: Stream, boot_ms: int, estimate: Estimate | Fused, beam: BreakawayTable, quality: int) -> Any:
     view_rad = beam.field_of_view_rad(estimate.range_m)
     if estimate.range_m > beam.known_to_m:
         quality = int(quality * HELD_BEAM_QUALITY)

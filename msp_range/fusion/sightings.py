@@ -1,0 +1,107 @@
+"""What each sensor sees, against the ground that all of them make up: ground, something nearer, something farther.
+
+A reading that fits the plane is ground. One that does not is set aside; what is aside is judged together. Where more
+sensors agree on another height than still see the old ground, the ground has a step. Where one sensor keeps seeing
+the same thing beside the ground of the others, that is an object below it, or a hole. A single wild reading is neither.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from statistics import median
+
+WINDOW_S = 0.65
+"""What a sensor saw longer ago than this has no vote [s]: a round of four sensors at ten readings a second, and half
+of one."""
+AGREE_M = 0.12
+"""Readings of different sensors that are this close, moved to one time and place, see the same ground [m]."""
+OBJECT_M = 0.20
+"""Less than this above or below the ground is not told [m]."""
+CLOSE_M, NEAR_M = 0.06, 0.08
+"""Two readings in a row this close to each other show an object [m]; two of three need only be this near, where none
+of the three saw the ground."""
+READINGS_TO_LOSE_IT = 2
+"""Readings of the ground in a row after which an object is gone."""
+FORGOTTEN_S = 1.5
+"""What a sensor has not seen for this long is no longer told [s]."""
+
+
+class Sight:
+    """One sensor's newest view.
+
+    Attributes
+    ----------
+    seen_s
+        Time of its last reading with a range [s].
+    off_m
+        How much farther than the ground that was [m]; None where it was the ground.
+    object_m
+        Height of what it sees above the ground, negative for a hole [m]; None: it sees the ground, or nothing.
+    """
+
+    __slots__ = ("_aside", "_on_ground", "object_m", "off_m", "seen_s")
+
+    def __init__(self) -> None:
+        self.seen_s = float("-inf")
+        self.off_m: float | None = None
+        self.object_m: float | None = None
+        self._aside: deque[float | None] = deque(maxlen=3)
+        self._on_ground = 0
+
+    def ground(self, time_s: float) -> None:
+        """It saw the ground."""
+        self.seen_s, self.off_m = time_s, None
+        self._aside.clear()
+        self._on_ground += 1
+        if self._on_ground >= READINGS_TO_LOSE_IT:
+            self.object_m = None
+
+    def nothing(self, time_s: float) -> None:
+        """Its reading had no range, or none to be believed."""
+        self._aside.append(None)
+        if time_s - self.seen_s > FORGOTTEN_S:
+            self.object_m = None
+
+    def aside(self, time_s: float, off_m: float, told: bool) -> None:
+        """It saw something ``off_m`` farther than the ground; ``told``: the others see the ground well enough."""
+        self.seen_s, self.off_m, self._on_ground = time_s, off_m, 0
+        earlier = list(self._aside)
+        self._aside.append(off_m)
+        if not told or abs(off_m) < OBJECT_M:
+            return
+        if self.object_m is not None:
+            if abs(off_m + self.object_m) < AGREE_M:
+                self.object_m += (-off_m - self.object_m) / 2
+            return
+        for i, before_m in enumerate(reversed(earlier)):
+            close_m = CLOSE_M if i == 0 and len(earlier) < 2 else NEAR_M
+            if before_m is not None and abs(off_m - before_m) < close_m:
+                self.object_m = -(off_m + before_m) / 2
+                return
+
+    def moved(self, by_m: float) -> None:
+        """The ground is now taken to be ``by_m`` lower than before."""
+        self._aside.clear()
+        if self.off_m is not None:
+            self.off_m -= by_m
+            if abs(self.off_m) < AGREE_M:
+                self.off_m, self.object_m = None, None
+        else:
+            self.off_m = -by_m
+
+
+def step_m(newest: Sight, sights: Iterable[Sight], time_s: float) -> float | None:
+    """How much lower the ground is by the sensors that agree with the newest reading; None where they are too few.
+
+    More sensors must see it than still see the old ground, and two at least.
+    """
+    if newest.off_m is None:
+        return None
+    agree, old = [], 0
+    for sight in sights:
+        if time_s - sight.seen_s > WINDOW_S:
+            continue
+        if sight.off_m is None:
+            old += 1
+        elif abs(sight.off_m - newest.off_m) < AGREE_M:
+            agree.append(sight.off_m)
+    return median(agree) if len(agree) >= 2 and len(agree) > old else None
