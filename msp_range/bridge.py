@@ -25,7 +25,7 @@ from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
-from msp_range.recording.topics import RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
 from msp_range.sensors.polling import Poller, Ranging, Schedule
 
 LOOK_INTERVAL_S = 0.25
@@ -203,9 +203,7 @@ class Bridge:
             object_below = self._look_below(self._fusion, channel)
         filtered = channel.chain.update(corrected)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
-        self._streams.take(
-            now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused, object_below
-        )
+        self._streams.take(now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused, object_below)
         step = Step(ranging, temperature_c, self._temperature.source, corrected, filtered, fused)
         self._record(now_s, channel.topic, step)
         self._count(channel, filtered)
@@ -286,7 +284,7 @@ class Bridge:
 
     def _hear_attitude(self, angles: Angles) -> None:
         if self._fusion is not None and self._attitude.hear(angles):
-            self._write("/attitude", angles.time_s, angles._asdict())
+            self._write(ATTITUDE_TOPIC, angles.time_s, angles._asdict())
 
     def _look_after(self, now_s: float) -> None:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""

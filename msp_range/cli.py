@@ -243,7 +243,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import Nowhere, open_transport
-    from msp_range.recording.pings import recorded_pings, recorded_temperatures
+    from msp_range.recording.pings import recorded_attitudes, recorded_pings, recorded_temperatures
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -259,7 +259,8 @@ def replay(
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, recorded_temperatures(file, run_name))
+    temperatures, attitudes = recorded_temperatures(file, run_name), recorded_attitudes(file)
+    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, temperatures, attitudes)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file)

@@ -16,6 +16,7 @@ AHEAD_S = 0.1
 """A turn is thought to go on for this long after the newest message [s]."""
 TOGETHER_S = 0.001
 
+
 class Angles(NamedTuple):
     """An attitude: when it came [s], and Euler angles [rad], intrinsic z-y'-x''."""
 
@@ -79,19 +80,25 @@ class RecordedAttitude:
         In order of time.
     now
         The time that it is [s].
+    keep
+        Called with each when its time has come.
     """
 
-    def __init__(self, attitudes: Sequence[Angles], now: Callable[[], float]) -> None:
+    def __init__(
+        self, attitudes: Sequence[Angles], now: Callable[[], float], keep: Callable[[Angles], None] | None = None
+    ) -> None:
         self._track = AttitudeTrack()
         self._coming = iter(attitudes)
         self._next = next(self._coming, None)
         self._now = now
+        self._keep = keep
 
     def rotation_at(self, time_s: float) -> Matrix | None:
         """As `AttitudeTrack.rotation_at`, of those that have been heard by now."""
         now_s = self._now()
         while self._next is not None and self._next.time_s <= now_s:
-            self._track.hear(self._next)
+            if self._track.hear(self._next) and self._keep is not None:
+                self._keep(self._next)
             self._next = next(self._coming, None)
         return self._track.rotation_at(time_s)
 

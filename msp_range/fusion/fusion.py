@@ -23,7 +23,7 @@ OTHER_PER_M = 0.001
 that the ground explains less well than this is not taken for the ground."""
 GATE_M = 0.25
 """A reading farther off than this is not of the ground, however little is known of the vehicle's motion [m]."""
-DOUBTFUL_PER_M, DOUBTFUL_M = 1.0, 0.06
+DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
 """The same of a reading that is also a fault code, or one that a sensor keeps repeating [1/m, m]: neither may pass for
 ground that is merely near it."""
 NEWEST_S = 0.25
@@ -201,7 +201,8 @@ class Fusion:
             return
         innovation_m = range_m - view.expected_m
         variance_m2 = _variance_m2(reading) + self._rough_m2
-        doubtful = reading.suspect or self._stuck[reading.sensor].repeated
+        sight.repeated = self._stuck[reading.sensor].repeated
+        doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, GATE_M)
         square = None
         if abs(innovation_m) <= most_m:

@@ -1,4 +1,4 @@
-"""Height over the ground, how fast it changes, and the ground's slope: an extended Kalman filter for three ways to move.
+"""Height over the ground, its rate, and the ground's slope: an extended Kalman filter for three ways to move.
 
 State: height h [m], its rate w [m/s], rise of the ground per metre north g_n and east g_e. Between readings h moves
 with w, w by white acceleration, and the slope falls back towards level ground, so that what no sensor sees stays
@@ -13,14 +13,15 @@ from typing import NamedTuple
 from msp_range.fusion.mounting import View
 
 CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 1e-4, 1e-2, 1.0
-"""Spectral density of the vehicle's acceleration [m^2/s^3]: hovering or climbing at a steady rate; bobbing; changing its
-speed by a metre a second within a second."""
+"""Spectral density of the vehicle's acceleration [m^2/s^3]: at a steady rate; bobbing; changing its speed by a metre a
+second within a second."""
 WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
 """How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
 SPURS_PER_S, EASES_PER_S = 0.2, 1.0
 """How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
 LEAST_SHARE = 1e-3
 """A filter is not mixed with less than this of another."""
+START_WEIGHTS = (0.2, 0.4, 0.4)
 START_CLIMB_STD_M_S = 2.0
 """Standard deviation of the height's rate at the beginning [m/s]."""
 SLOPE_STD = 0.10
@@ -72,8 +73,9 @@ class GroundFilter:
     def __init__(self, height_m: float, variance_m2: float) -> None:
         slope = SLOPE_STD * SLOPE_STD
         start = (height_m, 0.0, 0.0, 0.0, variance_m2, 0.0, 0.0, 0.0, START_CLIMB_STD_M_S**2, 0.0, 0.0)
-        self._filters: list[_Gaussian] = 3 * [(*start, slope, 0.0, slope)]
-        self._weights = (0.2, 0.4, 0.4)
+        filters: list[_Gaussian] = [(*start, slope, 0.0, slope)]
+        self._filters = 3 * filters
+        self._weights: tuple[float, ...] = START_WEIGHTS
         self.height_m, self.climb_m_s, self.rise_north, self.rise_east = height_m, 0.0, 0.0, 0.0
 
     def predict(self, elapsed_s: float) -> None:

@@ -6,6 +6,7 @@ sensor at q that looks along the unit vector b, both in the level frame, over gr
 
     along its axis     r = (h - q . G) / (b . G)
     the nearest point  r = (h - q . G) / |G|
+    not known which    r = (h - q . G) / the mean of the two
 """
 
 import math
@@ -32,8 +33,8 @@ class View(NamedTuple):
     by_height, by_north, by_east
         Its derivatives: by the height [m/m] and by the two rises [m].
     shared_variance_m2
-        ((slant - nearest) / 2)^2 where it is not known which of the two it reads, else 0 [m^2]: the same error in
-        every reading, which does not average out.
+        Of the height, where it is not known which of the two it reads: ((slant - nearest) / 2)^2, else 0 [m^2]. It
+        is the same error in every reading and does not average out.
     """
 
     expected_m: float
@@ -69,18 +70,19 @@ class DownwardSensor:
         q_north, q_east = nx * px + ny * py + nz * pz, ex * px + ey * py + ez * pz
         b_north, b_east = nx * bx + ny * by + nz * bz, ex * bx + ey * by + ez * bz
         over_m = height_m - (dx * px + dy * py + dz * pz) - rise_north * q_north - rise_east * q_east
-        along = dx * bx + dy * by + dz * bz + rise_north * b_north + rise_east * b_east
-        if along < STEEPEST:
+        axis = dx * bx + dy * by + dz * bz + rise_north * b_north + rise_east * b_east
+        if axis < STEEPEST:
             return None
         normal = math.sqrt(1.0 + rise_north * rise_north + rise_east * rise_east)
         slant = _SHARE_SLANT[self.oblique]
-        scale = slant / along + (1.0 - slant) / normal
-        slant_changes, nearest_changes = -slant / (along * along), (slant - 1.0) / (normal * normal * normal)
-        apart_m = over_m * (1.0 / along - 1.0 / normal) / 2 if slant == 0.5 else 0.0
+        nearest = 1.0 - slant
+        divisor = slant * axis + nearest * normal
+        range_m = over_m / divisor
+        apart_m = range_m * (normal - axis) / 2 if slant == 0.5 else 0.0
         return View(
-            over_m * scale,
-            scale,
-            over_m * (slant_changes * b_north + nearest_changes * rise_north) - q_north * scale,
-            over_m * (slant_changes * b_east + nearest_changes * rise_east) - q_east * scale,
+            range_m,
+            1.0 / divisor,
+            -(q_north + range_m * (slant * b_north + nearest * rise_north / normal)) / divisor,
+            -(q_east + range_m * (slant * b_east + nearest * rise_east / normal)) / divisor,
             apart_m * apart_m,
         )

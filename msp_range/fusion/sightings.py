@@ -14,6 +14,10 @@ WINDOW_S = 0.65
 of one."""
 AGREE_M = 0.12
 """Readings of different sensors that are this close, moved to one time and place, see the same ground [m]."""
+FASTEST_M_S = 2.0
+"""Readings of two sensors that move on may differ by as much as the vehicle climbs between them [m/s]."""
+LEAVING_M = 0.5
+"""What moves away from the ground that stuck sensors hold is first seen no farther from it than this [m]."""
 OBJECT_M = 0.20
 """Less than this above or below the ground is not told [m]."""
 CLOSE_M, NEAR_M = 0.06, 0.08
@@ -34,15 +38,18 @@ class Sight:
         Time of its last reading with a range [s].
     off_m
         How much farther than the ground that was [m]; None where it was the ground.
+    repeated
+        Whether it has given the same answer for long: where others move on, it has no say.
     object_m
         Height of what it sees above the ground, negative for a hole [m]; None: it sees the ground, or nothing.
     """
 
-    __slots__ = ("_aside", "_on_ground", "object_m", "off_m", "seen_s")
+    __slots__ = ("_aside", "_on_ground", "object_m", "off_m", "repeated", "seen_s")
 
     def __init__(self) -> None:
         self.seen_s = float("-inf")
         self.off_m: float | None = None
+        self.repeated = False
         self.object_m: float | None = None
         self._aside: deque[float | None] = deque(maxlen=3)
         self._on_ground = 0
@@ -92,16 +99,24 @@ class Sight:
 def step_m(newest: Sight, sights: Iterable[Sight], time_s: float) -> float | None:
     """How much lower the ground is by the sensors that agree with the newest reading; None where they are too few.
 
-    More sensors must see it than still see the old ground, and two at least.
+    More sensors must see it than still see the old ground, and two at least. Sensors that repeat themselves are not
+    counted: where they alone hold the old ground, they may be stuck, and the others may be climbing.
     """
     if newest.off_m is None:
         return None
-    agree, old = [], 0
-    for sight in sights:
-        if time_s - sight.seen_s > WINDOW_S:
-            continue
-        if sight.off_m is None:
-            old += 1
-        elif abs(sight.off_m - newest.off_m) < AGREE_M:
-            agree.append(sight.off_m)
-    return median(agree) if len(agree) >= 2 and len(agree) > old else None
+    recent = [sight for sight in sights if time_s - sight.seen_s <= WINDOW_S]
+    held = [sight for sight in recent if sight.off_m is None]
+    old = [sight for sight in held if not sight.repeated]
+    moving = bool(held) and not old and abs(newest.off_m) < LEAVING_M
+    speed_m_s = FASTEST_M_S if moving else 0.0
+    agree = [
+        sight.off_m
+        for sight in recent
+        if sight.off_m is not None
+        and abs(sight.off_m - newest.off_m) < AGREE_M + speed_m_s * (newest.seen_s - sight.seen_s)
+    ]
+    if len(agree) < 2 or len(agree) <= len(old):
+        return None
+    if len(agree) == 2 and old and abs(agree[0] - agree[1]) > CLOSE_M:
+        return None  # Two of three, which two wild readings can be as well: they must agree closely.
+    return newest.off_m if moving else median(agree)

@@ -7,7 +7,7 @@ what no good sensor does.
 
 STUCK_READINGS = 3
 """The same answer at least this many times in a row."""
-REPEATED_READINGS = 4
+REPEATED_READINGS = 5
 """With the same answer this many times in a row a sensor may be stuck: it is believed only where others agree."""
 STUCK_M = 0.15
 """While the height over the ground has changed by this much [m]: three times what a good sensor's noise would hide."""

@@ -17,6 +17,7 @@ from msp_range.reading import Status
 
 QUALITY_READINGS = 10
 """A stream's quality is the share of its last this many readings that were used."""
+HALF_A_CENTIMETRE = 0.005
 HELD_BEAM_QUALITY = 0.5
 """What is left of the quality at a range where nothing speaks for the beam's angle (`BreakawayTable.known_to_m`)."""
 
@@ -138,7 +139,7 @@ class Streams:
 
 def _distance(stream: Stream, boot_ms: int, estimate: Estimate | Fused, beam: BreakawayTable, quality: int) -> Any:
     view_rad = beam.field_of_view_rad(estimate.range_m)
-    if estimate.range_m > beam.known_to_m:
+    if estimate.range_m > beam.known_to_m + HALF_A_CENTIMETRE:
         quality = int(quality * HELD_BEAM_QUALITY)
     return distance_sensor(stream, boot_ms, estimate.range_m, estimate.variance_m2, view_rad, quality)
 

@@ -20,6 +20,7 @@ _MAVLINK = {
 
 _PropertyTable = dict[str, tuple[str, str]]
 
+ATTITUDE_TOPIC = "/attitude"
 RANGE_PREFIX = "/range/"
 _RANGE: tuple[str, _PropertyTable] = (
     "one ranging of a sensor, and what became of it stage by stage",
@@ -54,7 +55,7 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
             "rise_east": ("number", "rise of the ground per metre east; right where the attitude is not known"),
         },
     ),
-    "/attitude": (
+    ATTITUDE_TOPIC: (
         "how the vehicle is turned, as the autopilot says",
         {
             "time_s": ("number", "when it was heard, on the bridge's clock [s]"),

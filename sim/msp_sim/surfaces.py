@@ -76,7 +76,7 @@ class Ground(Section):
 
     surface: str = "grass"
     """name of the surface before the first step"""
-    rough: dict[str, Roughness] = {}
+    rough: dict[str, Roughness] = Field(default_factory=dict)
     """how rough surfaces are, by name; the others, and the tops of boxes, are smooth"""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """how steeply the ground rises [deg]"""
