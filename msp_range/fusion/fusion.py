@@ -36,7 +36,7 @@ MEMORY_S = 1.5
 """Ground not seen for this long is no longer known [s]."""
 LOST_S = 0.35
 """Where no reading was of the ground for this long, the next two that agree make a new one [s]."""
-STARTS_AGREE_M, STARTS_AGREE_M_S = 0.20, 2.0
+STARTS_AGREE_M, FASTEST_M_S = 0.20, 4.0
 """The first two readings differ by no more than this: by a slope and their noise [m], by a climb [m/s]."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
 """What a step of the ground leaves uncertain of the height and of its rate."""
@@ -181,10 +181,11 @@ class Fusion:
         before, self._first = self._first, (reading.sensor, reading.time_s, height_m)
         if before is None or reading.time_s - before[1] > MEMORY_S:
             return
-        if abs(height_m - before[2]) > STARTS_AGREE_M + STARTS_AGREE_M_S * (reading.time_s - before[1]):
+        elapsed_s, higher_m = reading.time_s - before[1], height_m - before[2]
+        if abs(higher_m) > STARTS_AGREE_M + FASTEST_M_S * elapsed_s:
             return
         climbed_m = 0.0 if self._filter is None else self._filter.height_m - self._steps_m
-        self._filter = GroundFilter(height_m, _variance_m2(reading) / view.by_height**2)
+        self._filter = GroundFilter(height_m, _variance_m2(reading) / view.by_height**2, higher_m, elapsed_s)
         self._first, self._steps_m = None, height_m - climbed_m
         self._shared_m2 = view.shared_variance_m2
         self._seen_s = self._time_s

@@ -22,8 +22,8 @@ SPURS_PER_S, EASES_PER_S = 0.2, 1.0
 LEAST_SHARE = 1e-3
 """A filter is not mixed with less than this of another."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
-START_CLIMB_STD_M_S = 2.0
-"""Standard deviation of the height's rate at the beginning [m/s]."""
+SHORTEST_BASE_S, START_SLOPE_M = 0.08, 0.05
+"""Two readings show a rate where they are this far apart [s]; a slope puts them apart by this [m]."""
 SLOPE_STD = 0.10
 """Standard deviation of the ground's rise a metre: 6 deg."""
 SLOPE_LASTS_S = 30.0
@@ -62,7 +62,9 @@ class GroundFilter:
     Parameters
     ----------
     height_m, variance_m2
-        Where the ground is at the beginning [m], and the variance of the error [m^2].
+        Height at the beginning [m], and the variance of its error [m^2].
+    higher_m, elapsed_s
+        How much higher that is than another reading [m], how long ago [s].
 
     Attributes
     ----------
@@ -70,13 +72,17 @@ class GroundFilter:
         The mixture's mean; see `Ground`.
     """
 
-    def __init__(self, height_m: float, variance_m2: float) -> None:
+    def __init__(self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float) -> None:
         slope = SLOPE_STD * SLOPE_STD
-        start = (height_m, 0.0, 0.0, 0.0, variance_m2, 0.0, 0.0, 0.0, START_CLIMB_STD_M_S**2, 0.0, 0.0)
+        apart_s = max(elapsed_s, SHORTEST_BASE_S)
+        climb_m_s = higher_m / apart_s
+        # Of two places on a slope, perhaps, and each with its noise.
+        climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
+        start = (height_m, climb_m_s, 0.0, 0.0, variance_m2, variance_m2 / apart_s, 0.0, 0.0, climb_variance, 0.0, 0.0)
         filters: list[_Gaussian] = [(*start, slope, 0.0, slope)]
         self._filters = 3 * filters
         self._weights: tuple[float, ...] = START_WEIGHTS
-        self.height_m, self.climb_m_s, self.rise_north, self.rise_east = height_m, 0.0, 0.0, 0.0
+        self.height_m, self.climb_m_s, self.rise_north, self.rise_east = start[:4]
 
     def predict(self, elapsed_s: float) -> None:
         """Move on by ``elapsed_s``: mix each with its neighbours, then let each move in its own way."""

@@ -14,7 +14,7 @@ WINDOW_S = 0.65
 of one."""
 AGREE_M = 0.12
 """Readings of different sensors that are this close, moved to one time and place, see the same ground [m]."""
-FASTEST_M_S = 2.0
+LEAVING_M_S = 2.0
 """Readings of two sensors that move on may differ by as much as the vehicle climbs between them [m/s]."""
 LEAVING_M = 0.5
 """What moves away from the ground that stuck sensors hold is first seen no farther from it than this [m]."""
@@ -108,7 +108,7 @@ def step_m(newest: Sight, sights: Iterable[Sight], time_s: float) -> float | Non
     held = [sight for sight in recent if sight.off_m is None]
     old = [sight for sight in held if not sight.repeated]
     moving = bool(held) and not old and abs(newest.off_m) < LEAVING_M
-    speed_m_s = FASTEST_M_S if moving else 0.0
+    speed_m_s = LEAVING_M_S if moving else 0.0
     agree = [
         sight.off_m
         for sight in recent
