@@ -211,10 +211,12 @@ class Fusion:
         if square is not None:
             self._scatter(square, variance_m2)
             self._seen(sight, view)
-        elif doubtful:
+            return
+        off_m = innovation_m / view.by_height
+        if doubtful and not sight.is_object(off_m):
             sight.nothing(time_s)
         else:
-            self._set_aside(known, reading.sensor, innovation_m / view.by_height, view)
+            self._set_aside(known, reading.sensor, off_m, view)
             if time_s - self._seen_s > LOST_S:
                 self._start(reading, range_m, sensor, rotation)
 

@@ -76,7 +76,7 @@ class Sight:
         if not told or abs(off_m) < OBJECT_M:
             return
         if self.object_m is not None:
-            if abs(off_m + self.object_m) < AGREE_M:
+            if self.is_object(off_m):
                 self.object_m += (-off_m - self.object_m) / 2
             return
         for i, before_m in enumerate(reversed(earlier)):
@@ -84,6 +84,10 @@ class Sight:
             if before_m is not None and abs(off_m - before_m) < close_m:
                 self.object_m = -(off_m + before_m) / 2
                 return
+
+    def is_object(self, off_m: float) -> bool:
+        """Whether a reading so much farther than the ground is of the object that is known."""
+        return self.object_m is not None and abs(off_m + self.object_m) < AGREE_M
 
     def moved(self, by_m: float) -> None:
         """The ground is now taken to be ``by_m`` lower than before."""
