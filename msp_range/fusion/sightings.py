@@ -18,7 +18,7 @@ LEAVING_M_S = 2.0
 """Readings of two sensors that move on may differ by as much as the vehicle climbs between them [m/s]."""
 LEAVING_M = 0.5
 """What moves away from the ground that stuck sensors hold is first seen no farther from it than this [m]."""
-OBJECT_M = 0.20
+OBJECT_M = 0.12
 """Less than this above or below the ground is not told [m]."""
 CLOSE_M, NEAR_M = 0.06, 0.08
 """Two readings in a row this close to each other show an object [m]; two of three need only be this near, where none

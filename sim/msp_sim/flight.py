@@ -136,13 +136,18 @@ def emulated_bus(
 
 @dataclass(slots=True)
 class Track:
-    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value."""
+    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value.
+
+    ``below_m`` is the distance from the fused stream's reference point along the vehicle's down axis at that time: None
+    for sensors that look elsewhere, and where the ground differs from sensor to sensor.
+    """
 
     time_s: list[float] = field(default_factory=list)
     truth_m: list[float | None] = field(default_factory=list)
     raw_m: list[float | None] = field(default_factory=list)
     filtered_m: list[float | None] = field(default_factory=list)
     why: list[str | None] = field(default_factory=list)
+    below_m: list[float | None] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -237,13 +242,20 @@ class FlightLog:
         track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
         at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
         track.why.append(step.filtered.rejected or at_minimum)
+        if reading.sensor not in self._downward:
+            track.below_m.append(None)
+            return
+        below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
+        truth_m = None if below_m is None else below_m - self._reference_down_m
+        is_edge = below_m is None or self._is_edge(time_s, below_m)
+        track.below_m.append(None if is_edge else truth_m)
         if step.fused is not None:
-            below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
             fused = self.flight.fused
             fused.time_s.append(time_s)
-            fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
+            fused.truth_m.append(truth_m)
             fused.filtered_m.append(step.fused.range_m)
-            fused.why.append("edge" if below_m is None or self._is_edge(time_s, below_m) else None)
+            fused.why.append("edge" if is_edge else None)
+            fused.below_m.append(None if is_edge else truth_m)
 
     def _is_edge(self, time_s: float, below_m: float) -> bool:
         if self._below_m is not None and abs(below_m - self._below_m) > LEVEL_M:

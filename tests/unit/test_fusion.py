@@ -408,9 +408,7 @@ def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> No
 
 def test_recorded_attitudes_are_known_from_their_time_on() -> None:
     now, kept = [0.0], []
-    recorded = RecordedAttitude(
-        [Angles(1.0, 0.1, 0.0, 0.0), Angles(1.1, 0.2, 0.0, 0.0)], lambda: now[0], kept.append
-    )
+    recorded = RecordedAttitude([Angles(1.0, 0.1, 0.0, 0.0), Angles(1.1, 0.2, 0.0, 0.0)], lambda: now[0], kept.append)
     assert recorded.rotation_at(0.0) is None
     now[0] = 1.05
     rotation = recorded.rotation_at(1.0)
@@ -429,7 +427,9 @@ def test_it_is_equivariant_to_an_offset_and_blind_to_the_origin_of_time() -> Non
         fusion, wild = four(), np.random.default_rng(9)
         told = []
         for i in range(300):
-            range_m = 4.0 + 0.3 * math.sin(0.1 * i) + wild.normal(scale=SIGMA_M) + (wild.random() < 0.03) * wild.normal()
+            range_m = (
+                4.0 + 0.3 * math.sin(0.1 * i) + wild.normal(scale=SIGMA_M) + (wild.random() < 0.03) * wild.normal()
+            )
             fused = take(fusion, reading(NAMES[i % 4], later_s + i * SLOT_S, range_m + higher_m, raw=i))
             told.append(None if fused is None else (fused.range_m - higher_m, fused.climb_m_s))
         return told
