@@ -31,6 +31,9 @@ PARTS = (
     bench_rates,
     bench_start,
 )
+from benchmarks import bench_bridge, bench_fusion, bench_rates, bench_reading_model, bench_start, bench_virtual_flight
+
+PARTS = (bench_reading_model, bench_bridge, bench_fusion, bench_virtual_flight, bench_rates, bench_start)
 RESULTS = Path(__file__).parent / "results.json"
 
 

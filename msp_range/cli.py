@@ -268,6 +268,24 @@ def replay(
 
 @app.command()
 @tell_mistakes
+def tune(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
+    airframe_file: Annotated[
+        Path | None, typer.Option("--airframe", metavar="AIRFRAME.yaml", help="instead of the one that was flown")
+    ] = None,
+    model: Annotated[
+        Literal["constant", "constant_velocity"] | None,
+        typer.Option(help="model of the Kalman filter; left out: the airframe's"),
+    ] = None,
+) -> None:
+    """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
+    from msp_range import tuning
+
+    tuning.show(tuning.tune_recordings(recordings, airframe_file, model))
+
+
+@app.command()
+@tell_mistakes
 def recover(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the closed copy to make")],
