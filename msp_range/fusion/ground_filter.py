@@ -95,11 +95,11 @@ class GroundFilter:
         of_calm += calms - wakes
         of_moving += wakes + eases - calms - spurs
         of_wild += spurs - eases
-        mixed = _mixed(_mixed(moving, calm, wakes / (of_moving - eases)), wild, eases / of_moving)
+        woken = moving if wakes < LEAST_SHARE * of_moving else _mixed(moving, calm, wakes / (of_moving - eases))
         self._filters = [
-            _moved(_mixed(calm, moving, calms / of_calm), elapsed_s, CALM_M2_S3),
-            _moved(mixed, elapsed_s, MOVING_M2_S3),
-            _moved(_mixed(wild, moving, spurs / of_wild), elapsed_s, MANOEUVRE_M2_S3),
+            _moved(calm, moving, calms / of_calm, elapsed_s, CALM_M2_S3),
+            _moved(woken, wild, eases / of_moving, elapsed_s, MOVING_M2_S3),
+            _moved(wild, moving, spurs / of_wild, elapsed_s, MANOEUVRE_M2_S3),
         ]
         self._weights = (of_calm, of_moving, of_wild)
         self._combine()
@@ -170,8 +170,9 @@ class GroundFilter:
         """Variance of the error of a linear combination of height and slope."""
         total = 0.0
         for weight, each in zip(self._weights, self._filters, strict=True):
-            off = by_height * (each[0] - self.height_m)
-            total += weight * (_variance(each, by_height, by_north, by_east) + off * off)
+            if weight > LEAST_SHARE:
+                off = by_height * (each[0] - self.height_m)
+                total += weight * (_variance(each, by_height, by_north, by_east) + off * off)
         return total
 
     def _combine(self) -> None:
@@ -191,8 +192,6 @@ def _variance(of: _Gaussian, a: float, b: float, c: float) -> float:
 
 def _mixed(own: _Gaussian, other: _Gaussian, share: float) -> _Gaussian:
     """Mean and covariance of a mixture of which ``share`` is the other's."""
-    if share < LEAST_SHARE:
-        return own
     h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = own
     h2, w2, n2, e2, hh2, hw2, hn2, he2, ww2, wn2, we2, nn2, ne2, ee2 = other
     dh, dw = h2 - h, w2 - w
@@ -216,9 +215,9 @@ def _mixed(own: _Gaussian, other: _Gaussian, share: float) -> _Gaussian:
     )
 
 
-def _moved(before: _Gaussian, t: float, density: float) -> _Gaussian:
-    """x' = F x, P' = F P F^T + Q; Q of white acceleration of spectral density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
-    h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = before
+def _moved(own: _Gaussian, other: _Gaussian, share: float, t: float, density: float) -> _Gaussian:
+    """Mixed, then x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
+    h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = own if share < LEAST_SHARE else _mixed(own, other, share)
     stays = max(1 - t / SLOPE_LASTS_S, 0.0)
     comes = (1 - stays * stays) * SLOPE_STD * SLOPE_STD
     square = stays * stays
