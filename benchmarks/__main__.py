@@ -13,6 +13,7 @@ from benchmarks import (
     bench_filters,
     bench_fit,
     bench_fit_coverage,
+    bench_fusion,
     bench_laboratory,
     bench_rates,
     bench_reading_model,
@@ -27,13 +28,11 @@ PARTS = (
     bench_laboratory,
     bench_bridge,
     bench_filters,
+    bench_fusion,
     bench_virtual_flight,
     bench_rates,
     bench_start,
 )
-from benchmarks import bench_bridge, bench_fusion, bench_rates, bench_reading_model, bench_start, bench_virtual_flight
-
-PARTS = (bench_reading_model, bench_bridge, bench_fusion, bench_virtual_flight, bench_rates, bench_start)
 RESULTS = Path(__file__).parent / "results.json"
 
 
