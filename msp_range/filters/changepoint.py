@@ -5,14 +5,16 @@ runs (Adams and MacKay 2007, Fearnhead and Liu 2007), each with a constant range
 own reading model as the likelihood; `msp_range.filters.runs` has the equations. There is nothing to tune.
 """
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from msp_range.filters.base import Estimate
-from msp_range.filters.runs import Likelihood, Runs
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
+
+if TYPE_CHECKING:
+    from msp_range.filters.runs import Likelihood
 
 
 class ChangepointParameters(Section):
@@ -25,6 +27,9 @@ class ChangepointParameters(Section):
         """A filter in its starting state."""
         if sensor is None:
             raise ValueError("filter changepoint: needs the sensor model, whose reading model is its likelihood")
+        # Brings scipy, which checking a file can do without.
+        from msp_range.filters.runs import Likelihood
+
         return Changepoint(
             Likelihood.of(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm)
         )
@@ -37,12 +42,12 @@ class Changepoint:
     until a second one has confirmed it: a wrong distance is worse than none.
     """
 
-    def __init__(self, likelihood: Likelihood) -> None:
+    def __init__(self, likelihood: "Likelihood") -> None:
         self._likelihood = likelihood
         self._variance_m2 = likelihood.variance_m2
         self._elapsed_s, self._reading_m, self._reading_variance_m2 = np.zeros(1), np.zeros(1), np.zeros(1)
-        self._runs = Runs(likelihood, 1)
         self._time_s: float | None = None
+        self.reset()
 
     def update(self, time_s: float, measured: Estimate) -> Estimate | None:
         """Range and variance after this reading; None until a level is known."""
@@ -59,5 +64,7 @@ class Changepoint:
 
     def reset(self) -> None:
         """Know nothing."""
+        from msp_range.filters.runs import Runs
+
         self._runs = Runs(self._likelihood, 1)
         self._time_s = None
