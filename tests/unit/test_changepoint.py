@@ -69,6 +69,17 @@ def test_one_wild_reading_moves_nothing(wild_m: float) -> None:
     assert not np.isnan(out[41:, 0]).any()
 
 
+@pytest.mark.parametrize("wild_m", [5.0, 3.2])
+def test_one_wild_reading_moves_nothing_where_there_are_many_steps(wild_m: float) -> None:
+    """Steps are learned to be frequent, and still take a second reading."""
+    true_m = np.repeat(np.tile([3.0, 3.7], 12), 8)
+    readings = noisy(true_m)
+    readings[-3] = wild_m
+    out = run(WILD, readings)
+    assert np.isnan(out[-3, 0])
+    assert abs(out[-2, 0] - 3.7) < 3 * STD_M
+
+
 def test_two_wild_readings_that_disagree_move_nothing() -> None:
     readings = noisy(np.full(45, 3.0))
     readings[40:42] = 4.7, 1.1
