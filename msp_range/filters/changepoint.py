@@ -50,7 +50,7 @@ class Changepoint:
         self.reset()
 
     def update(self, time_s: float, measured: Estimate) -> Estimate | None:
-        """Range and variance after this reading; None until a level is known."""
+        """Range and variance after this reading; None where it is not believed, or no level is known yet."""
         variance_m2 = measured.variance_m2
         before_s = time_s if self._time_s is None else self._time_s
         self._time_s = max(time_s, before_s)
