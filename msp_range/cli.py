@@ -346,7 +346,7 @@ def collect(
 
     console = Console()
     if is_of_flights(campaign_file):
-        _collect_flights(campaign_file, out, console)
+        _collect_flights(campaign_file, out, console, show_plan)
         return
     campaign = load_campaign(campaign_file)
     points = plan(campaign)
@@ -358,6 +358,7 @@ def collect(
     if show_plan:
         show_points(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
         return
+    bench.open()
     with stop_signals() as stopped:
         person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
@@ -368,14 +369,18 @@ def collect(
             bench.close()
     table, rows = store.write_table()
     left = sum(not store.is_done(point) for point in points)
-    print(f"{table}: {rows} readings; {left} of {len(points)} points are left")
+    read = f"{table}: {rows} readings" if rows else "nothing was read"
+    print(f"{read}; {left} of {len(points)} points are left")
 
 
-def _collect_flights(campaign_file: Path, out: Path, console: Any) -> None:
-    from msp_range.characterise.flights import Hangar, collect_flights, load_flights
+def _collect_flights(campaign_file: Path, out: Path, console: Any, show_plan: bool) -> None:
+    from msp_range.characterise.flights import Hangar, collect_flights, load_flights, show_flights
 
     campaign = load_flights(campaign_file)
     hangar = Hangar(out, campaign)
+    if show_plan:
+        show_flights(campaign, hangar, console)
+        return
     collect_flights(campaign, hangar, console, _asking(console))
     left = sum(not hangar.recordings(flight) for flight in campaign.flights)
     if left < len(campaign.flights):
