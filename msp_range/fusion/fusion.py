@@ -36,8 +36,9 @@ MEMORY_S = 1.5
 """Ground not seen for this long is no longer known [s]."""
 LOST_S = 0.35
 """Where no reading was of the ground for this long, the next two that agree make a new one [s]."""
-STARTS_AGREE_M, FASTEST_M_S = 0.20, 4.0
-"""The first two readings differ by no more than this: by a slope and their noise [m], by a climb [m/s]."""
+STARTS_AGREE_M, FASTEST_M_S, FASTEST_ALONE_M_S = 0.20, 4.0, 1.0
+"""The first two readings differ by no more than this: by a slope and their noise [m], by a climb [m/s]; two of one
+sensor are farther apart in time, and must agree the better."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
 """What a step of the ground leaves uncertain of the height and of its rate."""
 ROUGH_READINGS = 30.0
@@ -182,7 +183,8 @@ class Fusion:
         if before is None or reading.time_s - before[1] > MEMORY_S:
             return
         elapsed_s, higher_m = reading.time_s - before[1], height_m - before[2]
-        if abs(higher_m) > STARTS_AGREE_M + FASTEST_M_S * elapsed_s:
+        fastest_m_s = FASTEST_ALONE_M_S if reading.sensor == before[0] else FASTEST_M_S
+        if abs(higher_m) > STARTS_AGREE_M + fastest_m_s * elapsed_s:
             return
         climbed_m = 0.0 if self._filter is None else self._filter.height_m - self._steps_m
         self._filter = GroundFilter(height_m, _variance_m2(reading) / view.by_height**2, higher_m, elapsed_s)

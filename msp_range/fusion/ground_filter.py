@@ -1,10 +1,14 @@
 """Height over the ground, its rate, and the ground's slope: an extended Kalman filter for three ways to move.
 
-State: height h [m], its rate w [m/s], rise of the ground per metre north g_n and east g_e. Between readings h moves
-with w, w by white acceleration, and the slope falls back towards level ground, so that what no sensor sees stays
-bounded. Three such filters run side by side, for a vehicle that is calm, that moves and that manoeuvres; they are mixed
-by how well each foretells the readings (interacting multiple models: Blom and Bar-Shalom, IEEE Transactions on
-Automatic Control 33, 1988). Plain floats: for four states that is quicker than arrays.
+Height h [m] moves with its rate w [m/s], and w by white acceleration. Three such filters run side by side, for a
+vehicle that is calm, that moves and that manoeuvres; they are mixed by how well each foretells the readings
+(interacting multiple models: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
+
+The ground's rise per metre north and east, g, is common to the three. What a reading tells of it is the difference of
+its lever (how far from the reference point the sensor looks) from the mean lever of the last readings; where that mean
+is, the height is known, and how the slope carries on from there is not learnt from it. So the two are independent, and
+what no sensor sees stays uncertain: one sensor at a corner knows the height there and not below the vehicle's middle.
+Plain floats: for so few that is quicker than arrays.
 """
 
 import math
@@ -19,25 +23,28 @@ WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
 """How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
 SPURS_PER_S, EASES_PER_S = 0.2, 1.0
 """How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
-LEAST_SHARE = 1e-3
-"""A filter is not mixed with less than this of another."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
+"""Of the three ways at the beginning."""
 SHORTEST_BASE_S, START_SLOPE_M = 0.08, 0.05
 """Two readings show a rate where they are this far apart [s]; a slope puts them apart by this [m]."""
 SLOPE_STD = 0.10
 """Standard deviation of the ground's rise a metre: 6 deg."""
 SLOPE_LASTS_S = 30.0
 """Time constant with which the slope falls back to level where no reading holds it [s]."""
-SQRT_TWO_PI = math.sqrt(2 * math.pi)
+LEVER_SHARE = 0.2
+"""Share of the newest reading's lever in the mean lever: a round of four sensors."""
+LEAST_SHARE = 1e-3
+"""A calm vehicle's filter is not mixed with less than this of another."""
 LEAST_WEIGHT = 1e-4
 """No way to move is ever ruled out further than this."""
+SQRT_TWO_PI = math.sqrt(2 * math.pi)
 
-_Gaussian = tuple[float, ...]
-"""Four means (h, w, g_n, g_e) and the upper triangle of their covariance by rows, ten numbers."""
+_Motion = tuple[float, float, float, float, float]
+"""Means and covariance of one filter: h, w, hh, hw, ww."""
 
 
 class Ground(NamedTuple):
-    """Where the ground is; variances and covariances of the errors.
+    """Where the ground is, and the covariance of the errors.
 
     Attributes
     ----------
@@ -46,18 +53,18 @@ class Ground(NamedTuple):
     rise_north, rise_east
         Rise of the ground per metre; forward and right where the attitude is not known.
     covariance
-        Upper triangle by rows of the 4 x 4 covariance in that order, SI units.
+        4 x 4, in that order, SI units.
     """
 
     height_m: float
     climb_m_s: float
     rise_north: float
     rise_east: float
-    covariance: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
 
 
 class GroundFilter:
-    """The three filters and their mixture.
+    """The three filters, their mixture, and the slope.
 
     Parameters
     ----------
@@ -73,36 +80,47 @@ class GroundFilter:
     """
 
     def __init__(self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float) -> None:
-        slope = SLOPE_STD * SLOPE_STD
         apart_s = max(elapsed_s, SHORTEST_BASE_S)
-        climb_m_s = higher_m / apart_s
         # Of two places on a slope, perhaps, and each with its noise.
         climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
-        start = (height_m, climb_m_s, 0.0, 0.0, variance_m2, variance_m2 / apart_s, 0.0, 0.0, climb_variance, 0.0, 0.0)
-        filters: list[_Gaussian] = [(*start, slope, 0.0, slope)]
-        self._filters = 3 * filters
+        start: _Motion = (height_m, higher_m / apart_s, variance_m2, variance_m2 / apart_s, climb_variance)
+        self._filters: tuple[_Motion, ...] = (start, start, start)
         self._weights: tuple[float, ...] = START_WEIGHTS
-        self.height_m, self.climb_m_s, self.rise_north, self.rise_east = start[:4]
+        self.height_m, self.climb_m_s = start[:2]
+        self._mean_lever: tuple[float, float] | None = None
+        self.level()
 
-    def predict(self, elapsed_s: float) -> None:
-        """Move on by ``elapsed_s``: mix each with its neighbours, then let each move in its own way."""
-        if elapsed_s <= 0:
+    def level(self) -> None:
+        """Forget the slope, as where its frame has changed."""
+        self.rise_north = self.rise_east = 0.0
+        self._slope = (SLOPE_STD * SLOPE_STD, 0.0, SLOPE_STD * SLOPE_STD)
+
+    def predict(self, t: float) -> None:
+        """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way."""
+        if t <= 0:
             return
         calm, moving, wild = self._filters
         of_calm, of_moving, of_wild = self._weights
-        wakes, calms = of_calm * min(WAKES_PER_S * elapsed_s, 0.5), of_moving * min(CALMS_PER_S * elapsed_s, 0.4)
-        spurs, eases = of_moving * min(SPURS_PER_S * elapsed_s, 0.4), of_wild * min(EASES_PER_S * elapsed_s, 0.5)
+        wakes, calms = of_calm * min(WAKES_PER_S * t, 0.5), of_moving * min(CALMS_PER_S * t, 0.4)
+        spurs, eases = of_moving * min(SPURS_PER_S * t, 0.4), of_wild * min(EASES_PER_S * t, 0.5)
         of_calm += calms - wakes
         of_moving += wakes + eases - calms - spurs
         of_wild += spurs - eases
-        woken = moving if wakes < LEAST_SHARE * of_moving else _mixed(moving, calm, wakes / (of_moving - eases))
-        self._filters = [
-            _moved(calm, moving, calms / of_calm, elapsed_s, CALM_M2_S3),
-            _moved(woken, wild, eases / of_moving, elapsed_s, MOVING_M2_S3),
-            _moved(wild, moving, spurs / of_wild, elapsed_s, MANOEUVRE_M2_S3),
-        ]
+        woken = _mixed(moving, calm, wakes / (of_moving - eases))
+        self._filters = (
+            _moved(_mixed(calm, moving, calms / of_calm) if calms > LEAST_SHARE * of_calm else calm, t, CALM_M2_S3),
+            _moved(_mixed(woken, wild, eases / of_moving), t, MOVING_M2_S3),
+            _moved(_mixed(wild, moving, spurs / of_wild), t, MANOEUVRE_M2_S3),
+        )
         self._weights = (of_calm, of_moving, of_wild)
         self._combine()
+        stays = max(1 - t / SLOPE_LASTS_S, 0.0)
+        square = stays * stays
+        comes = (1 - square) * SLOPE_STD * SLOPE_STD
+        nn, ne, ee = self._slope
+        self._slope = (nn * square + comes, ne * square, ee * square + comes)
+        self.rise_north *= stays
+        self.rise_east *= stays
 
     def update(self, view: View, innovation_m: float, variance_m2: float, other_per_m: float) -> float | None:
         """Take a reading that is ``innovation_m`` longer than expected, where it is of the ground.
@@ -120,151 +138,108 @@ class GroundFilter:
             The innovation squared over its variance; None where the reading is more likely of something else, and
             nothing has changed.
         """
-        _, by_height, by_north, by_east, _ = view
-        expected = by_height * self.height_m + by_north * self.rise_north + by_east * self.rise_east + innovation_m
-        filters, weights, normalised = [], [], 0.0
-        for weight, each in zip(self._weights, self._filters, strict=True):
+        _, a, by_north, by_east, _ = view
+        lever_north, lever_east = by_north / a, by_east / a
+        mean_north, mean_east = self._mean_lever or (lever_north, lever_east)
+        b, c = a * (lever_north - mean_north), a * (lever_east - mean_east)
+        nn, ne, ee = self._slope
+        x_north, x_east = b * nn + c * ne, b * ne + c * ee
+        noise_m2 = variance_m2 + b * x_north + c * x_east
+        likelihoods, total, normalised, total_m2 = [], 0.0, 0.0, 0.0
+        expected_m = innovation_m + a * self.height_m
+        for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
             # The reading was foretold for the mixture; each filter's own mean is a little off from that.
-            own_m = expected - by_height * each[0] - by_north * each[2] - by_east * each[3]
-            updated, total_m2 = _updated(each, own_m, by_height, by_north, by_east, variance_m2)
-            square = own_m * own_m / total_m2
-            filters.append(updated)
-            weights.append(weight * math.exp(-0.5 * square) / math.sqrt(total_m2))
+            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+            square = own_m * own_m / own_m2
+            likelihood = weight * math.exp(-0.5 * square) / math.sqrt(own_m2)
+            likelihoods.append(likelihood)
+            total += likelihood
             normalised += weight * square
-        total = sum(weights)
+            total_m2 += weight * own_m2
         if total < other_per_m * SQRT_TWO_PI:
             return None
-        self._filters = filters
-        self._weights = tuple([max(weight / total, LEAST_WEIGHT) for weight in weights])
+        self._weights = tuple([max(each / total, LEAST_WEIGHT) for each in likelihoods])
+        k_north, k_east = x_north / total_m2, x_east / total_m2
+        to_north, to_east = k_north * innovation_m, k_east * innovation_m
+        self.rise_north += to_north
+        self.rise_east += to_east
+        self._slope = (nn - k_north * x_north, ne - k_north * x_east, ee - k_east * x_east)
+        # The height where the mean lever is stays, whatever the slope.
+        lower_m = mean_north * to_north + mean_east * to_east
+        filters = []
+        for h, w, hh, hw, ww in self._filters:
+            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+            k0, k1 = a * hh / own_m2, a * hw / own_m2
+            still = 1 - a * k0
+            filters.append((h - lower_m + k0 * own_m, w + k1 * own_m, still * hh, still * hw, ww - a * k1 * hw))
+        self._filters = tuple(filters)
+        self._mean_lever = (
+            mean_north + LEVER_SHARE * (lever_north - mean_north),
+            mean_east + LEVER_SHARE * (lever_east - mean_east),
+        )
         self._combine()
         return normalised
 
     def shift(self, by_m: float, variance_m2: float, climb_variance: float) -> None:
         """The ground is ``by_m`` lower than thought, as beyond a step; the vehicle's motion stays."""
-        self._filters = [
-            (each[0] + by_m, *each[1:4], each[4] + variance_m2, *each[5:8], each[8] + climb_variance, *each[9:])
-            for each in self._filters
-        ]
-        self._combine()
-
-    def level(self) -> None:
-        """Forget the slope, as where its frame has changed."""
-        slope = SLOPE_STD * SLOPE_STD
-        self._filters = [
-            (each[0], each[1], 0.0, 0.0, each[4], each[5], 0.0, 0.0, each[8], 0.0, 0.0, slope, 0.0, slope)
-            for each in self._filters
-        ]
+        self._filters = tuple(
+            [(h + by_m, w, hh + variance_m2, hw, ww + climb_variance) for h, w, hh, hw, ww in self._filters]
+        )
         self._combine()
 
     def ground(self) -> Ground:
-        """The mixture's mean and covariance."""
-        means = (self.height_m, self.climb_m_s, self.rise_north, self.rise_east)
-        covariance = [0.0] * 10
-        for weight, each in zip(self._weights, self._filters, strict=True):
-            off = [each[i] - means[i] for i in range(4)]
-            spread = [off[i] * off[j] for i in range(4) for j in range(i, 4)]
-            covariance = [a + weight * (b + c) for a, b, c in zip(covariance, each[4:], spread, strict=True)]
-        return Ground(*means, tuple(covariance))
+        """The mixture's mean and covariance: h = H - m . g, H the height where the mean lever m is, apart from g."""
+        hh = hw = ww = 0.0
+        for weight, (h, w, own_hh, own_hw, own_ww) in zip(self._weights, self._filters, strict=True):
+            off_m, off_m_s = h - self.height_m, w - self.climb_m_s
+            hh += weight * (own_hh + off_m * off_m)
+            hw += weight * (own_hw + off_m * off_m_s)
+            ww += weight * (own_ww + off_m_s * off_m_s)
+        north, east = self._mean_lever or (0.0, 0.0)
+        nn, ne, ee = self._slope
+        hn, he = -(north * nn + east * ne), -(north * ne + east * ee)
+        covariance = (
+            (hh - north * hn - east * he, hw, hn, he),
+            (hw, ww, 0.0, 0.0),
+            (hn, 0.0, nn, ne),
+            (he, 0.0, ne, ee),
+        )
+        return Ground(self.height_m, self.climb_m_s, self.rise_north, self.rise_east, covariance)
 
     def variance(self, by_height: float, by_north: float, by_east: float) -> float:
         """Variance of the error of a linear combination of height and slope."""
         total = 0.0
-        for weight, each in zip(self._weights, self._filters, strict=True):
-            if weight > LEAST_SHARE:
-                off = by_height * (each[0] - self.height_m)
-                total += weight * (_variance(each, by_height, by_north, by_east) + off * off)
-        return total
+        for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
+            off_m = h - self.height_m
+            total += weight * (hh + off_m * off_m)
+        mean_north, mean_east = self._mean_lever or (0.0, 0.0)
+        b, c = by_north - by_height * mean_north, by_east - by_height * mean_east
+        nn, ne, ee = self._slope
+        return by_height * by_height * total + b * (b * nn + 2 * c * ne) + c * c * ee
 
     def _combine(self) -> None:
         a, b, c = self._weights
         calm, moving, wild = self._filters
         self.height_m = a * calm[0] + b * moving[0] + c * wild[0]
         self.climb_m_s = a * calm[1] + b * moving[1] + c * wild[1]
-        self.rise_north = a * calm[2] + b * moving[2] + c * wild[2]
-        self.rise_east = a * calm[3] + b * moving[3] + c * wild[3]
 
 
-def _variance(of: _Gaussian, a: float, b: float, c: float) -> float:
-    """a h + b g_n + c g_e."""
-    _, _, _, _, hh, _, hn, he, _, _, _, nn, ne, ee = of
-    return a * (a * hh + 2 * (b * hn + c * he)) + b * (b * nn + 2 * c * ne) + c * c * ee
-
-
-def _mixed(own: _Gaussian, other: _Gaussian, share: float) -> _Gaussian:
+def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
     """Mean and covariance of a mixture of which ``share`` is the other's."""
-    h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = own
-    h2, w2, n2, e2, hh2, hw2, hn2, he2, ww2, wn2, we2, nn2, ne2, ee2 = other
-    dh, dw = h2 - h, w2 - w
-    spread = share * (1 - share)
-    # Of the slope the filters know the same, but for little: its means do not spread the mixture.
+    h, w, hh, hw, ww = own
+    h2, w2, hh2, hw2, ww2 = other
+    dh, dw, rest = h2 - h, w2 - w, 1 - share
     return (
         h + share * dh,
         w + share * dw,
-        n + share * (n2 - n),
-        e + share * (e2 - e),
-        hh + share * (hh2 - hh) + spread * dh * dh,
-        hw + share * (hw2 - hw) + spread * dh * dw,
-        hn + share * (hn2 - hn),
-        he + share * (he2 - he),
-        ww + share * (ww2 - ww) + spread * dw * dw,
-        wn + share * (wn2 - wn),
-        we + share * (we2 - we),
-        nn + share * (nn2 - nn),
-        ne + share * (ne2 - ne),
-        ee + share * (ee2 - ee),
+        hh + share * (hh2 - hh + rest * dh * dh),
+        hw + share * (hw2 - hw + rest * dh * dw),
+        ww + share * (ww2 - ww + rest * dw * dw),
     )
 
 
-def _moved(own: _Gaussian, other: _Gaussian, share: float, t: float, density: float) -> _Gaussian:
-    """Mixed, then x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
-    h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = own if share < LEAST_SHARE else _mixed(own, other, share)
-    stays = max(1 - t / SLOPE_LASTS_S, 0.0)
-    comes = (1 - stays * stays) * SLOPE_STD * SLOPE_STD
-    square = stays * stays
+def _moved(before: _Motion, t: float, density: float) -> _Motion:
+    """x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
+    h, w, hh, hw, ww = before
     noise = density * t
-    return (
-        h + w * t,
-        w,
-        n * stays,
-        e * stays,
-        hh + t * (2 * hw + t * (ww + noise / 3)),
-        hw + t * (ww + noise / 2),
-        (hn + t * wn) * stays,
-        (he + t * we) * stays,
-        ww + noise,
-        wn * stays,
-        we * stays,
-        nn * square + comes,
-        ne * square,
-        ee * square + comes,
-    )
-
-
-def _updated(
-    before: _Gaussian, innovation_m: float, a: float, b: float, c: float, variance_m2: float
-) -> tuple[_Gaussian, float]:
-    """Kalman update with the row H = (a, 0, b, c); also the innovation's variance."""
-    h, w, n, e, hh, hw, hn, he, ww, wn, we, nn, ne, ee = before
-    x0, x1 = a * hh + b * hn + c * he, a * hw + b * wn + c * we
-    x2, x3 = a * hn + b * nn + c * ne, a * he + b * ne + c * ee
-    total_m2 = a * x0 + b * x2 + c * x3 + variance_m2
-    k0, k1, k2, k3 = x0 / total_m2, x1 / total_m2, x2 / total_m2, x3 / total_m2
-    return (
-        (
-            h + k0 * innovation_m,
-            w + k1 * innovation_m,
-            n + k2 * innovation_m,
-            e + k3 * innovation_m,
-            hh - k0 * x0,
-            hw - k0 * x1,
-            hn - k0 * x2,
-            he - k0 * x3,
-            ww - k1 * x1,
-            wn - k1 * x2,
-            we - k1 * x3,
-            nn - k2 * x2,
-            ne - k2 * x3,
-            ee - k3 * x3,
-        ),
-        total_m2,
-    )
+    return h + w * t, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise
