@@ -34,7 +34,7 @@ SLOPE_LASTS_S = 30.0
 LEVER_SHARE = 0.2
 """Share of the newest reading's lever in the mean lever: a round of four sensors."""
 LEAST_SHARE = 1e-3
-"""A calm vehicle's filter is not mixed with less than this of another."""
+"""A filter is not mixed with less than this of another."""
 LEAST_WEIGHT = 1e-4
 """No way to move is ever ruled out further than this."""
 SQRT_TWO_PI = math.sqrt(2 * math.pi)
@@ -106,11 +106,12 @@ class GroundFilter:
         of_calm += calms - wakes
         of_moving += wakes + eases - calms - spurs
         of_wild += spurs - eases
+        # A calm vehicle's filter takes hardly anything of the next one; that one takes from both sides.
         woken = _mixed(moving, calm, wakes / (of_moving - eases))
         self._filters = (
-            _moved(_mixed(calm, moving, calms / of_calm) if calms > LEAST_SHARE * of_calm else calm, t, CALM_M2_S3),
-            _moved(_mixed(woken, wild, eases / of_moving), t, MOVING_M2_S3),
-            _moved(_mixed(wild, moving, spurs / of_wild), t, MANOEUVRE_M2_S3),
+            _moved(calm, moving, calms / of_calm, t, CALM_M2_S3),
+            _moved(woken, wild, eases / of_moving, t, MOVING_M2_S3),
+            _moved(wild, moving, spurs / of_wild, t, MANOEUVRE_M2_S3),
         )
         self._weights = (of_calm, of_moving, of_wild)
         self._combine()
@@ -208,10 +209,10 @@ class GroundFilter:
 
     def variance(self, by_height: float, by_north: float, by_east: float) -> float:
         """Variance of the error of a linear combination of height and slope."""
-        total = 0.0
-        for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
-            off_m = h - self.height_m
-            total += weight * (hh + off_m * off_m)
+        height_m, total = self.height_m, 0.0
+        for weight, motion in zip(self._weights, self._filters, strict=True):
+            off_m = motion[0] - height_m
+            total += weight * (motion[2] + off_m * off_m)
         mean_north, mean_east = self._mean_lever or (0.0, 0.0)
         b, c = by_north - by_height * mean_north, by_east - by_height * mean_east
         nn, ne, ee = self._slope
@@ -238,8 +239,16 @@ def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
     )
 
 
-def _moved(before: _Motion, t: float, density: float) -> _Motion:
-    """x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
-    h, w, hh, hw, ww = before
+def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float) -> _Motion:
+    """Mixed, then x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
+    h, w, hh, hw, ww = own
+    if share > LEAST_SHARE:
+        h2, w2, hh2, hw2, ww2 = other
+        dh, dw, rest = h2 - h, w2 - w, 1 - share
+        h += share * dh
+        w += share * dw
+        hh += share * (hh2 - hh + rest * dh * dh)
+        hw += share * (hw2 - hw + rest * dh * dw)
+        ww += share * (ww2 - ww + rest * dw * dw)
     noise = density * t
     return h + w * t, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise

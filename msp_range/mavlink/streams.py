@@ -70,6 +70,7 @@ class Streams:
         self._sources = {name: _Source(beam, singles.get(name), objects.get(name)) for name, beam in beams.items()}
         self._fused = fused
         self._downward = [self._sources[name] for name in downward]
+        self._hears_nothing: set[str] = set()
         self._outbox = Outbox(send)
 
     @property
@@ -111,7 +112,11 @@ class Streams:
         source = self._sources[sensor]
         source.note(status, single is not None)
         if self._fused is not None and source in self._downward:
-            if self._most_hear_nothing():
+            if status is Status.NO_ECHO:
+                self._hears_nothing.add(sensor)
+            else:
+                self._hears_nothing.discard(sensor)
+            if self._hears_nothing and self._most_hear_nothing():
                 self._outbox.send_now(now_s, _no_echo(self._fused, boot_ms, source.beam))
             elif fused is not None:
                 quality = sum([each.quality for each in self._downward]) // len(self._downward)
@@ -129,12 +134,8 @@ class Streams:
             self._outbox.send_due(now_s)
 
     def _most_hear_nothing(self) -> bool:
-        silent = working = 0
-        for source in self._downward:
-            if source.status is not None and not source.status.is_fault:
-                working += 1
-                silent += source.status is Status.NO_ECHO
-        return 2 * silent > working
+        working = [each for each in self._downward if each.status is not None and not each.status.is_fault]
+        return 2 * len(self._hears_nothing) > len(working)
 
 
 def _distance(stream: Stream, boot_ms: int, estimate: Estimate | Fused, beam: BreakawayTable, quality: int) -> Any:
