@@ -436,7 +436,8 @@ class Effect:
         "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": its 90 %
         interval (two one-sided tests) lies within the bound. Else "cannot tell".
     smallest_detectable
-        Effect that these data would have shown in 80 % of cases at the adjusted level.
+        Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
+        thousandfold, or it is not known.
     """
 
     metric: Metric

@@ -34,6 +34,8 @@ STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
 FEW_RANGES = 4
 MORE_THAN_CHANCE = 1.5
 """Variance between points, over that of chance, from which on points and not readings are counted in a share's test."""
+MOST_CM, MOST_RATIO = 100.0, 1000.0
+"""Data that would show nothing smaller than this show nothing."""
 LEAST_SCATTER_CM = 0.05
 """Equal readings at two points are no proof that set-ups never differ: the scatter is taken to be at least so much."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
@@ -296,8 +298,15 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
         p_adjusted=different,
         bound=bound,
         verdict=verdict,
-        smallest_detectable=None if math.isinf(shown) else math.exp(min(shown, 500.0)) if is_ratio else shown,
+        smallest_detectable=_known_size(shown, is_ratio),
     )
+
+
+def _known_size(shown: float, is_ratio: bool) -> float | None:
+    """None where it is so large that the data show nothing."""
+    if is_ratio:
+        return math.exp(shown) if shown < math.log(MOST_RATIO) else None
+    return shown if shown < MOST_CM else None
 
 
 def _answered(question: Question) -> Question:
@@ -340,8 +349,10 @@ def _size(effect: Effect) -> str:
 
 
 def _doubt(effect: Effect) -> str:
-    if effect.estimate is None or effect.smallest_detectable is None:
+    if effect.estimate is None:
         return f"{effect.metric}: no two points to compare"
+    if effect.smallest_detectable is None:
+        return f"{_size(effect)}; these data could show nothing"
     return f"{_size(effect)}; these data would have shown {_amount(effect)} or more"
 
 
