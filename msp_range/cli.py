@@ -425,6 +425,9 @@ def characterise(
             "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
         ),
     ] = None,
+    of: Annotated[
+        list[str] | None, typer.Option(metavar="SENSOR", help="only its readings (column sensor); may be repeated")
+    ] = None,
     reference_std_cm: Annotated[
         float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
     ] = None,
@@ -453,7 +456,7 @@ def characterise(
     mapping = load_map(column_map) if column_map else None
     progress = Console(stderr=True)
     with progress.status("reading") as status:
-        gathered = gather(data, started, mapping)
+        gathered = gather(data, started, mapping, of or ())
         findings, changes = analyse(
             gathered,
             started,

@@ -6,6 +6,7 @@ What the data do not allow is left as the starting model has it, and the finding
 import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +91,7 @@ def characterise(
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
     absent: dict[str, str] = {}
 
+    _check_one_kind(gathered, points)
     _check_together(gathered, undisturbed)
 
     say("calibration")
@@ -166,6 +168,24 @@ def characterise(
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
         raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
+
+
+def _check_one_kind(gathered: Gathered, points: Sequence[PointReadings]) -> None:
+    """Refuse what one sensor makes beside what another one makes, unless the person has named both."""
+    if gathered.sensors:
+        return
+    of = {
+        name: sensors
+        for name in (*UNDISTURBED, "field_of_view")
+        if (sensors := {p.sensor for p in points if p.condition == name})
+    }
+    for (one, its), (other, theirs) in combinations(of.items(), 2):
+        if not its & theirs:
+            raise RecordingError(
+                f"{_names(gathered.sources)}: {one} is of {', '.join(sorted(its))} and {other} of "
+                f"{', '.join(sorted(theirs))}, and one model is of one kind of sensor: name the one with --of SENSOR, "
+                "or all with --of for each where they are of one kind"
+            )
 
 
 def _check_together(gathered: Gathered, undisturbed: Sequence[PointReadings]) -> None:

@@ -40,9 +40,12 @@ class Gathered(NamedTuple):
     data: MeasuredData
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
+    sensors: tuple[str, ...] = ()
 
 
-def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None) -> Gathered:
+def gather(
+    paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None, sensors: Sequence[str] = ()
+) -> Gathered:
     """Read all files.
 
     Parameters
@@ -53,6 +56,8 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
         Its limits: readings outside of them are no readings.
     column_map
         Names and units of the columns.
+    sensors
+        Those whose readings are used, as the column `sensor` names them; none: all.
 
     Raises
     ------
@@ -73,11 +78,13 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
         sources.append(source)
     data = _joined(tables)
     name = ", ".join(str(path) for path in paths)
+    if sensors:
+        data = _of(name, data, sensors)
     data, warnings = _within_limits(data, sensor)
     _check(name, data, sensor)
     if column_map is not None and column_map.note:
         warnings.insert(0, column_map.note)
-    return Gathered(data, tuple(sources), tuple(warnings))
+    return Gathered(data, tuple(sources), tuple(warnings), tuple(sensors))
 
 
 def _check_not_again(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:
@@ -125,6 +132,14 @@ def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
         pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
         columns[name] = np.concatenate([piece.astype(str) if is_word else piece for piece in pieces])
     return MeasuredData(columns)
+
+
+def _of(name: str, data: MeasuredData, sensors: Sequence[str]) -> MeasuredData:
+    there = sorted(set(data["sensor"].tolist()))
+    unknown = [each for each in sensors if each not in there]
+    if unknown:
+        raise RecordingError(f"{name}: no readings of the sensor {unknown[0]!r}; there are some of {', '.join(there)}")
+    return data.select(np.flatnonzero(np.isin(data["sensor"], sensors)))
 
 
 def _within_limits(data: MeasuredData, sensor: SensorModel) -> tuple[MeasuredData, list[str]]:

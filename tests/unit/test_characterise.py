@@ -171,6 +171,23 @@ def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> 
     assert load_sensor_model(out).calibration == ()
 
 
+def test_the_beam_of_one_sensor_is_not_put_beside_the_noise_of_another(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    parts = [point(rng, z, sensor="narrow") for z in range(40, 301, 20)]
+    parts += [
+        point(rng, 100, n=40, sensor="wide", condition="field_of_view", incidence_deg=5.0 * k) for k in range(-7, 8)
+    ]
+    write_csv(tmp_path / "a.csv", table(*parts))
+    command = (tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    refused = run(*command)
+    assert refused.exit_code == 3
+    assert "baseline is of narrow and field_of_view of wide" in refused.output
+    assert not (tmp_path / "m.yaml").exists()
+    assert "there are some of narrow, wide" in run(*command, "--of", "other").output
+    assert run(*command, "--of", "narrow").exit_code == 0
+    assert load_sensor_model(tmp_path / "m.yaml").breakaway == load_sensor_model(SENSOR).breakaway
+
+
 def test_a_sensor_without_a_driver_does_not_fly(tmp_path: Path) -> None:
     airframe = yaml.safe_load((CONFIGS / "quad_pallet.yaml").read_text(encoding="utf-8"))
     airframe["sensors"][0]["model"] = str(CONFIGS / "sensors" / "hcsr04.yaml")
