@@ -23,14 +23,14 @@ from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, WORD_COL
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load
 
-Unit = Literal["m", "cm", "mm", "in", "ft", "deg", "rad", "C", "F", "K", "s", "ms", "us", "%", "1"]
+Unit = Literal["m", "cm", "mm", "in", "ft", "deg", "rad", "cos", "C", "F", "K", "s", "ms", "us", "%", "1"]
 
 _LENGTHS_CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54, "ft": 30.48}
 _TIMES_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _KINDS: dict[str, dict[str, tuple[float, float]]] = {
     "_cm": {unit: (factor, 0.0) for unit, factor in _LENGTHS_CM.items()},
     "_cm_s": {unit: (factor, 0.0) for unit, factor in _LENGTHS_CM.items()},
-    "_deg": {"deg": (1.0, 0.0), "rad": (180.0 / math.pi, 0.0)},
+    "_deg": {"deg": (1.0, 0.0), "rad": (180.0 / math.pi, 0.0), "cos": (180.0 / math.pi, 0.0)},
     "_c": {"C": (1.0, 0.0), "F": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)},
     "_s": {unit: (factor, 0.0) for unit, factor in _TIMES_S.items()},
     "_ms": {unit: (1e3 * factor, 0.0) for unit, factor in _TIMES_S.items()},
@@ -52,7 +52,7 @@ class MappedColumn(Section):
     """Instead of a column: one value for all rows."""
 
     unit: Unit | None = None
-    """Of the numbers; left out: the unit that the CSV form has."""
+    """Of the numbers; left out: the unit that the CSV form has. cos: they are the cosine of an angle."""
 
     factor: float = Field(1.0)
     """The numbers are multiplied by this, after the unit: -1 turns a sign."""
@@ -297,6 +297,8 @@ def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
 
 def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:
     factor, offset = (1.0, 0.0) if place.unit is None else _units(name)[place.unit]
+    if place.unit == "cos":
+        numbers = np.arccos(np.clip(numbers, -1.0, 1.0))
     found: Column = (numbers * factor + offset) * place.factor + place.offset
     # 18.350 m is 1835 cm and not 1835.0000000000002.
     return np.round(found, 9)

@@ -67,7 +67,7 @@ def gather(
     tables: list[MeasuredData] = []
     sources: list[Source] = []
     for path in paths:
-        table = _read(path, sensor, column_map)
+        table = read_table(path, sensor, column_map)
         source = Source(path.name, hashlib.sha256(path.read_bytes()).hexdigest(), len(table))
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
@@ -76,12 +76,12 @@ def gather(
             _check_not_again(path, table, zip(paths, tables, strict=False))
         tables.append(table)
         sources.append(source)
-    data = _joined(tables)
+    data = joined(tables)
     name = ", ".join(str(path) for path in paths)
     if sensors:
         data = _of(name, data, sensors)
     data, warnings = _within_limits(data, sensor)
-    _check(name, data, sensor)
+    check_comparable(name, data, sensor)
     if column_map is not None and column_map.note:
         warnings.insert(0, column_map.note)
     return Gathered(data, tuple(sources), tuple(warnings), tuple(sensors))
@@ -110,7 +110,8 @@ def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
     return set(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _read(path: Path, sensor: SensorModel, column_map: ColumnMap | None) -> MeasuredData:
+def read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None = None) -> MeasuredData:
+    """Read one file: CSV in the one form, a recording, or with a map someone else's table."""
     if column_map is not None:
         return read_mapped(path, column_map, sensor.maximum_cm)
     if is_recording(path):
@@ -123,7 +124,8 @@ def _read(path: Path, sensor: SensorModel, column_map: ColumnMap | None) -> Meas
         raise RecordingError(f"{error}; --map NAME=COLUMN tells of columns with other names") from None
 
 
-def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
+def joined(tables: Sequence[MeasuredData]) -> MeasuredData:
+    """Tables one after the other; a column that one lacks is unknown there."""
     names = dict.fromkeys(name for table in tables for name in table.columns)
     columns: dict[str, Column] = {}
     for name in names:
@@ -158,7 +160,14 @@ def _within_limits(data: MeasuredData, sensor: SensorModel) -> tuple[MeasuredDat
     return MeasuredData(columns), [warning]
 
 
-def _check(name: str, data: MeasuredData, sensor: SensorModel) -> None:
+def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None:
+    """Refuse readings that cannot be compared with a truth: none, hardly any, or in another unit.
+
+    Raises
+    ------
+    RecordingError
+        In a line, with what to do.
+    """
     if "true_range_cm" not in data or np.isnan(data["true_range_cm"]).all():
         raise RecordingError(
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
@@ -202,4 +211,7 @@ def _unit_hint(reading_cm: Column, true_cm: Column, ratio: float) -> str:
                 return f" Is {column} in {unit}? Then: --map {column}=COLUMN*{1 / factor:g}"
     if float(np.median(true_cm)) < 12.0 and 0.5 < ratio < 2.0:
         return " Are both in metres? Then: --map reading_cm=COLUMN*100 --map true_range_cm=COLUMN*100"
-    return " Both have to be centimetres of the same thing, and --sensor the sensor that read; --map converts."
+    return (
+        " Both have to be centimetres of the same thing, and the sensor model that of the sensor that read; "
+        "--map converts."
+    )

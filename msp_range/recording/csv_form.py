@@ -7,6 +7,7 @@ every cell is a number or empty, words otherwise.
 
 import csv
 import difflib
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,6 +49,8 @@ WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target"})
 """Known columns that hold words; the other known ones hold numbers."""
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
+BLOCK = 1 << 16
+"""Rows that are held as text at a time."""
 
 Column: TypeAlias = NDArray[Any]
 """float64 with NaN where unknown, or str with "" where unknown."""
@@ -111,14 +114,19 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
             rows = csv.reader(file, strict=True)
             header = [name.strip() for name in next(rows, [])]
             _check_header(path, header, required)
-            cells = list(zip(*_whole_rows(path, rows, len(header)), strict=True)) or [()] * len(header)
+            parts: list[list[Column]] = [[] for _ in header]
+            first = 0
+            for block in _blocks(_whole_rows(path, rows, len(header))):
+                for name, cells, column in zip(header, zip(*block, strict=True), parts, strict=True):
+                    column.append(_column(path, name, cells, first))
+                first += len(block)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: not UTF-8 text: {error}") from None
     except csv.Error as error:
         raise RecordingError(f"{path}:{rows.line_num}: not CSV: {error}") from None
-    return MeasuredData({name: _column(path, name, each) for name, each in zip(header, cells, strict=True)})
+    return MeasuredData({name: _joined(path, header, name, each) for name, each in zip(header, parts, strict=True)})
 
 
 def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData) -> None:
@@ -169,10 +177,31 @@ def _whole_rows(path: Path, rows: Any, width: int) -> Iterator[list[str]]:
             raise RecordingError(f"{path}:{rows.line_num}: found {len(row)} cells, expected {width} as in the header")
 
 
-def _column(path: Path, name: str, cells: Sequence[str]) -> Column:
+def _blocks(rows: Iterator[list[str]]) -> Iterator[list[list[str]]]:
+    """Rows by the `BLOCK`: as text they need many times the memory that they need as numbers."""
+    while block := list(itertools.islice(rows, BLOCK)):
+        yield block
+
+
+def _joined(path: Path, header: list[str], name: str, parts: list[Column]) -> Column:
+    if not parts:
+        return np.array([], dtype=str if name in WORD_COLUMNS else float)
+    if len({part.dtype.kind for part in parts}) > 1:
+        # Numbers at first, and words further on: it was words all along.
+        index = header.index(name)
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.reader(file, strict=True)
+            next(rows)
+            return np.array([row[index] for row in rows if row], dtype=str)
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
+    """The cells of a block, the first of which is in this row of the table."""
     is_known = name in BASE_COLUMNS or name in CONTEXT_COLUMNS
     if name in NEVER_EMPTY and "" in cells:
-        raise _cell_error(path, name, cells.index(""), "nothing", "a number" if name == "time_s" else "a name")
+        expected = "a number" if name == "time_s" else "a name"
+        raise _cell_error(path, name, first + cells.index(""), "nothing", expected)
     if name not in WORD_COLUMNS:
         try:
             numbers = np.array([float(cell) if cell else math.nan for cell in cells], dtype=float)
@@ -182,7 +211,8 @@ def _column(path: Path, name: str, cells: Sequence[str]) -> Column:
             pass
         if is_known:
             row = next(row for row, cell in enumerate(cells) if not _is_number(cell))
-            raise _cell_error(path, name, row, repr(cells[row]), "a number, or nothing where it is unknown")
+            expected = "a number, or nothing where it is unknown"
+            raise _cell_error(path, name, first + row, repr(cells[row]), expected)
     return np.array(cells, dtype=str)
 
 

@@ -5,7 +5,7 @@ Contexts are columns by name, those of the CSV form; an effect rests where a con
 """
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
+from msp_sim.effects.curve import CURVE, MOST, curve
 from msp_sim.model.rows import Added, Faulty, Rows, RunOffset
 from msp_sim.model.streams import Streams
 
@@ -36,10 +37,14 @@ class Active:
     effect: Effect
     values: Mapping[str, float]
     of: str | None = None
+    shape: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]] | None = None
+    """Of a curve: channel, variables and knots."""
 
     @property
     def stream(self) -> str:
         """Name of its stream of chance."""
+        if self.shape is not None:
+            return f"{self.effect.name} of {self.shape[0]} over {' and '.join(self.shape[1])}"
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
 
 
@@ -78,6 +83,12 @@ class Model:
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """With one more effect of the catalogue; shapes that are left out are at their defaults."""
         return replace(self, effects=(*self.effects, active(name, of, values)))
+
+    def adding_curve(
+        self, channel: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]], values: Sequence[float]
+    ) -> "Model":
+        """With a curve that no effect of the catalogue explains, by its values at the knots."""
+        return replace(self, effects=(*self.effects, active_curve(channel, variables, knots, values)))
 
     @cached_property
     def base(self) -> ReadingModel:
@@ -163,49 +174,64 @@ class Model:
 
     def _rows(self, columns: Mapping[str, NDArray[Any]]) -> Rows:
         """The base mixture for these columns, and on it what each effect changes."""
-        sensor, base = self.sensor, self.base
-        scene = Scene(sensor, columns)
-        centre_cm = base.calibration.forward(columns[TRUE_RANGE])
-        logs: list[Any] = list(base.log_weights(centre_cm))
-        sigma_cm = np.broadcast_to(base.sigma_cm(centre_cm), centre_cm.shape)
-        added: list[Added] = []
-        faults: list[Faulty] = []
-        offsets: list[RunOffset] = []
-        for each in self.effects:
-            known = acts(scene, each)
-            if known is False:
-                continue
-            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-                change = each.effect.act(scene, each.values)
-            if change.bias_cm is not None:
-                centre_cm = centre_cm + _where(known, change.bias_cm)
-            if change.log_spread is not None:
-                sigma_cm = sigma_cm * np.exp(_where(known, change.log_spread))
-            if change.run_offset_cm is not None:
-                offsets.append(RunOffset(change.run_offset_cm, np.where(known, columns["run"], ""), each.stream))
-            odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
-            for i, log_odds in enumerate(odds, start=1):
-                if log_odds is not None:
-                    logs[i] = logs[i] + _where(known, log_odds)
-            if change.component is not None:
-                share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
-                added.append(Added(share / (1.0 - share), change.component, each.stream))
-            if change.fault is not None:
-                faults.append(Faulty(_where(known, change.fault_share), change.fault, each.stream))
-        for deviation_cm, runs, _ in offsets:
-            sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
-        return Rows(
-            centre_cm,
-            sigma_cm,
-            (logs[0], logs[1], logs[2], logs[3]),
-            base.parameters.unexpected_rate_per_m,
-            base.parameters.saturated_fraction,
-            sensor.minimum_cm,
-            sensor.maximum_cm,
-            tuple(added),
-            tuple(sorted(faults, key=lambda faulty: faulty.fault.order)),
-            tuple(offsets),
-        )
+        scene = Scene(self.sensor, columns)
+        return changed(base_rows(self, scene), scene, self.effects)
+
+
+def base_rows(model: Model, scene: Scene) -> Rows:
+    """The base mixture in a scene, without effects."""
+    base = model.base
+    centre_cm = base.calibration.forward(scene.range_cm)
+    logs = base.log_weights(centre_cm)
+    return Rows(
+        centre_cm,
+        np.broadcast_to(base.sigma_cm(centre_cm), centre_cm.shape),
+        (logs[0], logs[1], logs[2], logs[3]),
+        base.parameters.unexpected_rate_per_m,
+        base.parameters.saturated_fraction,
+        model.sensor.minimum_cm,
+        model.sensor.maximum_cm,
+    )
+
+
+def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
+    """Rows with what each of these effects changes."""
+    centre_cm, sigma_cm = rows.centre_cm, rows.sigma_cm
+    logs: list[Any] = list(rows.log_weights)
+    added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
+    known_offsets = len(offsets)
+    for each in effects:
+        known = acts(scene, each)
+        if known is False:
+            continue
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            change = each.effect.act(scene, each.values)
+        if change.bias_cm is not None:
+            centre_cm = centre_cm + _where(known, change.bias_cm)
+        if change.log_spread is not None:
+            sigma_cm = sigma_cm * np.exp(_where(known, change.log_spread))
+        if change.run_offset_cm is not None:
+            offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), each.stream))
+        odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
+        for i, log_odds in enumerate(odds, start=1):
+            if log_odds is not None:
+                logs[i] = logs[i] + _where(known, log_odds)
+        if change.component is not None:
+            share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
+            added.append(Added(share / (1.0 - share), change.component, each.stream))
+        if change.fault is not None:
+            faults.append(Faulty(_where(known, change.fault_share), change.fault, each.stream))
+    for deviation_cm, runs, _ in offsets[known_offsets:]:
+        sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
+    return replace(
+        rows,
+        centre_cm=centre_cm,
+        sigma_cm=sigma_cm,
+        log_weights=(logs[0], logs[1], logs[2], logs[3]),
+        added=tuple(added),
+        faults=tuple(sorted(faults, key=lambda faulty: faulty.fault.order)),
+        run_offsets=tuple(offsets),
+    )
 
 
 def acts(scene: Scene, each: Active) -> Any:
@@ -268,8 +294,59 @@ def active(name: str, of: str | None, values: Mapping[str, float], place: str = 
     return Active(effect, {**effect.nulls(), **values}, of)
 
 
+def active_curve(
+    channel: Any,
+    variables: Any,
+    knots: Any,
+    values: Any,
+    place: str = "curve",
+) -> Active:
+    """A curve with its values.
+
+    Raises
+    ------
+    ConfigError
+        No such channel, no knots that rise, or values that are not as many as the knots.
+    """
+    if channel not in MOST:
+        raise ConfigError(f"{place}.channel: found {channel!r}, expected one of {', '.join(MOST)}")
+    if not isinstance(variables, list | tuple) or not 1 <= len(variables) <= 2:
+        raise ConfigError(f"{place}.variables: found {variables!r}, expected one or two context columns")
+    if not isinstance(knots, list | tuple) or len(knots) != len(variables) or not all(map(_are_knots, knots)):
+        raise ConfigError(
+            f"{place}.knots: found {knots!r}, expected for each variable two or more numbers that rise, or words"
+        )
+    count = int(np.prod([len(each) for each in knots]))
+    if (
+        not isinstance(values, list | tuple)
+        or len(values) != count
+        or not all(isinstance(each, int | float) and abs(each) <= MOST[channel] for each in values)
+    ):
+        raise ConfigError(
+            f"{place}.values: found {values!r}, expected {count} numbers within +-{MOST[channel]:g}, one a knot"
+        )
+    shape = (str(channel), tuple(str(each) for each in variables), tuple(tuple(each) for each in knots))
+    effect = curve(channel, shape[1], shape[2])
+    return Active(effect, {f"value_{i}": float(value) for i, value in enumerate(values)}, None, shape)
+
+
+def _are_knots(places: Any) -> bool:
+    if not isinstance(places, list | tuple) or not places:
+        return False
+    if all(isinstance(each, str) for each in places):
+        return True
+    numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in places)
+    return numbers and len(places) > 1 and bool(np.all(np.diff(np.asarray(places, dtype=float)) > 0.0))
+
+
 def _entry(entry: Mapping[str, Any], place: str) -> Active:
     """An entry of a model file's ``effects``."""
+    if entry.get("name") == CURVE:
+        keys: tuple[str, ...] = ("name", "channel", "variables", "knots", "values", "evidence")
+        for key in entry:
+            if key not in keys:
+                raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
+        return active_curve(*(entry.get(key) for key in keys[1:5]), place)
     keys = ("name", "of", "parameters", "evidence")
     for key in entry:
         if key not in keys:

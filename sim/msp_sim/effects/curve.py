@@ -1,0 +1,98 @@
+"""A curve that no effect of the catalogue explains: one channel as a function of one or two context columns.
+
+Knots and values enter, an `Effect` leaves that acts as any other. It says that something depends on a context, and how
+far, and claims no cause.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_sim.effects.base import WORD_COLUMNS, Change, Effect, Parameter, Scene
+
+CurveChannel: TypeAlias = Literal["bias", "spread", "short", "missed", "random"]
+CURVE = "curve"
+FIELDS: dict[str, str] = {
+    "bias": "bias_cm",
+    "spread": "log_spread",
+    "short": "log_odds_short",
+    "missed": "log_odds_missed",
+    "random": "log_odds_random",
+}
+"""What of a `Change` each channel sets."""
+MOST = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "random": 15.0}
+"""Bounds of a curve's values."""
+_Array = NDArray[np.float64]
+
+
+def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> Effect:
+    """A curve as an effect; its parameters are its values at the knots.
+
+    Linear between knots and constant beyond them; over two variables bilinear, values row by row. A column of words
+    has words for knots, and other words have 0.
+
+    Parameters
+    ----------
+    channel
+        bias [cm], spread [log sigma], or log odds of short, missed or random readings.
+    variables
+        One or two context columns.
+    knots
+        For each variable its knots, rising.
+
+    Examples
+    --------
+    >>> bow = curve("bias", ["throttle"], [[0.0, 0.5, 1.0]])
+    >>> [parameter.name for parameter in bow.parameters]
+    ['value_0', 'value_1', 'value_2']
+    """
+    most = MOST[channel]
+    count = int(np.prod([len(each) for each in knots]))
+    unit = "cm" if channel == "bias" else "1"
+    names = [f"value_{i}" for i in range(count)]
+
+    def act(scene: Scene, values: Mapping[str, float]) -> Change:
+        at = np.array([values[name] for name in names])
+        return Change(**{FIELDS[channel]: hats(scene, variables, knots) @ at})
+
+    return Effect(
+        name=CURVE,
+        sentence=f"Something makes the {channel} depend on {' and '.join(variables)}; what it is, is not known.",
+        physics="none: a curve through knots, linear between them",
+        source="found in measured data by msp-sim gap",
+        parameters=tuple(Parameter(name, unit, "value at a knot", -most, most) for name in names),
+        needs=tuple(dict.fromkeys((*variables, *(("true_range_cm",) if channel in ("bias", "spread") else ())))),
+        channels=(channel,),
+        experiment=f"vary {' and '.join(variables)} alone",
+        act=act,
+    )
+
+
+def hats(scene: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> _Array:
+    """Weights of the knots for each row, shape (n, knots); for two variables their products, row by row."""
+    weights: _Array | None = None
+    for variable, places in zip(variables, knots, strict=True):
+        own = _hats(variable, np.atleast_1d(scene[variable]), places)
+        if weights is None:
+            weights = own
+        else:
+            weights = (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
+    if weights is None:
+        raise ValueError("a curve needs a variable")
+    return weights if np.ndim(scene[variables[0]]) else weights[0]
+
+
+def _hats(variable: str, values: NDArray[Any], places: Sequence[Any]) -> _Array:
+    if variable in WORD_COLUMNS or isinstance(places[0], str):
+        return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
+    knots = np.asarray(places, dtype=np.float64)
+    values = np.clip(np.where(np.isfinite(values), values, knots[0]), knots[0], knots[-1])
+    left = np.clip(np.searchsorted(knots, values, "right") - 1, 0, knots.size - 2)
+    share = (values - knots[left]) / (knots[left + 1] - knots[left])
+    weights = np.zeros((values.size, knots.size))
+    rows = np.arange(values.size)
+    weights[rows, left] = 1.0 - share
+    weights[rows, left + 1] += share
+    return weights

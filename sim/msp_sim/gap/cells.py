@@ -1,0 +1,163 @@
+"""Parts of the readings by context: quantile bins of a number, categories of a word, and pairs of both.
+
+Context columns enter; partitions leave, each with the cell of every reading and what a cell is called. A reading whose
+context is unknown has a cell of its own.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.recording.csv_form import WORD_COLUMNS
+
+MOST_BINS = 12
+LEAST_IN_CELL = 40
+"""Readings: fewer say nothing of the odds of outliers."""
+MOST_WORDS = 30
+NOT_CONTEXT = frozenset({"reading_cm"})
+
+
+@dataclass(frozen=True)
+class Partition:
+    """A partition of n readings.
+
+    Attributes
+    ----------
+    variables
+        Context columns that it is made of; none: all readings in one cell.
+    labels
+        What each of the K cells is called.
+    cell
+        Cell of each reading, (n,).
+    centres
+        Of each cell the median of the variable, where there is one and it is a number; for drawing.
+    """
+
+    variables: tuple[str, ...]
+    labels: tuple[str, ...]
+    cell: NDArray[np.intp]
+    centres: NDArray[np.float64] | None = None
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """Readings of each cell, (K,)."""
+        return np.bincount(self.cell, minlength=len(self.labels))
+
+    def take(self, rows: NDArray[Any]) -> "Partition":
+        """Of some of the readings."""
+        return Partition(self.variables, self.labels, self.cell[rows], self.centres)
+
+
+def partitions(
+    contexts: Mapping[str, Any], variables: Sequence[str] | None = None, pairs: bool = True
+) -> list[Partition]:
+    """All readings in one, one partition a variable, and one for each pair of variables.
+
+    Parameters
+    ----------
+    contexts
+        Columns of length n by name.
+    variables
+        Which; None: those that vary.
+    pairs
+        Whether to cross them, too.
+
+    Examples
+    --------
+    >>> contexts = {"throttle": np.linspace(0.0, 1.0, 200), "target": np.array(["grass", "tile"] * 100)}
+    >>> for each in partitions(contexts):
+    ...     print(each.variables, each.labels[:2])
+    () ('all readings',)
+    ('throttle',) ('throttle 0 to 0.25', 'throttle 0.25 to 0.5')
+    ('target',) ('target grass', 'target tile')
+    ('throttle', 'target') ('throttle 0 to 0.5, target grass', 'throttle 0 to 0.5, target tile')
+    """
+    size = len(next(iter(contexts.values())))
+    names = varying(contexts) if variables is None else [name for name in variables if name in contexts]
+    whole = Partition((), ("all readings",), np.zeros(size, dtype=np.intp))
+    bins = int(np.clip(size // (LEAST_IN_CELL + size // 50), 2, MOST_BINS))
+    single = [each for name in names if (each := _split(name, contexts[name], bins)) is not None]
+    found = [whole, *single]
+    if pairs:
+        coarse = {name: _split(name, contexts[name], 2 if size < 2000 else 3) for name in names}
+        for one, two in itertools.combinations(names, 2):
+            left, right = coarse[one], coarse[two]
+            if left is not None and right is not None:
+                found.append(_crossed(left, right))
+    return [each for each in found if len(each.labels) > 1 or not each.variables]
+
+
+def varying(contexts: Mapping[str, Any]) -> list[str]:
+    """Columns that have more than one known value and are a context."""
+    return [name for name, column in contexts.items() if name not in NOT_CONTEXT and _varies(name, column)]
+
+
+def _varies(name: str, column: NDArray[Any]) -> bool:
+    if column.dtype.kind in "fiub":
+        known = column[np.isfinite(column)]
+        return known.size > 0 and float(known.min()) < float(known.max())
+    first = column[column != ""]
+    return first.size > 0 and bool((column != first[0]).any())
+
+
+def _split(name: str, column: NDArray[Any], bins: int) -> Partition | None:
+    if name in WORD_COLUMNS or column.dtype.kind not in "fiub":
+        return _by_word(name, column)
+    known = np.isfinite(column)
+    values = np.unique(column[known])
+    if values.size < 2:
+        return None
+    if values.size <= bins:
+        edges = (values[1:] + values[:-1]) / 2.0
+    else:
+        edges = np.unique(np.quantile(column[known], np.arange(1, bins) / bins))
+        # An edge belongs above it, so that a value that is most of them has a cell alone.
+        edges = edges[edges > values[0]]
+    index = np.where(known, np.searchsorted(edges, column, side="right"), edges.size + 1)
+    if values.size <= bins:
+        labels = [f"{name} {value:.4g}" for value in values]
+    else:
+        ends = [float(values[0]), *edges.tolist(), float(values[-1])]
+        labels = [f"{name} {low:.4g} to {high:.4g}" for low, high in itertools.pairwise(ends)]
+    centres = [float(np.median(column[index == i])) if (index == i).any() else np.nan for i in range(edges.size + 1)]
+    return _filled((name,), [*labels, f"{name} unknown"], index, np.array([*centres, np.nan]))
+
+
+def _by_word(name: str, column: NDArray[Any]) -> Partition | None:
+    words, index, counts = np.unique(column, return_inverse=True, return_counts=True)
+    if words.size > MOST_WORDS:
+        kept = np.argsort(-counts, kind="stable")[:MOST_WORDS]
+        place = np.full(words.size, MOST_WORDS)
+        place[kept] = np.arange(MOST_WORDS)
+        return _filled((name,), [*(_word(name, words[i]) for i in kept), f"{name} of the others"], place[index], None)
+    return _filled((name,), [_word(name, word) for word in words], index, None)
+
+
+def _word(name: str, word: str) -> str:
+    return f"{name} {word}" if word else f"{name} unknown"
+
+
+def _crossed(one: Partition, two: Partition) -> Partition:
+    labels = [f"{left}, {right}" for left in one.labels for right in two.labels]
+    return _filled((*one.variables, *two.variables), labels, one.cell * len(two.labels) + two.cell, None)
+
+
+def _filled(
+    variables: tuple[str, ...], labels: Sequence[str], index: NDArray[np.intp], centres: NDArray[np.float64] | None
+) -> Partition:
+    """Without cells that hold too few readings: those go to cell -1's place, the last, which is dropped where empty."""
+    counts = np.bincount(index, minlength=len(labels))
+    kept = np.flatnonzero(counts >= LEAST_IN_CELL)
+    place = np.full(len(labels), kept.size)
+    place[kept] = np.arange(kept.size)
+    cell = place[index]
+    names = [labels[i] for i in kept.tolist()]
+    middle = None if centres is None else centres[kept]
+    if (cell == kept.size).any():
+        names.append("the rest of " + " and ".join(variables))
+        middle = None if middle is None else np.append(middle, np.nan)
+    return Partition(variables, tuple(names), cell.astype(np.intp), middle)

@@ -1,0 +1,138 @@
+"""The steps of the gap workflow as commands run them: files in, files out, each step going on from ``gap.json``.
+
+Paths and a clock enter; what is written is ``gap.json``, the extended model, the page and its pictures.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+
+from msp_range.characterise.column_map import load_map
+from msp_range.clock import Clock, date_of
+from msp_range.yaml_file import ConfigError
+from msp_sim.gap import workflow
+from msp_sim.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
+from msp_sim.gap.intake import read_readings
+from msp_sim.gap.judge import sentence
+from msp_sim.gap.measures import Table
+from msp_sim.gap.model_file import MODEL, PROVED, write_model
+from msp_sim.gap.workflow import Compared, Say
+from msp_sim.model.model import Model, load_model
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The workflow in a folder.
+
+    Attributes
+    ----------
+    folder
+        Where everything is written.
+    clock
+        For the date and how long it takes.
+    say
+        Is told what is being done.
+    """
+
+    folder: Path
+    clock: Clock
+    say: Say
+
+    def compare(self, paths: Sequence[Path], settings: Settings) -> Compared:
+        """Read the data, hold them against the model, and write where they disagree."""
+        started_s = self.clock.now()
+        self._clear()
+        compared = self._compared(paths, settings)
+        findings = replace(compared.findings, sentence=sentence(compared.findings))
+        write_findings(findings.with_seconds(self.clock.now() - started_s), self.folder)
+        return replace(compared, findings=findings)
+
+    def name(self) -> GapFindings:
+        """Name what is missing, and write it with its rivals."""
+        started_s = self.clock.now()
+        compared = self._again()
+        findings, _ = workflow.name(compared, self.say)
+        findings = replace(findings, sentence=sentence(findings))
+        findings = findings.with_seconds(self.clock.now() - started_s)
+        write_findings(findings, self.folder)
+        return findings
+
+    def add(self) -> GapFindings:
+        """Add what was named, prove it, and write the extended model."""
+        started_s = self.clock.now()
+        return self._finish(self._again(), started_s)
+
+    def all(self, paths: Sequence[Path], settings: Settings) -> GapFindings:
+        """Compare, name, add and show."""
+        started_s = self.clock.now()
+        self._clear()
+        compared = self._compared(paths, settings)
+        write_findings(compared.findings, self.folder)
+        findings = self._finish(compared, started_s)
+        self.show(findings, compared)
+        return findings
+
+    def show(self, findings: GapFindings, compared: Compared | None = None) -> Path:
+        """Draw the pictures and write the page."""
+        missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
+        if missing:
+            raise ConfigError(f"The report needs {' and '.join(missing)}: pip install 'msp-range[lab]'")
+        from msp_sim.gap.report import write_report
+
+        before, table = (compared.before, compared.table) if compared is not None else self._readings(findings)
+        proved = self.folder / PROVED
+        after = load_model(proved) if proved.exists() else before
+        self.say("drawing", 0.97)
+        return write_report(findings, before, after, table, self.folder)
+
+    def _finish(self, compared: Compared, started_s: float) -> GapFindings:
+        named, explained = workflow.name(compared, self.say)
+        added = workflow.add(compared, named, explained, self.say)
+        findings = added.findings.with_seconds(self.clock.now() - started_s)
+        write_findings(findings, self.folder)
+        given = Path(findings.settings.model).name
+        write_model(self.folder / MODEL, added.model, findings, f"{given}, extended by msp-sim gap on {findings.date}.")
+        heading = f"{given} as it was when the confirming runs judged it; to fly with, take {MODEL}."
+        write_model(self.folder / PROVED, added.proved, findings, heading)
+        return findings
+
+    def _clear(self) -> None:
+        """Take away what an earlier comparison left, so that nothing of it is taken for this one's."""
+        for name in (NUMBERS, MODEL, PROVED):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def _again(self) -> Compared:
+        """The comparison of a folder's ``gap.json``, made again from its data."""
+        earlier = read_findings(self.folder)
+        compared = self._compared([Path(each.path) for each in earlier.sources], earlier.settings)
+        changed = [
+            old.path
+            for old, new in zip(earlier.sources, compared.findings.sources, strict=True)
+            if old.sha256 != new.sha256
+        ]
+        if changed:
+            raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-sim compare'; compare again")
+        return compared
+
+    def _readings(self, findings: GapFindings) -> tuple[Model, Table]:
+        compared_with, _ = workflow.with_least_weights(load_model(findings.settings.model))
+        readings = read_readings(
+            [Path(each.path) for each in findings.sources],
+            compared_with,
+            load_map(findings.settings.map) if findings.settings.map else None,
+            findings.settings.run_column,
+        )
+        _, table, _ = workflow.confirming(readings, compared_with, findings.settings)
+        return compared_with, table
+
+    def _compared(self, paths: Sequence[Path], settings: Settings) -> Compared:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self.folder}: this folder cannot be made: {error.strerror}") from None
+        model = load_model(settings.model)
+        self.say("reading", 0.0)
+        column_map = load_map(settings.map) if settings.map else None
+        readings = read_readings(paths, model, column_map, settings.run_column)
+        return workflow.compare(readings, model, settings, date_of(self.clock.utc()), self.say)

@@ -1,0 +1,427 @@
+"""What the gap workflow found, as plain values: the content of ``gap.json``.
+
+The steps of the workflow fill these records in; the terminal, the report and other programs read them. Nothing here
+computes or judges. A number that is not known is None.
+"""
+
+import json
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from msp_range.yaml_file import ConfigError
+
+NUMBERS = "gap.json"
+
+Verdict: TypeAlias = Literal["nothing missing", "explained", "partly explained", "unexplained"]
+Kind: TypeAlias = Literal["named", "indistinguishable", "unknown"]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure of the gap, on readings that took no part in choosing or fitting.
+
+    Attributes
+    ----------
+    before, after
+        With the model as it was given, and with what was added.
+    floor
+        What a simulated twin of the extended model shows in 95 of 100 cases: a gap that is not there.
+    low, high
+        95 % interval of `after`; its errors are those of whole runs.
+    """
+
+    before: float | None
+    after: float | None = None
+    floor: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Odds:
+    """How far the odds of each class of outlier are off: 1 is right, 2 is twice or half as often as in the model.
+
+    Attributes
+    ----------
+    short, missed, random
+        Nearer than the surface; no echo; anything else that is no hit.
+    code
+        Readings that are no distance: outside of the sensor's limits, 255 for a missed echo, undeclared point masses.
+    """
+
+    short: Measure
+    missed: Measure
+    random: Measure
+    code: Measure
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The gap in its four measures.
+
+    Attributes
+    ----------
+    nats_per_reading
+        What a model that is free in each slice of context would gain a reading, less what it gains by chance [nat].
+    bias_cm
+        Root mean square over the slices of the bias of the hits, less what chance adds [cm].
+    spread_ratio
+        By which factor the spread of the hits is off, root mean square over the slices of its logarithm.
+    odds
+        Of the outliers.
+    """
+
+    nats_per_reading: Measure
+    bias_cm: Measure
+    spread_ratio: Measure
+    odds: Odds
+
+
+@dataclass(frozen=True)
+class Value:
+    """A fitted parameter with its 95 % interval."""
+
+    value: float
+    low: float | None
+    high: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another name for the same gap.
+
+    Attributes
+    ----------
+    name
+        Effect of the catalogue.
+    loss_nats
+        By how much its best fit is worse, in log-likelihood over all readings of the fit [nat].
+    correlation
+        Of both effects' scores.
+    of
+        The sensor, run or target that it is of.
+    """
+
+    name: str
+    loss_nats: float
+    correlation: float | None = None
+    of: str | None = None
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that is missing from the model.
+
+    Attributes
+    ----------
+    name, of
+        As in a model file; `of` is the sensor, run or target that it is of.
+    verdict
+        named: no other effect of the catalogue does; indistinguishable: the rivals do as well.
+    parameters
+        By name, quoted from readings that took no part in choosing.
+    gain_nats
+        Gain in log score a reading on those [nat].
+    z
+        That gain over its standard error by runs.
+    rivals
+        Other names that cannot be told from it here.
+    experiment
+        What would tell them apart, or what would show it alone.
+    """
+
+    name: str
+    verdict: Kind
+    parameters: Mapping[str, Value]
+    gain_nats: float | None
+    z: float | None
+    rivals: tuple[Rival, ...] = ()
+    experiment: str = ""
+    of: str | None = None
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Something that no effect of the catalogue explains.
+
+    Attributes
+    ----------
+    channel
+        What it changes: bias, spread, short, missed or random.
+    variables
+        Context columns that it depends on.
+    formula
+        Short, in the variables.
+    gain_nats
+        Gain in log score a reading on the confirming readings [nat].
+    curve
+        Points of its curve, for drawing: value of the variable, effect, ends of its band.
+    """
+
+    channel: str
+    variables: tuple[str, ...]
+    formula: str
+    gain_nats: float | None
+    curve: tuple[tuple[float, float, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Something that belongs to the base model or to the data's form, and is no missing effect."""
+
+    name: str
+    finding: str
+    before: float | None = None
+    after: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that these data cannot show, and the columns to record for it."""
+
+    name: str
+    columns: tuple[str, ...]
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A part of the readings, by context.
+
+    Attributes
+    ----------
+    where
+        In words, such as ``true_range_cm 120 to 180``.
+    variables
+        Context columns that it is made of.
+    readings
+        How many.
+    bias_cm, log_spread, log_odds_short, log_odds_missed, log_odds_random
+        How the readings differ from the model.
+    bias_se_cm, log_spread_se, ...
+        Standard errors, by runs where readings depend.
+    nats
+        What a free model would gain a reading here, less chance [nat].
+    channel
+        The measure that differs most.
+    z, p_value
+        Of that; the p-value is corrected for the number of slices and measures.
+    after
+        The same numbers with the extended model, by name, as far as they were taken.
+    """
+
+    where: str
+    variables: tuple[str, ...]
+    readings: int
+    bias_cm: float | None
+    bias_se_cm: float | None
+    log_spread: float | None
+    log_spread_se: float | None
+    log_odds_short: float | None
+    log_odds_short_se: float | None
+    log_odds_missed: float | None
+    log_odds_missed_se: float | None
+    log_odds_random: float | None
+    log_odds_random_se: float | None
+    nats: float | None
+    channel: str
+    z: float | None
+    p_value: float | None
+    after: Mapping[str, float | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the way: the gap on the confirming readings after one more change.
+
+    Attributes
+    ----------
+    added
+        What was added last; empty: the model as given.
+    nats_per_reading
+        As in `Gap`, after this step.
+    log_score
+        Mean log probability of a confirming reading [nat].
+    """
+
+    added: str
+    nats_per_reading: float | None
+    log_score: float | None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of readings."""
+
+    path: str
+    sha256: str
+    rows: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the workflow was asked to go, so that a step alone can go on from its file."""
+
+    model: str
+    alpha: float = 0.05
+    max_effects: int = 6
+    seed: int = 1
+    run_column: str | None = None
+    map: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class GapFindings:
+    """The content of ``gap.json``.
+
+    Attributes
+    ----------
+    verdict
+        None until it is known.
+    sentence
+        The verdict for a person.
+    rows, runs
+        Readings that were compared, and in how many runs.
+    gap, effects, unknown, calibration, not_testable, slices
+        What was found.
+    could_have_seen
+        The smallest effects that these data would have shown, in words.
+    seconds
+        How long it took.
+    path
+        The way from the given model to the extended one.
+    confirming
+        Runs that took no part in choosing or fitting.
+    global_p_value
+        Of the hypothesis that nothing is missing.
+    sources, settings, messages, date
+        Which data, how, what was noticed about them, and when.
+    """
+
+    verdict: Verdict | None
+    rows: int
+    runs: int
+    gap: Gap | None = None
+    effects: tuple[FoundEffect, ...] = ()
+    unknown: tuple[Unknown, ...] = ()
+    calibration: tuple[Calibration, ...] = ()
+    not_testable: tuple[NotTestable, ...] = ()
+    slices: tuple[Slice, ...] = ()
+    seconds: float = 0.0
+    sentence: str = ""
+    could_have_seen: str = ""
+    path: tuple[Step, ...] = ()
+    confirming: tuple[str, ...] = ()
+    global_p_value: float | None = None
+    sources: tuple[Source, ...] = ()
+    settings: Settings = Settings("")
+    messages: tuple[str, ...] = ()
+    date: str = ""
+
+    def with_seconds(self, seconds: float) -> "GapFindings":
+        """The same, and how long it took [s]."""
+        return replace(self, seconds=round(seconds, 3))
+
+
+def as_json(findings: GapFindings) -> str:
+    """Findings as JSON, numbers to seven digits.
+
+    Examples
+    --------
+    >>> found = GapFindings("nothing missing", rows=2000, runs=10)
+    >>> from_json(as_json(found)) == found
+    True
+    """
+    return json.dumps(_plain(asdict(findings)), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def from_json(text: str) -> GapFindings:
+    """`as_json` backwards.
+
+    Raises
+    ------
+    ValueError
+        It is no such JSON.
+    """
+    try:
+        content = json.loads(text)
+        found = _made(GapFindings, content)
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"not written by msp-sim gap: {error}") from None
+    assert isinstance(found, GapFindings)
+    return found
+
+
+def write_findings(findings: GapFindings, folder: Path) -> Path:
+    """Write ``gap.json`` into a folder; an older one is replaced.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be written.
+    """
+    path = folder / NUMBERS
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(as_json(findings), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def read_findings(folder: Path) -> GapFindings:
+    """Read ``gap.json`` of a folder.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or it is none.
+    """
+    path = folder / NUMBERS
+    try:
+        return from_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; 'msp-sim compare' or 'msp-sim gap' makes it") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        # No NaN and no infinity in JSON: what is not known is null.
+        return float(f"{value:.7g}") if math.isfinite(value) else None
+    return value
+
+
+def _made(kind: Any, content: Any) -> Any:
+    """A value of this kind from what JSON made of it."""
+    if content is None:
+        return None
+    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return _made(next(each for each in inside if each is not type(None)), content)
+    if origin is tuple:
+        kinds = [inside[0]] * len(content) if inside[-1] is Ellipsis else list(inside)
+        return tuple(_made(each, value) for each, value in zip(kinds, content, strict=True))
+    if origin is not None and issubclass(origin, Mapping) if isinstance(origin, type) else False:
+        return {name: _made(inside[1], value) for name, value in content.items()}
+    if is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        known = {each.name for each in fields(kind)}
+        return kind(**{name: _made(hints[name], value) for name, value in content.items() if name in known})  # type: ignore[operator]
+    return float(content) if kind is float else content

@@ -1,0 +1,280 @@
+"""Derivatives of each reading's log probability: by the base's own parameters and by each entry of the catalogue.
+
+Readings with their contexts and a model enter, score vectors leave. Whatever acts through a channel (a shift of the
+hits, their spread, odds of the outliers) is chained through that channel's derivative, which is taken once; components
+and faults of the code act linearly on the probability itself.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.curve import FIELDS
+from msp_sim.model.model import CHUNK, LARGEST_SHARE, Active, Model, acts, base_rows, changed
+from msp_sim.model.rows import Added, Faulty, Rows
+
+_Array = NDArray[np.float64]
+
+LOG_LEAST = float(np.log(1e-12))
+"""Of a reading that the model cannot give: it counts as this improbable, and not as ever so improbable."""
+BASE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
+"""What of the base is free beside every effect: nuisance."""
+CHANNELS = ("bias", "spread", "short", "missed", "random")
+SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An effect with its shape held, of which one number is asked for.
+
+    Attributes
+    ----------
+    effect, of
+        Of the catalogue, and the word that it is of.
+    shape
+        Values of its shape's parameters.
+    parameter
+        The number that is zero while it is away.
+    """
+
+    effect: Effect
+    of: str | None
+    shape: tuple[tuple[str, float], ...]
+    parameter: Parameter
+    curve: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]] | None = None
+
+    @property
+    def key(self) -> tuple[str, str | None]:
+        """Name and word: entries that differ in shape alone have the same."""
+        return self.effect.name, self.of
+
+    @property
+    def one_sided(self) -> bool:
+        """Its number cannot be negative."""
+        return self.parameter.low >= 0.0
+
+    @property
+    def odds(self) -> int | None:
+        """Which of the three odds it changes, if that is all it does: 1 short, 2 missed, 3 random."""
+        found = [i for i, channel in enumerate(("short", "missed", "random"), 1) if channel in self.effect.channels]
+        return found[0] if len(found) == 1 and len(self.effect.channels) == 1 else None
+
+    @property
+    def linear(self) -> bool:
+        """It mixes something into the probability."""
+        return bool({"component", "code"} & set(self.effect.channels))
+
+    def at(self, value: float) -> Active:
+        """The effect with this value of its number."""
+        return Active(
+            self.effect,
+            {**self.effect.nulls(), **dict(self.shape), self.parameter.name: value},
+            self.of,
+            self.curve,
+        )
+
+
+def entries(model: Model, contexts: Mapping[str, Any]) -> tuple[list[Entry], list[tuple[str, tuple[str, ...]]]]:
+    """Entries of the catalogue that these contexts can show, and names with the columns that are missing for them.
+
+    An effect that the model has already is tested again: more of it may be there.
+    """
+    found: list[Entry] = []
+    missing: list[tuple[str, tuple[str, ...]]] = []
+    for effect in CATALOGUE.values():
+        absent = tuple(
+            name for name in (*effect.needs, *((effect.of,) if effect.of else ())) if not _said(contexts, name)
+        )
+        if absent:
+            missing.append((effect.name, absent))
+            continue
+        words: Sequence[str | None] = (None,)
+        if effect.of is not None:
+            words = [str(word) for word in np.unique(np.asarray(contexts[effect.of])) if word]
+            if len(words) < 2 or (effect.of == "run" and len(words) > 12):
+                continue
+        shapes = [parameter for parameter in effect.parameters if parameter.null is None]
+        numbers = [parameter for parameter in effect.parameters if parameter.null is not None]
+        for word in words:
+            for tried in product(*(parameter.tried or (parameter.default or 0.0,) for parameter in shapes)):
+                held = tuple((parameter.name, float(value)) for parameter, value in zip(shapes, tried, strict=True))
+                found.extend(Entry(effect, word, held, number) for number in numbers)
+    return found, missing
+
+
+def _said(contexts: Mapping[str, Any], name: str) -> bool:
+    if name not in contexts:
+        return False
+    column = np.asarray(contexts[name])
+    return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Readings in their scene, with the given model's distribution ready.
+
+    Attributes
+    ----------
+    model
+        As given, with its effects.
+    scene
+        Contexts.
+    rows
+        The model's distribution of them.
+    reading_cm
+        Readings, whole.
+    """
+
+    model: Model
+    scene: Scene
+    rows: Rows
+    reading_cm: _Array
+
+    @classmethod
+    def of(cls, model: Model, contexts: Mapping[str, Any], reading_cm: _Array) -> "Prepared":
+        """Prepare readings."""
+        scene = Scene(model.sensor, contexts)
+        rows = changed(base_rows(model, scene), scene, model.effects)
+        logs = tuple(_not_never(each) for each in rows.log_weights)
+        return cls(model, scene, replace(rows, log_weights=(logs[0], logs[1], logs[2], logs[3])), reading_cm)
+
+    def __len__(self) -> int:
+        return self.reading_cm.size
+
+    def at(self, base: _Array, effects: Sequence[Active]) -> Rows:
+        """Distribution with the base's parameters changed by this much, and with these effects."""
+        return changed(shifted(self.rows, base), self.scene, effects)
+
+    def log_prob(self, base: _Array, effects: Sequence[Active]) -> _Array:
+        """log probability of each reading, not below the least."""
+        return floored(self.at(base, effects), self.reading_cm)
+
+
+def _not_never(log_weight: Any) -> Any:
+    """A class of readings that the base does not have may be there: its odds have to begin somewhere."""
+    return np.maximum(log_weight, np.log(1e-6))
+
+
+def shifted(rows: Rows, base: _Array) -> Rows:
+    """Rows with the base's parameters changed: see `BASE`."""
+    hit, short, missed, random = rows.log_weights
+    saturated = rows.saturated_fraction
+    return replace(
+        rows,
+        centre_cm=rows.centre_cm + base[0],
+        sigma_cm=rows.sigma_cm * np.exp(base[1]),
+        log_weights=(hit, short + base[2], missed + base[3], random + base[4]),
+        rate_per_m=rows.rate_per_m * float(np.exp(base[5])),
+        saturated_fraction=float(np.clip(saturated + base[6], 0.0, 1.0)),
+    )
+
+
+def floored(rows: Rows, reading_cm: _Array) -> _Array:
+    """log probability, not below the least."""
+    log_p: _Array = np.maximum(rows.log_prob(reading_cm), LOG_LEAST)
+    return log_p
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Derivatives of each reading's log probability at one distribution.
+
+    Attributes
+    ----------
+    log_p
+        (n,).
+    by
+        (n, 7) in the order of `BASE`: the first five are the channels.
+    """
+
+    log_p: _Array
+    by: _Array
+
+
+def channels(rows: Rows, reading_cm: _Array) -> Channels:
+    """Derivatives by the channels and by the base's other parameters."""
+    log_p = floored(rows, reading_cm)
+    by = np.zeros((reading_cm.size, len(BASE)))
+    step_cm = 0.03 * rows.sigma_cm
+    further = floored(replace(rows, centre_cm=rows.centre_cm + step_cm), reading_cm)
+    nearer = floored(replace(rows, centre_cm=rows.centre_cm - step_cm), reading_cm)
+    by[:, 0] = (further - nearer) / (2.0 * step_cm)
+    factor = np.exp(0.02)
+    wider = floored(replace(rows, sigma_cm=rows.sigma_cm * factor), reading_cm)
+    narrower = floored(replace(rows, sigma_cm=rows.sigma_cm / factor), reading_cm)
+    by[:, 1] = (wider - narrower) / 0.04
+    for i in (1, 2, 3):
+        logs = list(rows.log_weights)
+        logs[i] = logs[i] + 1e-3
+        more = floored(replace(rows, log_weights=(logs[0], logs[1], logs[2], logs[3])), reading_cm)
+        by[:, 1 + i] = (more - log_p) / 1e-3
+    if np.any(np.asarray(rows.log_weights[1]) > np.log(2e-6)):
+        faster = floored(replace(rows, rate_per_m=rows.rate_per_m * 1.01), reading_cm)
+        by[:, 5] = (faster - log_p) / np.log(1.01)
+    saturated = rows.saturated_fraction
+    step = 0.05 if saturated < 0.5 else -0.05
+    more = floored(replace(rows, saturated_fraction=saturated + step), reading_cm)
+    by[:, 6] = np.expm1(np.minimum(more - log_p, 50.0)) / step
+    return Channels(log_p, by)
+
+
+def of_entry(entry: Entry, rows: Rows, scene: Scene, reading_cm: _Array, here: Channels) -> _Array:
+    """Score of an entry at its null, one number a reading."""
+    null, parameter = entry.parameter.null or 0.0, entry.parameter
+    active = entry.at(null + parameter.step)
+    known = acts(scene, active)
+    score = np.zeros(reading_cm.size)
+    if known is False:
+        return score
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        change = active.effect.act(scene, active.values)
+    step = active.values[parameter.name] - null
+    for i, channel in enumerate(CHANNELS):
+        moved = getattr(change, FIELDS[channel])
+        if moved is not None:
+            template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
+            score += here.by[:, i] * template
+    if change.run_offset_cm is not None:
+        score += here.by[:, 1] * np.where(known, 0.5 / rows.sigma_cm**2, 0.0)
+    if change.component is not None:
+        share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
+        share = np.clip(share, 0.0, LARGEST_SHARE)
+        some = np.flatnonzero(share > 0.0)
+        if some.size:
+            there = rows.take(some)
+            component = change.component.take(some)
+            own = Added(np.full(some.size, SHARE / (1.0 - SHARE)), component, "")
+            mixed = floored(replace(there, added=(*there.added, own)), reading_cm[some])
+            # Odds o on top of others' odds q: p' = (p (1 + q) + o c) / (1 + q + o).
+            others = 1.0 + sum(np.asarray(each.odds) for each in there.added)
+            odds = SHARE / (1.0 - SHARE)
+            ratio = np.exp(np.minimum(mixed - here.log_p[some], 60.0))
+            score[some] = (ratio * (others + odds) - others - odds) / odds / others * share[some] / step
+    if change.fault is not None:
+        mixed = floored(_with_fault(rows, Faulty(SHARE, change.fault, "")), reading_cm)
+        gain = np.expm1(np.minimum(mixed - here.log_p, 60.0)) / SHARE
+        score += gain * np.where(known, change.fault_share, 0.0) / step
+    return score
+
+
+def _with_fault(rows: Rows, faulty: Faulty) -> Rows:
+    return replace(rows, faults=tuple(sorted((*rows.faults, faulty), key=lambda each: each.fault.order)))
+
+
+def chunks(contexts: Mapping[str, Any], reading_cm: _Array) -> Iterator[tuple[slice, dict[str, Any], _Array]]:
+    """Parts of the readings that fit into a processor's cache."""
+    for start in range(0, reading_cm.size, CHUNK):
+        part = slice(start, min(start + CHUNK, reading_cm.size))
+        yield part, {name: np.asarray(column)[part] for name, column in contexts.items()}, reading_cm[part]
+
+
+def needed(contexts: Mapping[str, Any], tested: Sequence[Entry], model: Model) -> dict[str, Any]:
+    """The columns that entries and model read."""
+    names = {TRUE_RANGE, *model.needs}.union(*(entry.effect.columns for entry in tested))
+    return {name: contexts[name] for name in names if name in contexts}

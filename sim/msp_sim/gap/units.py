@@ -1,0 +1,179 @@
+"""Which readings choose and fit, which confirm, and what the unit of chance is.
+
+Contexts enter, a split by whole runs leaves, drawn before anything is looked at. Scores enter, a measure of how far the
+readings of a run depend on each other leaves: with any dependence the unit is the run and not the reading.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+_Array = NDArray[np.float64]
+
+FEW_RUNS = 4
+"""With fewer, runs are cut into blocks of consecutive readings."""
+BLOCKS = 60
+SURE = 1e-3
+"""Chance of finding dependence where there is none."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Readings that choose and fit, and readings that confirm.
+
+    Attributes
+    ----------
+    fit, confirm
+        Masks, (n,).
+    runs
+        Name of each reading's run, or of its block where runs are few.
+    fit_runs, confirm_runs
+        Names.
+    messages
+        What a reader has to know of it.
+    """
+
+    fit: NDArray[np.bool_]
+    confirm: NDArray[np.bool_]
+    runs: NDArray[np.str_]
+    fit_runs: tuple[str, ...]
+    confirm_runs: tuple[str, ...]
+    messages: tuple[str, ...] = ()
+
+
+def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Generator, run_column: str = "run") -> Split:
+    """Part whole runs into two halves of about as many readings.
+
+    Parameters
+    ----------
+    contexts
+        Columns; without runs, or with fewer than four, consecutive readings are cut into blocks of equal length.
+    reading_cm
+        Readings, (n,).
+    rng
+        Source of chance.
+    run_column
+        Which column names the runs.
+    """
+    n = reading_cm.size
+    messages: list[str] = []
+    runs = np.asarray(contexts[run_column]).astype(str) if run_column in contexts else np.full(n, "")
+    names, unit = np.unique(runs, return_inverse=True)
+    if names.size < FEW_RUNS:
+        runs = _blocks(contexts, unit, names, n)
+        messages.append(
+            f"There {'is' if names.size == 1 else 'are'} {names.size} run{'' if names.size == 1 else 's'}: readings are "
+            "parted by blocks in time, so what is constant within a run cannot be judged. Record four runs or more."
+        )
+        names, unit = np.unique(runs, return_inverse=True)
+    counts = np.bincount(unit, minlength=names.size)
+    fit = np.zeros(names.size, dtype=bool)
+    # Of two runs that are of about the same length one fits and one confirms, so that both halves are alike.
+    order = np.lexsort((rng.random(names.size), -counts))
+    for pair in range(0, names.size, 2):
+        two = order[pair : pair + 2]
+        if two.size == 2:
+            fit[two[int(rng.integers(2))]] = True
+        else:
+            fit[two[0]] = counts[fit].sum() * 2 <= n
+    mask = fit[unit]
+    return Split(
+        mask,
+        ~mask,
+        runs,
+        tuple(str(name) for name in names[fit]),
+        tuple(str(name) for name in names[~fit]),
+        tuple(messages),
+    )
+
+
+def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[np.str_], n: int) -> NDArray[np.str_]:
+    order = np.lexsort((np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n), unit))
+    block = np.empty(n, dtype=np.int64)
+    block[order] = np.arange(n) * min(BLOCKS, max(n // 2, 1)) // max(n, 1)
+    return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
+
+
+def numbered(runs: NDArray[np.str_]) -> NDArray[np.intp]:
+    """Runs as numbers from 0."""
+    return np.unique(runs, return_inverse=True)[1].astype(np.intp)
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How far readings of a run depend on each other.
+
+    Attributes
+    ----------
+    lag_correlation
+        Of the residual with the one before it, inside runs, each run's mean taken off.
+    between_run_share
+        Variance between runs beyond what independent readings show, as a share of the residuals' variance.
+    effective_readings
+        How many independent readings tell as much of a constant.
+    dependent
+        Beyond chance.
+    p_between
+        Chance of as much variance between runs where there is none.
+    """
+
+    lag_correlation: float
+    between_run_share: float
+    effective_readings: float
+    dependent: bool
+    p_between: float
+    lag_z: float
+
+
+def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None = None) -> Dependence:
+    """Measure dependence inside runs.
+
+    Parameters
+    ----------
+    residual
+        One number a reading with mean 0 and about equal variance: the score of the bias.
+    unit
+        Run of each reading, numbered.
+    time_s
+        Order inside runs; as they come where it is not known.
+    """
+    n = residual.size
+    order = np.lexsort((np.arange(n) if time_s is None else time_s, unit))
+    value, run = residual[order] - residual.mean(), unit[order]
+    counts = np.bincount(run).astype(float)
+    present = counts > 0
+    variance = float(np.mean(value**2)) or 1.0
+    sums = np.bincount(run, value)
+    statistic = float((sums[present] ** 2 / (counts[present] * variance)).sum())
+    runs = int(present.sum())
+    p_between = float(chi2.sf(statistic, max(runs - 1, 1)))
+    centred = value - (sums / np.maximum(counts, 1.0))[run]
+    same = run[1:] == run[:-1]
+    pairs = max(int(same.sum()), 1)
+    lag = float((centred[1:] * centred[:-1])[same].sum() / max(float((centred**2).sum()), 1e-12) * n / pairs)
+    expected = -runs / max(n, 1)
+    lag_z = float((lag - expected) * np.sqrt(pairs))
+    mean_square = statistic / max(runs, 1)
+    share = max(mean_square - 1.0, 0.0) / max(n / max(runs, 1), 1.0)
+    return Dependence(lag, share, n / max(mean_square, 1.0), p_between < SURE or lag_z > 3.5, p_between, lag_z)
+
+
+def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
+    """The reading before each, of the same sensor in the same run; NaN for the first [cm]."""
+    n = reading_cm.size
+    words = [np.asarray(contexts[name]).astype(str) for name in ("run", "sensor") if name in contexts]
+    series = np.zeros(n, dtype=np.int64)
+    for column in words:
+        series = series * (n + 1) + np.unique(column, return_inverse=True)[1]
+        series = np.unique(series, return_inverse=True)[1].astype(np.int64)
+    time_s = np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n, dtype=float)
+    order = np.lexsort((np.arange(n), time_s, series))
+    before = np.full(n, np.nan)
+    if n > 1:
+        ordered = reading_cm[order]
+        before[order[1:]] = np.where(series[order][1:] == series[order][:-1], ordered[:-1], np.nan)
+    return before

@@ -1,0 +1,403 @@
+"""The statistics of the gap workflow from readings to an extended model: screen, name, prove, quote.
+
+A model, readings with their contexts and a split by runs enter; an `Explanation` leaves. Everything is chosen and
+fitted on one half, kept only if the other half scores better for it, and quoted from that other half.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from msp_sim.gap import adequacy, experiment
+from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name
+from msp_sim.gap.prove import Gain, gain
+from msp_sim.gap.refit import Fitted, extended, refit
+from msp_sim.gap.screen import Screen
+from msp_sim.gap.tangent import BASE, Prepared
+from msp_sim.gap.units import Dependence, Split, numbered, previous
+from msp_sim.model.model import Active, Model
+
+_Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+POWER_Z = 0.84
+KEPT_Z = 0.5
+"""Standard errors by which an item's gain on the confirming runs has to be above nothing."""
+SURE_Z = 4.0
+"""Standard errors by which a base parameter has to move to be told as calibration."""
+MOST_CONFIRM = 60_000
+UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "unexpected_rate_per_m": "1/m"}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another name that does as well."""
+
+    name: str
+    of: str | None
+    loss_nats: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect of the catalogue that is missing from the model."""
+
+    name: str
+    of: str | None
+    verdict: Literal["named", "indistinguishable"]
+    parameters: Mapping[str, Estimate]
+    gain_nats: float
+    gain_per_reading: float
+    gain_se: float
+    z: float
+    rivals: tuple[Rival, ...]
+    experiment: str
+    adequate: bool = True
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Something that no effect of the catalogue explains: a curve."""
+
+    channel: str
+    variables: tuple[str, ...]
+    formula: str
+    gain_nats: float
+    gain_se: float
+    z: float
+    knots: tuple[tuple[Any, ...], ...]
+    values: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A parameter of the base that is another one."""
+
+    name: str
+    before: float
+    after: float
+    low: float
+    high: float
+    unit: str
+    z: float
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that these data cannot show."""
+
+    name: str
+    columns: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """A model on the way."""
+
+    name: str
+    model: Model
+    gain_fit_nats: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the statistics found; see `explain`."""
+
+    model: Model
+    model_fit: Model
+    model_calibrated: Model
+    effects: tuple[Named, ...]
+    unknown: tuple[Unknown, ...]
+    calibration: tuple[Calibrated, ...]
+    not_testable: tuple[NotTestable, ...]
+    path: tuple[Step, ...]
+    unit: Literal["reading", "run"]
+    dependence: Dependence
+    global_p_value: float
+    detectable: tuple[tuple[str, str, float, str], ...]
+    confirm: Gain
+    dropped: tuple[tuple[str, str], ...] = ()
+    messages: tuple[str, ...] = ()
+
+
+def explain(
+    model: Model,
+    contexts: Mapping[str, Any],
+    reading_cm: _Array,
+    parts: Split,
+    rng: np.random.Generator,
+    alpha: float = 0.05,
+    max_effects: int = 6,
+    progress: Progress = lambda sentence, share: None,
+) -> Explanation:
+    """Name what is missing from a model, add it, and keep what the confirming runs score better for.
+
+    Parameters
+    ----------
+    model
+        As given.
+    contexts
+        Columns by name, (n,).
+    reading_cm
+        Readings, (n,), no NaN.
+    parts
+        Split by whole runs.
+    rng
+        Source of chance.
+    alpha
+        Chance of naming anything where nothing is missing, before the confirming runs are asked.
+    max_effects
+        At most so many effects and curves.
+    progress
+        Is told what is being done, and which share of it is behind.
+    """
+    reading_cm = np.rint(np.asarray(reading_cm, dtype=np.float64))
+    columns = dict(contexts)
+    columns["previous_reading_cm"] = previous(columns, reading_cm)
+    unit = numbered(parts.runs)
+    progress("fitting the base", 0.02)
+    fit_rows, confirm_rows = np.flatnonzero(parts.fit), np.flatnonzero(parts.confirm)
+    search = Search(model, _taken(columns, fit_rows), reading_cm[fit_rows], _again(unit[fit_rows]), rng, alpha)
+    chosen = name(search, max_effects, progress)
+    progress("asking the runs that took no part", 0.85)
+    thin = confirm_rows[:: max(1, -(-confirm_rows.size // MOST_CONFIRM))]
+    confirming = Prepared.of(model, _taken(columns, thin), reading_cm[thin])
+    confirm_unit = _again(unit[thin])
+    kept, gains, dropped = _prove(search, chosen, confirming, confirm_unit)
+    last = _fitted(search, kept, chosen.fitted.base)
+    progress("quoting from the runs that took no part", 0.92)
+    quoted = refit(confirming, last.effects, last.base, ridge=RIDGE)
+    by_run = search.by_run
+    deviation = np.sqrt(np.maximum(np.diag(quoted.covariance(confirm_unit if by_run else None)), 0.0))
+    runs = int(np.unique(confirm_unit).size)
+    width = float(student.isf(0.025, max(runs - 1, 1))) if by_run else 1.959964
+    rivals = dict(zip((item.key for item in chosen.items), chosen.rivals, strict=True))
+    named, unknown, as_base = _told(search, kept, rivals, gains, quoted, deviation * width, confirming)
+    null_base = search.null.base
+    after_base = quoted.base
+    whole = gain(confirming.log_prob(last.base, last.effects), confirming.log_prob(null_base, []), confirm_unit)
+    return Explanation(
+        extended(model, after_base, quoted.effects),
+        extended(model, last.base, last.effects),
+        extended(model, null_base, []),
+        tuple(named),
+        tuple(unknown),
+        (*_calibrated(model, search, last, quoted, deviation, width), *as_base),
+        tuple(NotTestable(effect, absent, f"{' and '.join(absent)} not recorded") for effect, absent in search.missing),
+        _path(model, search, chosen, kept, last),
+        "run" if by_run else "reading",
+        search.depends(last),
+        chosen.first.p_value,
+        _detectable(search, chosen.first),
+        whole,
+        tuple(dropped),
+        tuple(_messages(search, parts)),
+    )
+
+
+def _taken(columns: Mapping[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
+    return {key: np.asarray(column)[rows] for key, column in columns.items()}
+
+
+def _again(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+    return np.unique(unit, return_inverse=True)[1].astype(np.intp)
+
+
+def _fitted(search: Search, items: Sequence[Item], base: _Array) -> Fitted:
+    return refit(search.prepared, [item.active for item in items], base, ridge=RIDGE)
+
+
+def _prove(
+    search: Search, chosen: Chosen, confirming: Prepared, unit: NDArray[np.intp]
+) -> tuple[list[Item], dict[tuple[str, str | None], Gain], list[tuple[str, str]]]:
+    """Keep the items that the confirming runs score better for, the worst taken out first."""
+    items, fitted = list(chosen.items), chosen.fitted
+    dropped = list(chosen.dropped)
+    gains: dict[tuple[str, str | None], Gain] = {}
+    while items:
+        gains = {}
+        after = confirming.log_prob(fitted.base, fitted.effects)
+        less: list[Fitted] = []
+        for k, item in enumerate(items):
+            less.append(search.without(fitted, k))
+            gains[item.key] = gain(after, confirming.log_prob(less[k].base, less[k].effects), unit)
+        worst = min(range(len(items)), key=lambda k: gains[items[k].key].z)
+        proof = gains[items[worst].key]
+        if proof.nats_per_reading > 0.0 and proof.z >= KEPT_Z:
+            break
+        dropped.append(
+            (
+                items[worst].key[0],
+                f"runs that took no part in choosing score {proof.nats_per_reading:+.2g} nats a reading "
+                f"(standard error {proof.se:.2g})",
+            )
+        )
+        fitted = less[worst]
+        items = [item for k, item in enumerate(items) if k != worst]
+        items = [replace(item, active=each) for item, each in zip(items, fitted.effects, strict=True)]
+    return items, gains, dropped
+
+
+def _told(
+    search: Search,
+    items: Sequence[Item],
+    rivals: Mapping[tuple[str, str | None], tuple[RivalOf, ...]],
+    gains: Mapping[tuple[str, str | None], Gain],
+    quoted: Fitted,
+    half_width: _Array,
+    confirming: Prepared,
+) -> tuple[list[Named], list[Unknown], list[Calibrated]]:
+    named: list[Named] = []
+    unknown: list[Unknown] = []
+    as_base: list[Calibrated] = []
+    place = len(BASE)
+    for item, active in zip(items, quoted.effects, strict=True):
+        parameters = {}
+        for parameter in active.effect.parameters:
+            value, width = active.values[parameter.name], float(half_width[place])
+            low, high = max(value - width, parameter.low), min(value + width, parameter.high)
+            parameters[parameter.name] = Estimate(value, low, high, parameter.unit)
+            place += 1
+        proof = gains[item.key]
+        if active.shape is not None:
+            unknown.append(_unknown(active, parameters, proof))
+            continue
+        base = active.effect.base
+        if base is not None and not rivals.get(item.key):
+            number = next(iter(parameters.values()))
+            as_base.append(Calibrated(base, 0.0, number.value, number.low, number.high, number.unit, item.z))
+            continue
+        near = tuple(
+            Rival(each.active.effect.name, each.active.of, each.loss, each.correlation)
+            for each in rivals.get(item.key, ())
+        )
+        named.append(
+            Named(
+                active.effect.name,
+                active.of,
+                "indistinguishable" if near else "named",
+                parameters,
+                proof.nats,
+                proof.nats_per_reading,
+                proof.se,
+                item.z,
+                near,
+                experiment.to_tell_apart(search, item, rivals[item.key]) if near else active.effect.experiment,
+            )
+        )
+    return named, unknown, as_base
+
+
+def _unknown(active: Active, parameters: Mapping[str, Estimate], proof: Gain) -> Unknown:
+    assert active.shape is not None
+    channel, variables, knots = active.shape
+    values = np.array([each.value for each in parameters.values()])
+    low = np.array([each.low for each in parameters.values()])
+    high = np.array([each.high for each in parameters.values()])
+    text = ""
+    if len(variables) == 1 and not isinstance(knots[0][0], str) and len(knots[0]) > 2:
+        text = adequacy.formula(variables[0], np.array(knots[0], dtype=float), values, (high - low) / 4.0)
+    elif len(variables) == 1:
+        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
+    return Unknown(
+        channel,
+        variables,
+        text,
+        proof.nats,
+        proof.se,
+        proof.z,
+        knots,
+        tuple(values.tolist()),
+        tuple(low.tolist()),
+        tuple(high.tolist()),
+    )
+
+
+def _calibrated(
+    model: Model, search: Search, last: Fitted, quoted: Fitted, deviation: _Array, width: float
+) -> tuple[Calibrated, ...]:
+    """Base parameters that both halves say are others."""
+    mixture = model.sensor.reading_model
+    shares = mixture.weights
+    covariance = last.covariance(search.some_unit if search.by_run else None)
+    found = []
+    names = ("offset_cm", "sigma_cm", "weights.unexpected", "weights.max", "weights.random", "unexpected_rate_per_m")
+    starts = (0.0, mixture.sigma_cm, shares.unexpected, shares.max, shares.random, mixture.unexpected_rate_per_m)
+    for k, (key, start) in enumerate(zip(names, starts, strict=True)):
+        error = float(np.sqrt(max(covariance[k, k], 0.0) / search.scale))
+        z = float(last.base[k] / error) if error > 0.0 else 0.0
+        if abs(z) < SURE_Z or np.sign(last.base[k]) != np.sign(quoted.base[k]):
+            continue
+        value, half = quoted.base[k], deviation[k] * width
+        turn: Callable[[float], float] = float if k == 0 else _times(start)
+        low, high = turn(float(value - half)), turn(float(value + half))
+        found.append(Calibrated(key, start, turn(float(value)), low, high, UNITS.get(key, "1"), z))
+    return tuple(found)
+
+
+def _times(start: float) -> Callable[[float], float]:
+    def times(log_factor: float) -> float:
+        return max(start, 1e-6) * float(np.exp(log_factor))
+
+    return times
+
+
+def _path(model: Model, search: Search, chosen: Chosen, kept: Sequence[Item], last: Fitted) -> tuple[Step, ...]:
+    """The given model, the calibrated one, and one more for each item that was kept."""
+    steps = [Step("", model, 0.0), Step("calibration", extended(model, search.null.base, []), 0.0)]
+    before = search.null
+    for k, item in enumerate(kept):
+        there = last if k == len(kept) - 1 else _fitted(search, kept[: k + 1], before.base)
+        gained = (there.log_likelihood - before.log_likelihood) * search.scale
+        label = (
+            item.key[0]
+            if item.active.shape is None
+            else f"{item.active.shape[0]} over {' and '.join(item.active.shape[1])}"
+        )
+        steps.append(Step(label, extended(model, there.base, there.effects), gained))
+        before = there
+    return tuple(steps)
+
+
+def _detectable(search: Search, seen: Screen) -> tuple[tuple[str, str, float, str], ...]:
+    """Smallest number of each effect that is found with 80 % power."""
+    least: dict[tuple[str, str], tuple[float, str]] = {}
+    for entry, deviation in zip(search.tested, seen.deviation, strict=True):
+        smallest = ((seen.critical + POWER_Z) * float(deviation)) ** (1.0 / entry.parameter.power)
+        key = entry.effect.name, entry.parameter.name
+        span = entry.parameter.high - entry.parameter.low
+        if smallest < span and (key not in least or smallest < least[key][0]):
+            least[key] = smallest, entry.parameter.unit
+    return tuple((effect, parameter, size, unit) for (effect, parameter), (size, unit) in least.items())
+
+
+def _messages(search: Search, parts: Split) -> list[str]:
+    found = []
+    if search.by_run:
+        measured = search.depends(search.null)
+        found.append(
+            f"Readings depend on each other inside runs (correlation with the one before {measured.lag_correlation:.2f}, "
+            f"as much as {measured.effective_readings:.0f} independent readings tell of a constant): the unit is the run."
+        )
+        if len(parts.fit_runs) < 8:
+            found.append(
+                f"With {len(parts.fit_runs)} runs for choosing, contexts that are constant within a run cannot be judged."
+            )
+    return found

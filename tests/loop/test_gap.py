@@ -1,0 +1,115 @@
+"""The gap workflow as commands run it: readings in, an extended model out that loads and flies."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from msp_range.recording.csv_form import write_csv
+from msp_sim.cli import app
+from msp_sim.gap.findings import read_findings
+from msp_sim.model.model import load_model
+from tests.support.measured import MODEL, ROOT, readings
+
+PICTURES = ("residuals.png", "path.png", "pit.png")
+
+
+def run(*arguments: Any, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def hidden(columns: dict[str, Any]) -> np.ndarray:
+    """A clock that is 1 % off, by a generator that does not know the catalogue."""
+    return 0.01 * columns["true_range_cm"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("gap")
+    write_csv(made / "flights.csv", readings(3000, 4, bias=hidden))
+    told = run("gap", made / "flights.csv", "--model", MODEL, "--out", made / "out")
+    (made / "told.txt").write_text(told, encoding="utf-8")
+    return made
+
+
+def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
+    told = (folder / "told.txt").read_text(encoding="utf-8")
+    lines = [line for line in told.splitlines() if not re.match(r" *\d+ %", line)]
+    assert lines[0].startswith("The gap is explained: ")
+    found = read_findings(folder / "out")
+    assert found.verdict == "explained"
+    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    assert "range_scale" in names
+    assert found.rows == 3000
+    assert found.runs == 10
+    assert found.gap is not None
+    assert found.gap.bias_cm.before == pytest.approx(3.0, abs=0.3)
+    assert found.gap.bias_cm.after < 0.3  # type: ignore[operator]
+    # 1 % of ranges of 40 to 500 cm against a sigma of 1.94 cm: about 1.2 nats a hit.
+    assert found.gap.nats_per_reading.before == pytest.approx(1.2, abs=0.3)
+    assert found.gap.nats_per_reading.after < 0.02  # type: ignore[operator]
+
+
+def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None:
+    model = load_model(folder / "out" / "model.yaml")
+    added = [entry for entry in model.sensor.effects if "evidence" in entry]
+    assert added
+    evidence = added[0]["evidence"]
+    assert evidence["data"][0]["name"] == "flights.csv"
+    assert evidence["data"][0]["rows"] == 3000
+    assert evidence["gap_before"]["bias_cm"] > 2.0 > evidence["gap_after"]["bias_cm"]
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", evidence["date"])
+    told = run("fly", ROOT / "configs" / "scenarios" / "hover.yaml", "--model", folder / "out" / "model.yaml")
+    assert "times real time" in told
+
+
+def test_the_page_needs_nothing_but_itself(folder: Path) -> None:
+    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
+    assert "The gap is explained" in page
+    assert not re.search(r"""(src|href)=["'](?!data:|#)""", page)
+    for name in PICTURES:
+        assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_steps_alone_end_with_the_same(folder: Path) -> None:
+    out = folder / "steps"
+    run("compare", folder / "flights.csv", "--model", MODEL, "--out", out)
+    assert read_findings(out).verdict is None
+    assert not (out / "model.yaml").exists()
+    assert "Named, not yet added" in run("name", out)
+    assert "The gap is explained" in run("add", out)
+    run("show", out)
+    one, other = (json.loads((each / "gap.json").read_text(encoding="utf-8")) for each in (folder / "out", out))
+    for each in (one, other):
+        del each["seconds"]
+    assert one == other
+    for name in ("model.yaml", "residuals.png"):
+        assert (out / name).read_bytes() == (folder / "out" / name).read_bytes()
+
+
+def test_data_that_changed_between_steps_are_told(folder: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(600, 4))
+    run("compare", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
+    (tmp_path / "flights.csv").unlink()
+    write_csv(tmp_path / "flights.csv", readings(600, 5))
+    assert "has changed since 'msp-sim compare'" in run("name", tmp_path / "out", code=3)
+
+
+def test_a_folder_without_a_comparison_is_told(tmp_path: Path) -> None:
+    assert "'msp-sim compare' or 'msp-sim gap' makes it" in run("add", tmp_path, code=3)
+
+
+def test_nothing_missing_says_what_would_have_been_seen(tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(2500, 6))
+    told = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
+    assert "Nothing is missing" in told
+    assert "would have shown" in told
+    found = read_findings(tmp_path / "out")
+    assert (found.verdict, found.effects, found.unknown) == ("nothing missing", (), ())
+    assert any(each.name == "humidity" and "humidity_pct" in each.columns for each in found.not_testable)

@@ -1,0 +1,134 @@
+"""gap.json is written and read back, and says what it has to; the verdict follows from its numbers."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from msp_range.yaml_file import ConfigError
+from msp_sim.gap.findings import (
+    Calibration,
+    FoundEffect,
+    Gap,
+    GapFindings,
+    Measure,
+    NotTestable,
+    Odds,
+    Rival,
+    Settings,
+    Source,
+    Step,
+    Unknown,
+    Value,
+    as_json,
+    from_json,
+    read_findings,
+    write_findings,
+)
+from msp_sim.gap.judge import sentence, verdict
+from msp_sim.model.model import load_model
+from tests.support.measured import MODEL
+
+GIVEN = load_model(MODEL)
+ONE = Measure(1.0, 1.0, 1.1, 1.0, 1.05)
+EFFECT = FoundEffect(
+    "range_scale",
+    "indistinguishable",
+    {"scale_pct": Value(0.8, 0.7, 0.9, "%")},
+    0.4,
+    12.0,
+    (Rival("thermometer_offset", 1.2, 0.99),),
+    "vary air_temperature_c by 6 C",
+)
+
+
+def gap(after: float, bias_cm: float = 0.05) -> Gap:
+    return Gap(
+        Measure(0.5, after, 0.003, 0.0, 0.01), Measure(2.0, bias_cm, 0.06, 0.0, 0.1), ONE, Odds(ONE, ONE, ONE, ONE)
+    )
+
+
+FULL = GapFindings(
+    "explained",
+    rows=2000,
+    runs=10,
+    gap=gap(0.002),
+    effects=(EFFECT,),
+    unknown=(Unknown("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),),
+    calibration=(Calibration("sigma_cm", "sigma_cm is 2.1", 1.9, 2.1, 2.0, 2.2, "cm"),),
+    not_testable=(NotTestable("humidity", ("humidity_pct",)),),
+    seconds=1.5,
+    path=(Step("", 0.5, -2.8), Step("range_scale", 0.002, -2.3)),
+    sources=(Source("flight.csv", "ab" * 32, 2000),),
+    settings=Settings("model.yaml", map=("a=b",)),
+)
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    write_findings(FULL, tmp_path)
+    assert read_findings(tmp_path) == FULL
+
+
+def test_the_keys_are_those_that_were_promised() -> None:
+    content = json.loads(as_json(FULL))
+    promised = {
+        "verdict",
+        "rows",
+        "runs",
+        "gap",
+        "effects",
+        "unknown",
+        "calibration",
+        "not_testable",
+        "slices",
+        "seconds",
+    }
+    assert promised <= set(content)
+    assert {"nats_per_reading", "bias_cm", "spread_ratio", "odds"} == set(content["gap"])
+    measure = {"before", "after", "floor", "low", "high"}
+    assert set(content["gap"]["bias_cm"]) == measure
+    assert set(content["gap"]["odds"]) == {"short", "missed", "random", "code"}
+    assert set(content["gap"]["odds"]["code"]) == measure
+    assert {"name", "verdict", "parameters", "gain_nats", "z", "rivals", "experiment"} <= set(content["effects"][0])
+    assert set(content["effects"][0]["parameters"]["scale_pct"]) == {"value", "low", "high", "unit"}
+    assert {"channel", "variables", "formula", "gain_nats"} <= set(content["unknown"][0])
+
+
+def test_what_is_not_known_is_null_and_never_nan() -> None:
+    text = as_json(replace(FULL, gap=gap(float("nan"))))
+    assert "NaN" not in text
+    assert from_json(text).gap.nats_per_reading.after is None  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("content", "message"), [(None, "no such file"), ("{", "gap.json"), ("[1]", "not written by")])
+def test_a_file_that_is_none_is_told(tmp_path: Path, content: str | None, message: str) -> None:
+    if content is not None:
+        (tmp_path / "gap.json").write_text(content, encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        read_findings(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("effects", "gap_left", "expected"),
+    [
+        ((), gap(0.002), "nothing missing"),
+        ((), gap(0.4), "unexplained"),
+        ((EFFECT,), gap(0.002), "explained"),
+        ((EFFECT,), gap(0.2), "partly explained"),
+        ((EFFECT,), gap(0.49), "unexplained"),
+        ((EFFECT,), gap(0.002, bias_cm=0.5), "partly explained"),
+    ],
+)
+def test_verdicts(effects: tuple[FoundEffect, ...], gap_left: Gap, expected: str) -> None:
+    found = replace(FULL, verdict=None, effects=effects, unknown=(), gap=gap_left)
+    assert verdict(found, GIVEN) == expected
+
+
+def test_the_sentence_begins_with_the_verdict_and_names_rivals() -> None:
+    told = sentence(FULL)
+    assert told.startswith("The gap is explained: range_scale, scale_pct 0.8 % (0.7 to 0.9) (or thermometer_offset")
+    assert "from 0.5 to 0.002 nats" in told
+    assert "an unknown effect: bias depends on throttle like 1.2 throttle^2" in told
+    assert sentence(replace(FULL, verdict=None)).startswith("Named, not yet added")
+    assert sentence(replace(FULL, verdict="nothing missing", effects=(), unknown=())).startswith("Nothing is missing.")

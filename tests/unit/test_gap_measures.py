@@ -1,0 +1,112 @@
+"""The four measures of a gap against what was put in, by a generator that shares no code with the model."""
+
+import numpy as np
+import pytest
+
+from msp_sim.gap.cells import partitions
+from msp_sim.gap.measures import Measures, Table, measure, twins, usable
+from msp_sim.gap.slices import ranked
+from msp_sim.model.model import load_model
+from tests.support.measured import MODEL, readings
+
+MODEL_GIVEN = load_model(MODEL)
+
+
+def table_of(columns, units: int = 50) -> Table:
+    contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
+    n = columns["reading_cm"].size
+    return Table(columns["reading_cm"], contexts, (np.arange(n) * units // n).astype(np.intp))
+
+
+def measured(columns) -> tuple[Measures, dict[str, float]]:
+    table = table_of(columns)
+    parts = partitions(table.contexts)
+    drawn = twins(MODEL_GIVEN, table, parts, 8, np.random.default_rng(7))
+    return measure(MODEL_GIVEN, table, parts, drawn), dict(drawn.floor)
+
+
+def test_nothing_missing_is_within_the_floor() -> None:
+    found, floor = measured(readings(4000))
+    for name, number in found.numbers().items():
+        assert number.value <= 1.5 * floor[name] + 0.002, name
+    assert found.nats.low == 0.0
+
+
+@pytest.mark.parametrize("bias_cm", [-1.0, 12.0])
+def test_an_offset_is_measured_in_centimetres_also_where_it_is_many_sigma(bias_cm: float) -> None:
+    found, _ = measured(readings(4000, bias=lambda _: bias_cm))
+    assert found.bias_cm.value == pytest.approx(abs(bias_cm), abs=0.12)
+    assert found.bias_cm.low < abs(bias_cm) < found.bias_cm.high
+    assert found.spread_ratio.value < 1.1
+
+
+def test_a_bias_that_cancels_over_all_is_seen_in_its_slices() -> None:
+    found, _ = measured(readings(6000, bias=lambda c: np.where(c["throttle"] > 0.5, 1.5, -1.5)))
+    assert found.bias_cm.value == pytest.approx(1.5, abs=0.15)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.5])
+def test_the_spread_is_a_ratio_either_way(factor: float) -> None:
+    found, _ = measured(readings(4000, sigma_cm=1.9445 * factor))
+    assert found.spread_ratio.value == pytest.approx(max(factor, 1.0 / factor), rel=0.06)
+
+
+@pytest.mark.parametrize(("name", "share"), [("unexpected", "short"), ("max", "missed"), ("random", "random")])
+def test_odds_of_each_class(name: str, share: str) -> None:
+    usual = {"unexpected": 0.01, "max": 0.02, "random": 0.01}
+    shares = usual | {name: 0.06}
+    hit = 1.0 - sum(shares.values())
+    found, _ = measured(readings(6000, hit=hit, **shares))
+    truth = (shares[name] / hit) / (usual[name] / 0.96)
+    assert getattr(found, share).value == pytest.approx(truth, rel=0.25)
+
+
+def test_nats_are_the_gain_of_the_right_model() -> None:
+    """For a bias of the hits: half its square over the variance, times the share of hits."""
+    found, _ = measured(readings(8000, bias=lambda _: 1.0))
+    assert found.nats.value == pytest.approx(0.96 * 0.5 * (1.0 / 1.9445) ** 2, rel=0.15)
+
+
+def test_what_the_model_cannot_give_is_told_apart() -> None:
+    columns = readings(500)
+    columns["reading_cm"][:20] = 40000.0
+    assert (~usable(MODEL_GIVEN, table_of(columns))).sum() == 20
+
+
+def test_slices_say_where_and_are_corrected_for_their_number() -> None:
+    rng = np.random.default_rng(3)
+    table = table_of(readings(4000, bias=lambda c: np.where(c["throttle"] > 0.9, 2.0, 0.0)))
+    parts = partitions(table.contexts)
+    drawn = twins(MODEL_GIVEN, table, parts, 8, rng)
+    slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, rng)
+    assert slices[0].variables == ()
+    first = slices[1]
+    assert "throttle" in first.variables
+    assert first.channel == "bias"
+    assert first.p_value is not None
+    assert first.p_value < 0.01
+    whole_throttle = [each for each in slices if each.variables == ("throttle",)]
+    assert whole_throttle[0].bias_cm == pytest.approx(2.0, abs=0.6)
+    # A false slice in one of twenty tables at most; here none in six.
+    for seed in range(6):
+        null = table_of(readings(1500, seed=10 + seed))
+        null_parts = partitions(null.contexts, pairs=False)
+        few = twins(MODEL_GIVEN, null, null_parts, 3, rng)
+        assert min(each.p_value or 1.0 for each in ranked(MODEL_GIVEN, null, null_parts, few, {}, rng, 3)) > 0.01
+
+
+def test_errors_are_those_of_units_that_share_an_offset() -> None:
+    columns = readings(4000, runs=40)
+    shift = np.random.default_rng(5).normal(0.0, 1.0, 40)
+    run = np.arange(4000) * 40 // 4000
+    columns["reading_cm"] = np.clip(columns["reading_cm"] + np.rint(shift[run] * 3.0), 20, 765)
+    contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
+    parts = partitions(contexts, pairs=False)
+    whole = {}
+    for name, unit in (("run", run), ("reading", np.arange(4000))):
+        table = Table(columns["reading_cm"], contexts, unit.astype(np.intp))
+        drawn = twins(MODEL_GIVEN, table, parts, 3, np.random.default_rng(1))
+        whole[name] = measure(MODEL_GIVEN, table, parts, drawn).fits[()].errors[0, 0]
+    # 40 offsets of 3 cm: 0.47 cm, where independent readings would make it 0.05.
+    assert whole["run"] == pytest.approx(0.47, rel=0.4)
+    assert whole["reading"] < 0.15
