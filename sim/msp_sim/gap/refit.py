@@ -19,6 +19,8 @@ from msp_sim.model.model import Active, Model, acts
 
 _Array = NDArray[np.float64]
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
+BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2])
+"""How far a characterised base is off, about: what the readings alone cannot tell from an effect stays near the file."""
 ROUNDS = 12
 ENOUGH_NATS = 0.03
 
@@ -34,7 +36,7 @@ class Fitted:
     effects
         With their values.
     log_likelihood
-        Sum over the readings [nat].
+        Sum over the readings, less what the priors take [nat].
     names
         Of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect.
     information
@@ -116,7 +118,7 @@ def refit(
     saturated = prepared.rows.saturated_fraction
     low[6], high[6] = min(1e-4 - saturated, 0.0), max(1.0 - 1e-4 - saturated, 0.0)
     scale = np.concatenate([np.zeros(nb), [ridge if effects[k].shape is not None else 0.0 for k, _ in numbers]])
-    scale[:nb] = 1e-6
+    scale[:nb] = 1.0 / BASE_DEVIATION**2
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
     def placed(at: _Array) -> tuple[Active, ...]:
@@ -166,7 +168,7 @@ def refit(
     information = scores.T @ scores + np.diag(scale)
     held = ((theta <= low) & (gradient < 0.0)) | ((theta >= high) & (gradient > 0.0)) | (np.diag(information) < 1e-9)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
-    return Fitted(theta[:nb], placed(theta), float(here.log_p.sum()), names, theta, information, scores, held, here)
+    return Fitted(theta[:nb], placed(theta), best, names, theta, information, scores, held, here)
 
 
 def _off_null(each: Active) -> Active:

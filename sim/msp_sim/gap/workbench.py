@@ -25,7 +25,7 @@ from msp_sim.model.model import Active, Model
 _Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 POWER_Z = 0.84
-KEPT_Z = 0.8
+KEPT_Z = 0.5
 """Standard errors by which an item's gain on the confirming runs has to be above nothing."""
 KEPT_NATS = 2.0
 """And by so much in total."""
