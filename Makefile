@@ -2,10 +2,11 @@
 # make test   run the tests
 # make check  what CI runs: format, lint, types, layers, then the tests
 # make bench  measure, and write benchmarks/results.json
+# make blind  hide effects in N=200 tables by SEED=1, look for them by the gap workflow, and score what it says
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench mavproxy compile clean
+.PHONY: demo test check bench blind mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -26,6 +27,11 @@ check: .venv/.installed-test compile
 
 bench: .venv/.installed-test compile
 	$(BIN)/python -m benchmarks
+
+N ?= 200
+SEED ?= 1
+blind: .venv/.installed-test compile
+	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED)
 
 # Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
 compile: .venv/.installed

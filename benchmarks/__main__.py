@@ -10,8 +10,10 @@ from rich.table import Table
 
 from benchmarks import (
     bench_bridge,
+    bench_filters,
     bench_fit,
     bench_fit_coverage,
+    bench_fusion,
     bench_laboratory,
     bench_rates,
     bench_reading_model,
@@ -25,6 +27,8 @@ PARTS = (
     bench_fit_coverage,
     bench_laboratory,
     bench_bridge,
+    bench_filters,
+    bench_fusion,
     bench_virtual_flight,
     bench_rates,
     bench_start,

@@ -45,44 +45,44 @@ def run() -> list[dict[str, Any]]:
     campaign_cm = 40.0 + 20.0 * rng.integers(0, 24, READINGS)
     campaign_reading_cm = ReadingModel.of(sensor).sample({"true_range_cm": campaign_cm}, rng)
 
-    hard_s = _median_s(lambda: fit(reading_cm, true_cm, grid))
-    fewer_s = _median_s(lambda: fit(reading_cm[:FEWER], true_cm[:FEWER], grid))
-    campaign_s = _median_s(lambda: fit(campaign_reading_cm, campaign_cm, grid))
+    hard_s, hard_cpu_s = _median_s(lambda: fit(reading_cm, true_cm, grid))
+    _, fewer_cpu_s = _median_s(lambda: fit(reading_cm[:FEWER], true_cm[:FEWER], grid))
+    campaign_s, _ = _median_s(lambda: fit(campaign_reading_cm, campaign_cm, grid))
     best = fit(reading_cm, true_cm, grid).log_likelihood
 
     likelihood = Likelihood(grid, grid.cell(reading_cm), true_cm, np.ones(READINGS))
-    general_s = min(
-        _general_s(_with_gradient(likelihood), best, True, method) for method in ("L-BFGS-B", "TNC", "SLSQP", "BFGS")
+    general_cpu_s = min(
+        _general_cpu_s(_with_gradient(likelihood), best, True, method)
+        for method in ("L-BFGS-B", "TNC", "SLSQP", "BFGS")
     )
     few_reading_cm, few_true_cm = reading_cm[:NUMERIC], true_cm[:NUMERIC]
-    start_s = time.perf_counter()
     few_best = fit(few_reading_cm, few_true_cm, grid).log_likelihood
-    few_s = time.perf_counter() - start_s
-    numeric_s = _general_s(_plain(sensor, few_reading_cm, few_true_cm), few_best, False, "L-BFGS-B")
+    _, few_cpu_s = _median_s(lambda: fit(few_reading_cm, few_true_cm, grid))
+    numeric_cpu_s = _general_cpu_s(_plain(sensor, few_reading_cm, few_true_cm), few_best, False, "L-BFGS-B")
 
     return [
         _figure("fit_1e6_all_ranges_differ", hard_s, "s for 1,000,000 readings, four densities, codes", 3.0),
         _figure("fit_1e6_campaign", campaign_s, "s for 1,000,000 readings at 24 ranges, given uncounted", 3.0),
         {
             "key": "fit_cost_growth",
-            "value": round(hard_s / fewer_s, 1),
+            "value": round(hard_cpu_s / fewer_cpu_s, 1),
             "unit": "times the time for 100 times the readings (10,000 to 1,000,000)",
             "goal": "at most 100",
-            "met": hard_s <= 100.0 * fewer_s,
+            "met": hard_cpu_s <= 100.0 * fewer_cpu_s,
         },
         {
             "key": "fit_1e6_over_general",
-            "value": round(general_s / hard_s, 1),
+            "value": round(general_cpu_s / hard_cpu_s, 1),
             "unit": "times faster than the best of four scipy methods with exact gradients, ranges differ",
             "goal": "at least 5",
-            "met": general_s >= 5.0 * hard_s,
+            "met": general_cpu_s >= 5.0 * hard_cpu_s,
         },
         {
             "key": "fit_1e5_over_numeric",
-            "value": round(numeric_s / few_s, 1),
+            "value": round(numeric_cpu_s / few_cpu_s, 1),
             "unit": "times faster than L-BFGS-B on ReadingModel.log_prob, 100,000 readings",
             "goal": "at least 5",
-            "met": numeric_s >= 5.0 * few_s,
+            "met": numeric_cpu_s >= 5.0 * few_cpu_s,
         },
     ]
 
@@ -97,21 +97,23 @@ def _figure(key: str, seconds: float, unit: str, most_s: float) -> dict[str, Any
     }
 
 
-def _median_s(work: Callable[[], Any]) -> float:
-    taken_s = []
+def _median_s(work: Callable[[], Any]) -> tuple[float, float]:
+    """Median time, and median time of the processor: ratios of it do not depend on who else uses the machine."""
+    taken_s, cpu_s = [], []
     for _ in range(REPEATS):
-        start_s = time.perf_counter()
+        start_s, start_cpu_s = time.perf_counter(), time.process_time()
         work()
         taken_s.append(time.perf_counter() - start_s)
-    return statistics.median(taken_s)
+        cpu_s.append(time.process_time() - start_cpu_s)
+    return statistics.median(taken_s), statistics.median(cpu_s)
 
 
-def _general_s(negative: Callable[[_Array], Any], best: float, has_gradient: bool, method: str) -> float:
-    """Time of one `minimize`; infinite where it ends short of the maximum."""
+def _general_cpu_s(negative: Callable[[_Array], Any], best: float, has_gradient: bool, method: str) -> float:
+    """Time of the processor for one `minimize`; infinite where it ends short of the maximum."""
     options = {"ftol": 1e-13, "gtol": 1e-8} if method == "L-BFGS-B" else {}
-    start_s = time.perf_counter()
+    start_s = time.process_time()
     found = minimize(negative, START, jac=has_gradient, method=method, options=options)
-    taken_s = time.perf_counter() - start_s
+    taken_s = time.process_time() - start_s
     count = negative.count  # type: ignore[attr-defined]
     # A tenth of a log-likelihood unit is less than half a standard error.
     return taken_s if -found.fun * count > best - 0.1 else np.inf

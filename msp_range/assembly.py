@@ -4,9 +4,10 @@ import math
 
 from msp_range.bus import Bus
 from msp_range.config import Airframe, Sensor
-from msp_range.fusion import DownwardSensor, Fusion
+from msp_range.fusion import Attitude, DownwardSensor, Fusion
+from msp_range.geometry import quaternion
 from msp_range.mavlink.distance_sensor import Stream, make_stream
-from msp_range.mavlink.orientation import DOWN, Orientation
+from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import PolledSensor, RoundRobin, Spacing, Timing
 
@@ -44,7 +45,7 @@ def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
     )
 
 
-def fusion_of(airframe: Airframe) -> Fusion | None:
+def fusion_of(airframe: Airframe, attitude: Attitude) -> Fusion | None:
     """The airframe's downward sensors as one; None where it sends no fused stream."""
     fused = airframe.send.fused
     if fused is None:
@@ -52,12 +53,13 @@ def fusion_of(airframe: Airframe) -> Fusion | None:
     return Fusion(
         {
             sensor.name: DownwardSensor(
-                cos_tilt=math.cos(sensor.tilt_from_down_rad),
-                below_reference_m=sensor.position_m[2] - fused.reference_down_m,
-                oblique=sensor.sensor_model.oblique_reading,
+                (sensor.position_m[0], sensor.position_m[1], sensor.position_m[2] - fused.reference_down_m),
+                sensor.boresight,
+                sensor.sensor_model.oblique_reading,
             )
             for sensor in airframe.downward
-        }
+        },
+        attitude,
     )
 
 
@@ -67,6 +69,24 @@ def single_streams(airframe: Airframe) -> dict[str, Stream]:
         sensor.name: make_stream(sensor.id, sensor.orientation, sensor.sensor_model.maximum_cm, airframe.link.autopilot)
         for sensor in airframe.sensors
         if sensor.name in airframe.sent_names
+    }
+
+
+def object_streams(airframe: Airframe) -> dict[str, Stream]:
+    """Streams for what lies below single sensors of the fused stream that have no stream of their own, by name.
+
+    Their orientation is CUSTOM, with the mounting as a quaternion: as one more stream that looks down they would be
+    mixed with the fused one, by ArduPilot and by PX4.
+    """
+    return {
+        sensor.name: make_stream(
+            sensor.id,
+            Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)),
+            sensor.sensor_model.maximum_cm,
+            airframe.link.autopilot,
+        )
+        for sensor in airframe.downward
+        if sensor.name not in airframe.sent_names
     }
 
 

@@ -10,31 +10,30 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from msp_range.acoustics.air import compensate_range
-from msp_range.assembly import fused_stream, fusion_of, polling_order, single_streams
+from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, Sensor
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import AirTemperature, FileSource, MavlinkSource, read_thermometer
-from msp_range.filters.base import Estimate
 from msp_range.filters.chain import Chain, Filtered
+from msp_range.fusion import Angles, Attitude, AttitudeTrack, Fused, Fusion
 from msp_range.health import Health, Report, Severity
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
-from msp_range.reading import Reading
+from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
-from msp_range.recording.topics import RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
 from msp_range.sensors.polling import Poller, Ranging, Schedule
 
 LOOK_INTERVAL_S = 0.25
 """Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""
 BUS_CALM_S = 2.0
 """A bus that has worked this long since its last fault works again [s]; a flickering one is told of once."""
-STALE_S = 0.25
-"""A ranging that is over this long after its time tells nothing of now [s]: the program or the bus stood still."""
 TEMPERATURE_REQUEST_HZ = 1.0
+ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
 
 class Records(Protocol):
@@ -55,8 +54,11 @@ class _Channel:
     def __init__(self, sensor: Sensor, airframe: Airframe) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
-        self.chain = Chain([parameters.make() for parameters in airframe.filters])
+        self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters])
         self.topic = RANGE_PREFIX + sensor.name
+        self.name = sensor.name
+        self.is_fused = sensor in airframe.downward
+        self.object_m: float | None = None
         self.readings = 0
         self.rejected: dict[str, int] = {}
 
@@ -83,7 +85,7 @@ class Step(NamedTuple):
     temperature_source: str
     corrected: Reading
     filtered: Filtered
-    fused: Estimate | None
+    fused: Fused | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,8 @@ class Bridge:
         Who pings when; None: the airframe's polling order.
     air_c
         Air temperature [deg C] at a time on the clock [s]; None: the airframe's sources, looked at now and then.
+    attitude
+        Knows how the vehicle is turned; None: what the autopilot sends.
     """
 
     def __init__(
@@ -133,6 +137,7 @@ class Bridge:
         thermometer: Callable[[FileSource], float] = read_thermometer,
         schedule: Schedule | None = None,
         air_c: Callable[[float], float] | None = None,
+        attitude: Attitude | None = None,
     ) -> None:
         self._clock = clock
         self._recorder = recorder
@@ -144,6 +149,10 @@ class Bridge:
         self._air_c = air_c or self._looked_at_c
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
+        self._attitude = AttitudeTrack()
+        self._fusion = fusion_of(airframe, attitude or self._attitude)
+        if self._fusion is not None:
+            asked[ATTITUDE] = ATTITUDE_REQUEST_HZ
         self.link = Link(
             transport,
             clock,
@@ -152,12 +161,12 @@ class Bridge:
             wanted=asked | dict(wanted or {}),
         )
         self._poller = Poller(bus, clock, schedule or polling_order(airframe, bus, clock.now()))
-        self._fusion = fusion_of(airframe)
         self._streams = Streams(
             {sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors},
             single_streams(airframe),
             fused_stream(airframe),
             [sensor.name for sensor in airframe.downward],
+            object_streams(airframe),
             self._send,
         )
         self.health = Health(self._channels, self._tell)
@@ -187,29 +196,35 @@ class Bridge:
         channel = self._channels[ranging.reading.sensor]
         temperature_c = self._air_c(now_s)
         corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c, channel.calibration)
+        fused, object_below = None, False
+        if self._fusion is not None and channel.is_fused:
+            corrected = self._fusion.judge(corrected)
+            fused = self._fusion.update(corrected, now_s)
+            object_below = self._look_below(self._fusion, channel)
         filtered = channel.chain.update(corrected)
-        fused = self._fuse(now_s, corrected, filtered)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
-        self._streams.take(now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused)
+        self._streams.take(now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused, object_below)
         step = Step(ranging, temperature_c, self._temperature.source, corrected, filtered, fused)
         self._record(now_s, channel.topic, step)
         self._count(channel, filtered)
-        self._judge(now_s, ranging)
+        self._judge(now_s, ranging, corrected)
         return step
 
     def _looked_at_c(self, now_s: float) -> float:
         """The temperature of the last look: files are not read while a message waits to go out."""
         return self._temperature_c
 
-    def _fuse(self, now_s: float, corrected: Reading, filtered: Filtered) -> Estimate | None:
-        """The fused distance at this reading's time; from the other sensors where this one gave none."""
-        if self._fusion is None or not self._fusion.includes(corrected.sensor):
-            return None
-        if filtered.estimate is not None:
-            return self._fusion.update(corrected.sensor, corrected.time_s, filtered.estimate)
-        if now_s - corrected.time_s > STALE_S:
-            return None
-        return self._fusion.at(corrected.time_s)
+    def _look_below(self, fusion: Fusion, channel: _Channel) -> bool:
+        """Tell of what is below a sensor and is not ground, when it comes and when it goes; True: it is an object."""
+        object_m = fusion.object_m(channel.name)
+        if (object_m is None) == (channel.object_m is None):
+            return object_m is not None and object_m > 0
+        channel.object_m = object_m
+        text = None
+        if object_m is not None:
+            text = f"Range {channel.name}: {'object' if object_m > 0 else 'hole'} of {abs(object_m):.1f} m below"
+        self.health.set(f"below {channel.name}", text, f"Range {channel.name}: ground below")
+        return object_m is not None and object_m > 0
 
     def _send(self, message: Any) -> None:
         frame = self.link.send(message)
@@ -242,16 +257,15 @@ class Bridge:
             stages["filtered_m"], stages["variance_m2"] = estimate
         self._recorder.write(topic, now_s, stages)
         if fused is not None:
-            message = {"time_s": reading.time_s, "range_m": fused.range_m, "variance_m2": fused.variance_m2}
-            self._recorder.write("/fused", now_s, message)
+            self._recorder.write("/fused", now_s, {"time_s": reading.time_s, **fused._asdict()})
 
     def _count(self, channel: _Channel, filtered: Filtered) -> None:
         channel.readings += 1
         if filtered.rejected is not None:
             channel.rejected[filtered.rejected] = channel.rejected.get(filtered.rejected, 0) + 1
 
-    def _judge(self, now_s: float, ranging: Ranging) -> None:
-        self.health.take(ranging)
+    def _judge(self, now_s: float, ranging: Ranging, corrected: Reading) -> None:
+        self.health.take(ranging if corrected.status is not Status.STUCK else ranging._replace(reading=corrected))
         if ranging.error is not None and ranging.error.bus_at_fault:
             self._bus_fault_s = now_s
             what = "locked up" if ranging.error.locked_up else "gone"
@@ -263,8 +277,14 @@ class Bridge:
 
     def _take_message(self, now_s: float, message: Any) -> None:
         self._temperature.hear(now_s, message)
+        if message.get_type() == ATTITUDE:
+            self._hear_attitude(Angles(now_s, message.roll, message.pitch, message.yaw))
         if self._hear is not None:
             self._hear(now_s, message)
+
+    def _hear_attitude(self, angles: Angles) -> None:
+        if self._fusion is not None and self._attitude.hear(angles):
+            self._write(ATTITUDE_TOPIC, angles.time_s, angles._asdict())
 
     def _look_after(self, now_s: float) -> None:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""

@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 from collections.abc import Callable
+from datetime import date as day
 from functools import wraps
 from pathlib import Path
 from types import FrameType
@@ -25,6 +26,9 @@ app = typer.Typer(
 )
 
 Parameters = ParamSpec("Parameters")
+
+MB1242 = Path("configs/sensors/mb1242.yaml")
+"""In the repository's folder."""
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
@@ -239,7 +243,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import Nowhere, open_transport
-    from msp_range.recording.pings import recorded_pings, recorded_temperatures
+    from msp_range.recording.pings import recorded_attitudes, recorded_pings, recorded_temperatures
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -255,10 +259,29 @@ def replay(
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, recorded_temperatures(file, run_name))
+    temperatures, attitudes = recorded_temperatures(file, run_name), recorded_attitudes(file)
+    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, temperatures, attitudes)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file)
+
+
+@app.command()
+@tell_mistakes
+def tune(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
+    airframe_file: Annotated[
+        Path | None, typer.Option("--airframe", metavar="AIRFRAME.yaml", help="instead of the one that was flown")
+    ] = None,
+    model: Annotated[
+        Literal["constant", "constant_velocity"] | None,
+        typer.Option(help="model of the Kalman filter; left out: the airframe's"),
+    ] = None,
+) -> None:
+    """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
+    from msp_range import tuning
+
+    tuning.show(tuning.tune_recordings(recordings, airframe_file, model))
 
 
 @app.command()
@@ -323,7 +346,7 @@ def collect(
 
     console = Console()
     if is_of_flights(campaign_file):
-        _collect_flights(campaign_file, out, console)
+        _collect_flights(campaign_file, out, console, show_plan)
         return
     campaign = load_campaign(campaign_file)
     points = plan(campaign)
@@ -335,6 +358,7 @@ def collect(
     if show_plan:
         show_points(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
         return
+    bench.open()
     with stop_signals() as stopped:
         person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
@@ -345,14 +369,18 @@ def collect(
             bench.close()
     table, rows = store.write_table()
     left = sum(not store.is_done(point) for point in points)
-    print(f"{table}: {rows} readings; {left} of {len(points)} points are left")
+    read = f"{table}: {rows} readings" if rows else "nothing was read"
+    print(f"{read}; {left} of {len(points)} points are left")
 
 
-def _collect_flights(campaign_file: Path, out: Path, console: Any) -> None:
-    from msp_range.characterise.flights import Hangar, collect_flights, load_flights
+def _collect_flights(campaign_file: Path, out: Path, console: Any, show_plan: bool) -> None:
+    from msp_range.characterise.flights import Hangar, collect_flights, load_flights, show_flights
 
     campaign = load_flights(campaign_file)
     hangar = Hangar(out, campaign)
+    if show_plan:
+        show_flights(campaign, hangar, console)
+        return
     collect_flights(campaign, hangar, console, _asking(console))
     left = sum(not hangar.recordings(flight) for flight in campaign.flights)
     if left < len(campaign.flights):
@@ -390,12 +418,15 @@ def characterise(
     ] = None,
     sensor: Annotated[
         Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
-    ] = Path("configs/sensors/mb1242.yaml"),
+    ] = MB1242,
     column_map: Annotated[
         list[str] | None,
         typer.Option(
             "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
         ),
+    ] = None,
+    of: Annotated[
+        list[str] | None, typer.Option(metavar="SENSOR", help="only its readings (column sensor); may be repeated")
     ] = None,
     reference_std_cm: Annotated[
         float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
@@ -417,11 +448,15 @@ def characterise(
     from msp_range.reading_model.sensor_model import load_sensor_model
 
     check_free(out, report)
+    if date is not None and not _is_date(date):
+        raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
+    if sensor == MB1242 and not sensor.exists():
+        raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
     started = load_sensor_model(sensor)
     mapping = load_map(column_map) if column_map else None
     progress = Console(stderr=True)
     with progress.status("reading") as status:
-        gathered = gather(data, started, mapping)
+        gathered = gather(data, started, mapping, of or ())
         findings, changes = analyse(
             gathered,
             started,
@@ -438,6 +473,13 @@ def characterise(
     console = Console()
     show(findings, console)
     console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"), markup=False)
+
+
+def _is_date(text: str) -> bool:
+    try:
+        return day.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from msp_range.correction.temperature import TemperatureParameters
-from msp_range.filters.kalman import KalmanParameters
+from msp_range.filters.changepoint import ChangepointParameters
 from msp_range.filters.table import FilterParameters
 from msp_range.geometry import Vector, angle_between, boresight
 from msp_range.mavlink.distance_sensor import Autopilot
@@ -182,8 +182,8 @@ class Airframe(Section):
     """the range finders"""
     polling: Polling = Polling()
     """who pings when"""
-    filters: tuple[FilterParameters, ...] = (KalmanParameters(filter="kalman"),)
-    """every sensor's filters, in order; [] for none"""
+    filters: tuple[FilterParameters, ...] = (ChangepointParameters(filter="changepoint"),)
+    """every sensor's filters, in order; [] for none; left out: the changepoint filter"""
     temperature: TemperatureParameters = TemperatureParameters()
     """where the air temperature comes from"""
     link: Link

@@ -34,6 +34,7 @@ _WORDS = {
     Status.CLOCK_FAULT: "I2C clock fault, use 50 kHz",
     Status.IMPOSSIBLE: "impossible answers",
     Status.PART_INFO: "answers without ranging",
+    Status.STUCK: "stuck at one value",
 }
 
 

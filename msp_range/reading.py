@@ -12,7 +12,8 @@ class Status(Enum):
     """What a sensor's answer means.
 
     Only ``OK`` and ``AT_MINIMUM`` carry a range. ``AT_MINIMUM`` is the sensor's shortest report: the surface is
-    there or nearer. ``NO_ECHO`` is a healthy sensor that heard nothing. The rest are faults.
+    there or nearer. ``NO_ECHO`` is a healthy sensor that heard nothing. The rest are faults; ``STUCK`` is
+    found by comparison with other sensors and not in the answer.
     """
 
     OK = "ok"
@@ -22,6 +23,7 @@ class Status(Enum):
     IMPOSSIBLE = "impossible"
     PART_INFO = "part_info"
     NO_ANSWER = "no_answer"
+    STUCK = "stuck"
 
     has_range: bool
     """True where a reading of this status carries a range."""

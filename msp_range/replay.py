@@ -24,9 +24,11 @@ from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import TemperatureParameters
+from msp_range.fusion import Angles, RecordedAttitude
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
+from msp_range.recording.topics import ATTITUDE_TOPIC
 from msp_range.sensors.polling import PolledSensor
 
 TOGETHER_S = 0.005
@@ -105,6 +107,7 @@ def replay(
     transport: Transport,
     recorder: Records | None = None,
     temperatures: Sequence[tuple[float, float]] = (),
+    attitudes: Sequence[Angles] = (),
 ) -> Outcome:
     """Play the pings through a bridge of their own, to the last one.
 
@@ -123,6 +126,8 @@ def replay(
     temperatures
         Recorded air temperatures, (time [s], deg C) by time: they take the place of the airframe's sources, which are
         not those of this computer now. None: the airframe's fixed temperature.
+    attitudes
+        Recorded attitudes, by time.
 
     Raises
     ------
@@ -141,7 +146,10 @@ def replay(
             return fixed_c
         return temperatures[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
-    bridge = Bridge(without_sources, bus, clock, transport, recorder=recorder, schedule=order, air_c=air_c)
+    attitude = RecordedAttitude(attitudes, clock.now, None if recorder is None else _keep_in(recorder))
+    bridge = Bridge(
+        without_sources, bus, clock, transport, recorder=recorder, schedule=order, air_c=air_c, attitude=attitude
+    )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()
     filtered: Counter[str] = Counter()
@@ -160,6 +168,10 @@ def replay(
     while clock.now() < end_s:
         bridge.step()
     return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
+
+
+def _keep_in(recorder: Records) -> Callable[[Angles], None]:
+    return lambda angles: recorder.write(ATTITUDE_TOPIC, angles.time_s, angles._asdict())
 
 
 @contextmanager

@@ -4,10 +4,11 @@ A point and its columns enter, rangings leave, each with the columns that hold f
 follow from the time of the echo, and the lag behind another sensor from the times at which pings really went out.
 """
 
+import os
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Protocol
 
-from msp_range.bus import Bus
+from msp_range.bus import Bus, BusError
 from msp_range.bus.smbus import KernelBus
 from msp_range.characterise.campaign import Campaign
 from msp_range.characterise.plan import Point
@@ -16,6 +17,7 @@ from msp_range.correction.temperature import FileSource, TemperatureFile, read_t
 from msp_range.sensors.base import Decoded, RangeSensor
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]
 """What is known of a reading, by the CSV form's names."""
@@ -67,6 +69,22 @@ class KernelBench:
         self._thermometer = None if thermometer is None else TemperatureFile(thermometer, read_thermometer)
         self.clock: Clock = SystemClock()
         self.description = "sensors on a bus"
+
+    def open(self) -> None:
+        """Open the bus, before anybody sets anything up for it.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be opened.
+        """
+        try:
+            self._bus.reopen()
+        except BusError as error:
+            raise ConfigError(
+                f"{self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; is I2C switched on, is --bus "
+                "the right one, and may you use it? msp-sim collect goes through a campaign without sensors"
+            ) from None
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
         """The bus as it is."""

@@ -6,6 +6,7 @@ What the data do not allow is left as the starting model has it, and the finding
 import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from msp_range.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows,
 from msp_range.characterise.findings import BreakawayAngle, Calibration, Findings, Source
 from msp_range.characterise.gather import Gathered
 from msp_range.characterise.mixture import Fitted, fit_mixture
-from msp_range.characterise.points import BASELINE, PointReadings, sort_into_points
+from msp_range.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
 from msp_range.characterise.questions import TOPICS, questions
 from msp_range.characterise.temperature import compensation_table, hot_boxes
 from msp_range.correction.calibration import IDENTITY
@@ -90,6 +91,9 @@ def characterise(
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
     absent: dict[str, str] = {}
 
+    _check_one_kind(gathered, points)
+    _check_together(gathered, undisturbed)
+
     say("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
     calibration = calibrate(undisturbed, sensor, reference_std_cm)
@@ -148,7 +152,10 @@ def characterise(
         hot_boxes=boxes,
         temperature_compensation=table,
         absent=absent,
-        warnings=tuple(_warnings(gathered, points, undisturbed, calibration, view.angles if view else (), rows)),
+        warnings=(
+            *_warnings(gathered, points, undisturbed, calibration, view.angles if view else (), rows),
+            *_quieter(sensor, fitted.parameters if isinstance(fitted, Fitted) else None),
+        ),
     )
     changes = Changes(
         calibration=_knots(calibration),
@@ -161,6 +168,36 @@ def characterise(
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
         raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
+
+
+def _check_one_kind(gathered: Gathered, points: Sequence[PointReadings]) -> None:
+    """Refuse what one sensor makes beside what another one makes, unless the person has named both."""
+    if gathered.sensors:
+        return
+    of = {
+        name: sensors
+        for name in (*UNDISTURBED, "field_of_view")
+        if (sensors := {p.sensor for p in points if p.condition == name})
+    }
+    for (one, its), (other, theirs) in combinations(of.items(), 2):
+        if not its & theirs:
+            raise RecordingError(
+                f"{_names(gathered.sources)}: {one} is of {', '.join(sorted(its))} and {other} of "
+                f"{', '.join(sorted(theirs))}, and one model is of one kind of sensor: name the one with --of SENSOR, "
+                "or all with --of for each where they are of one kind"
+            )
+
+
+def _check_together(gathered: Gathered, undisturbed: Sequence[PointReadings]) -> None:
+    """Refuse readings of which most are nowhere near their true ranges, though they are readings of something."""
+    heard = [p for p in undisturbed if 2 * int(p.is_heard.sum()) >= p.reading_cm.size]
+    astray = [p for p in heard if p.hits < LEAST_HITS <= int(p.is_heard.sum())]
+    if 2 * len(astray) > len(heard):
+        where = ", ".join(f"{p.range_cm:g}" for p in astray[:5])
+        raise RecordingError(
+            f"{_names(gathered.sources)}: at {len(astray)} of {len(heard)} undisturbed points the readings are not "
+            f"near the true range ({where} cm ...); do true_range_cm and reading_cm belong together, row by row?"
+        )
 
 
 def _names(sources: Sequence[Source]) -> str:
@@ -240,6 +277,16 @@ def _warnings(
             + " cm"
         )
     return told
+
+
+def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:
+    """A bench's noise is not a vehicle's, and a filter that is too sure is the worse mistake."""
+    if fitted is None or fitted.sigma_cm > sensor.reading_model.sigma_cm / 2.0:
+        return []
+    return [
+        f"the spread of {fitted.sigma_cm:.2g} cm is a bench's, and {sensor.reading_model.sigma_cm:.2g} cm was taken "
+        "before: filters that trust it on a vehicle, which shakes, may be too sure"
+    ]
 
 
 def provenance(findings: Findings) -> dict[str, object]:

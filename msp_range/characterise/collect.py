@@ -158,11 +158,10 @@ class _Sitting:
             had = attempt.readings[point.setup.sensors[0]]
             place = Place(self._numbers[point.name], len(self._numbers), had)
             arranged = self._person.arrange(point, changes(self._before, point), place)
-            if arranged.say is Say.AGAIN and self._before is not None:
-                before = self._before
-                say = self._visit(before, anew=True)
-                if say is Say.STOP:
-                    return say
+            if arranged.say is Say.AGAIN:
+                # Before the first point of a sitting there is none to read again.
+                if self._before is not None and self._visit(self._before, anew=True) is Say.STOP:
+                    return Say.STOP
                 continue
             if arranged.say in (Say.SKIP, Say.STOP):
                 return arranged.say

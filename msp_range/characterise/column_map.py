@@ -9,6 +9,7 @@ import csv
 import difflib
 import gzip
 import io
+import json
 import math
 import re
 from collections.abc import Sequence
@@ -282,6 +283,8 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
         raise RecordingError(f"{path}: the column {place.column!r} is there {count} times; give its number from 1")
     near = difflib.get_close_matches(place.column, header, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
+    if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
+        hint = f" Are the columns told apart by {other!r}? A map file says so: delimiter: {json.dumps(other)}."
     there = ", ".join(each or "(no name)" for each in header)
     raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
 

@@ -223,6 +223,16 @@ class MixtureParameter:
 
 
 @dataclass(frozen=True)
+class SetUpError:
+    """How far the hits of one set-up are from where calibration and reference expect them [cm]."""
+
+    condition: str
+    run: str
+    true_range_cm: float
+    error_cm: float
+
+
+@dataclass(frozen=True)
 class Mixture:
     """The mixture of Thrun fitted by maximum likelihood (report 5.2.1, eq 9-12).
 
@@ -242,6 +252,8 @@ class Mixture:
         What was said to depend on range, and why, in a sentence.
     notes
         What to know of these numbers.
+    set_ups
+        About whose own mean the fit took the hits, with how far that is from the calibration.
     """
 
     parameters: tuple[MixtureParameter, ...]
@@ -251,6 +263,7 @@ class Mixture:
     pit_p_value: float
     conditional: str
     notes: tuple[str, ...] = ()
+    set_ups: tuple[SetUpError, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -423,7 +436,8 @@ class Effect:
         "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": its 90 %
         interval (two one-sided tests) lies within the bound. Else "cannot tell".
     smallest_detectable
-        Effect that these data would have shown in 80 % of cases at the adjusted level.
+        Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
+        thousandfold, or it is not known.
     """
 
     metric: Metric

@@ -229,6 +229,17 @@ def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
     return np.where(inside, np.interp(asked_s, their_s, table[TRUTH][known]), np.nan)
 
 
+def show_flights(campaign: FlightCampaign, hangar: Hangar, console: Console) -> None:
+    """What is to be flown, and what is there."""
+    for number, flight in enumerate(campaign.flights, start=1):
+        there = "   recorded" if hangar.recordings(flight) else ""
+        console.print(f"{number:4d}  {flight.flight}{there}", highlight=False)
+        console.print(
+            f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim", highlight=False
+        )
+    console.print(f"The reference: {campaign.reference.method}", highlight=False)
+
+
 def collect_flights(campaign: FlightCampaign, hangar: Hangar, console: Console, ask: Callable[[str], str]) -> None:
     """Lead a person through the flights: what to fly, and where its recording and reference are."""
     for number, flight in enumerate(campaign.flights, start=1):

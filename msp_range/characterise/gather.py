@@ -6,7 +6,7 @@ here, before any: no true range, hardly any readings, another unit.
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,15 +28,24 @@ LEAST_NEAR = 0.1
 of the truth, they are in another unit or of something else."""
 
 
+AGAIN = 0.95
+"""Of two files of which this share of the smaller one's rows is in both, one was made of the other."""
+AIR_C = (-50.0, 65.0)
+"""Air that people and sensors stand [deg C]."""
+
+
 class Gathered(NamedTuple):
     """Measured data of all files together, the files, and what to know of them."""
 
     data: MeasuredData
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
+    sensors: tuple[str, ...] = ()
 
 
-def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None) -> Gathered:
+def gather(
+    paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None, sensors: Sequence[str] = ()
+) -> Gathered:
     """Read all files.
 
     Parameters
@@ -47,6 +56,8 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
         Its limits: readings outside of them are no readings.
     column_map
         Names and units of the columns.
+    sensors
+        Those whose readings are used, as the column `sensor` names them; none: all.
 
     Raises
     ------
@@ -61,22 +72,56 @@ def gather(paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | N
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
+        if column_map is None:
+            _check_not_again(path, table, zip(paths, tables, strict=False))
         tables.append(table)
         sources.append(source)
     data = joined(tables)
     name = ", ".join(str(path) for path in paths)
+    if sensors:
+        data = _of(name, data, sensors)
     data, warnings = _within_limits(data, sensor)
     check_comparable(name, data, sensor)
     if column_map is not None and column_map.note:
         warnings.insert(0, column_map.note)
-    return Gathered(data, tuple(sources), tuple(warnings))
+    return Gathered(data, tuple(sources), tuple(warnings), tuple(sensors))
+
+
+def _check_not_again(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:
+    """Refuse readings that are in an earlier file, as those of a recording are in the table made of it."""
+    names = ("time_s", "sensor", "reading_cm", "true_range_cm")
+    rows = _rows(table, names)
+    for other, earlier in before:
+        others = _rows(earlier, names)
+        again = len(rows & others)
+        if again > AGAIN * min(len(rows), len(others)):
+            raise RecordingError(
+                f"{path}: {again} of its readings are in {other} too; each may count once, so leave one of them out"
+            )
+
+
+def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
+    # Times to a millisecond: a recording has more digits than a table. Unknown numbers are equal here.
+    columns = [
+        np.nan_to_num(np.round(table[name], 3), nan=-1.0) if table[name].dtype.kind == "f" else table[name]
+        for name in names
+        if name in table
+    ]
+    return set(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None = None) -> MeasuredData:
     """Read one file: CSV in the one form, a recording, or with a map someone else's table."""
     if column_map is not None:
         return read_mapped(path, column_map, sensor.maximum_cm)
-    return measured_data(Recording(path)) if is_recording(path) else read_csv(path)
+    if is_recording(path):
+        return measured_data(Recording(path))
+    try:
+        return read_csv(path)
+    except RecordingError as error:
+        if "is missing" not in str(error):
+            raise
+        raise RecordingError(f"{error}; --map NAME=COLUMN tells of columns with other names") from None
 
 
 def joined(tables: Sequence[MeasuredData]) -> MeasuredData:
@@ -89,6 +134,14 @@ def joined(tables: Sequence[MeasuredData]) -> MeasuredData:
         pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
         columns[name] = np.concatenate([piece.astype(str) if is_word else piece for piece in pieces])
     return MeasuredData(columns)
+
+
+def _of(name: str, data: MeasuredData, sensors: Sequence[str]) -> MeasuredData:
+    there = sorted(set(data["sensor"].tolist()))
+    unknown = [each for each in sensors if each not in there]
+    if unknown:
+        raise RecordingError(f"{name}: no readings of the sensor {unknown[0]!r}; there are some of {', '.join(there)}")
+    return data.select(np.flatnonzero(np.isin(data["sensor"], sensors)))
 
 
 def _within_limits(data: MeasuredData, sensor: SensorModel) -> tuple[MeasuredData, list[str]]:
@@ -120,6 +173,12 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
             "column, or name the column that it is in with --map true_range_cm=COLUMN"
         )
+    for column in ("air_temperature_c", "target_temperature_c"):
+        if column in data and ((data[column] < AIR_C[0]) | (data[column] > AIR_C[1])).any():
+            raise RecordingError(
+                f"{name}: found {column} of {_span(data[column][~np.isnan(data[column])])}, expected deg C from "
+                f"{AIR_C[0]:g} to {AIR_C[1]:g}. In deg F or K? --map takes a file that says so (unit: F or K)"
+            )
     answered = ~np.isnan(data["reading_cm"])
     usable = answered & ~np.isnan(data["true_range_cm"])
     if usable.sum() < LEAST_READINGS:

@@ -1,7 +1,8 @@
 """The mixture of Thrun fitted to the undisturbed readings, and how well it fits (report 5.2.1).
 
 Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
-is `msp_range.reading_model.fit`.
+is `msp_range.reading_model.fit`. Each set-up is fitted about where its own readings show that it stood: how far a tape
+was off is not the sensor's noise, and how far set-ups are from the calibration is the calibration's to say.
 """
 
 import math
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.characterise.findings import Estimate, Mixture, MixtureParameter
+from msp_range.characterise.findings import Estimate, Mixture, MixtureParameter, SetUpError
 from msp_range.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit
@@ -21,6 +22,9 @@ from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
+
+ENOUGH_HITS = 50
+"""Set-ups with fewer stay where the reference puts them: their own mean would take 2 % and more off the variance."""
 
 UNIT = {
     "sigma_cm": "cm",
@@ -58,10 +62,17 @@ def fit_mixture(
     Fitted or str
         The reason where it cannot be fitted.
     """
+    set_ups = [_set_up_error(point, calibration) for point in points]
     reading_cm = np.concatenate([point.reading_cm for point in points] or [np.empty(0)])
-    apparent_cm = np.concatenate([point.apparent_cm for point in points] or [np.empty(0)])
+    expected_cm = np.concatenate(
+        [
+            calibration.forward(point.apparent_cm) + (0.0 if set_up is None else set_up.error_cm)
+            for point, set_up in zip(points, set_ups, strict=True)
+        ]
+        or [np.empty(0)]
+    )
     answered = ~np.isnan(reading_cm)
-    reading_cm, expected_cm = reading_cm[answered], calibration.forward(apparent_cm[answered])
+    reading_cm, expected_cm = reading_cm[answered], expected_cm[answered]
     grid = ReadingGrid.of(sensor)
     if sensor.reading_model.saturated_fraction == 0.0:
         grid = replace(grid, second_no_echo_cm=None)
@@ -75,6 +86,14 @@ def fit_mixture(
     except (FitError, ValueError) as error:
         return str(error)
     notes.append(good.note)
+    moved = tuple(each for each in set_ups if each is not None)
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        notes.append(
+            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
+            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
+            "reference was off by"
+        )
     notes += [_of_bound(name) for name in result.at_bound]
     notes += [f"{name}: these readings do not say what it is; the one before is kept" for name in result.not_identified]
     found = Mixture(
@@ -85,9 +104,20 @@ def fit_mixture(
         pit_p_value=good.chi_square_p_value,
         conditional=_conditional(result, expected_cm),
         notes=tuple(notes),
+        set_ups=moved,
     )
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
     return Fitted(found, result.parameters.model_copy(update=unknown))
+
+
+def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError | None:
+    """None where it is unknown: too few hits, or a moving range, which has no set-up."""
+    mean = point.found.error
+    if mean is None or point.hits < ENOUGH_HITS or np.ptp(point.true_range_cm) > 0.0:
+        return None
+    expected_cm = float(np.mean(calibration.forward(point.apparent_cm[point.is_hit])))
+    error_cm = point.range_cm + mean.value - expected_cm
+    return SetUpError(point.condition, point.run, point.range_cm, error_cm)
 
 
 def _of_bound(name: str) -> str:
@@ -119,7 +149,7 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
         return "not tried: all readings are of one range"
     if not grown:
         return "nothing depends on range (by BIC)"
-    told = f"{' and '.join(grown)} depend on range (by BIC)"
+    told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "max_growth_per_m" not in result.estimates:
         return told
     weights = result.parameters.weights

@@ -48,7 +48,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
     Parameters
     ----------
     path
-        Where; there must be no file yet.
+        Where; there must be no file yet. Folders that are missing are made.
     sensor
         The new model, from `changed`.
     findings, changes
@@ -64,6 +64,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
     text = model_text(sensor, findings, changes, started_from)
     assert SensorModel.model_validate(yaml.safe_load(text)) == sensor, "what is written is not what was found"
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:

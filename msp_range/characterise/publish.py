@@ -26,9 +26,11 @@ def check_free(out: Path, folder: Path | None) -> None:
     taken = [out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])]
     for path in taken:
         if path.exists():
-            raise ConfigError(f"{path}: there is a file already, and none is overwritten")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: there is no folder {out.parent}")
+            there = "folder" if path.is_dir() else "file"
+            raise ConfigError(f"{path}: there is a {there} already, and none is overwritten")
+        for parent in path.parents:
+            if parent.exists() and not parent.is_dir():
+                raise ConfigError(f"{path}: {parent} is a file, expected a folder")
     missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
     if folder is not None and missing:
         raise ConfigError(f"--report needs {' and '.join(missing)}: pip install 'msp-range[lab]'; or leave it out")

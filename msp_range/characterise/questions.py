@@ -34,8 +34,12 @@ STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
 FEW_RANGES = 4
 MORE_THAN_CHANCE = 1.5
 """Variance between points, over that of chance, from which on points and not readings are counted in a share's test."""
+MOST_CM, MOST_RATIO = 100.0, 1000.0
+"""Data that would show nothing smaller than this show nothing."""
 LEAST_SCATTER_CM = 0.05
 """Equal readings at two points are no proof that set-ups never differ: the scatter is taken to be at least so much."""
+CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
+"""Experiments with two sensors, each of which has its own question; what their level is called."""
 METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
 
 _Array = NDArray[np.float64]
@@ -121,24 +125,22 @@ def questions(points: Sequence[Point]) -> tuple[Question, ...]:
 
 def _compared(name: str, topic: _Topic, points: Sequence[Point], everything: Sequence[Point]) -> Iterable[Question]:
     """One question for each level of an experiment, and for each sensor where two are at work."""
-    by_sensor = name.startswith("crosstalk")
+    by_sensor = name in CROSSTALK
     for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
         here = [p for p in points if not by_sensor or p.sensor == sensor]
         reference_level = _reference_level(name, here)
-        reference = [p for p in here if p.level == reference_level] if reference_level is not None else []
-        if not reference:
-            reference = [p for p in everything if p.condition == "baseline"]
-            own = [p for p in reference if p.sensor == sensor]
-            reference = own or reference
-        for level in dict.fromkeys(p.level for p in here if p.level != reference_level or not reference_level):
+        if reference_level is not None:
+            reference_name, reference = reference_level, [p for p in here if p.level == reference_level]
+        else:
+            reference_name, reference = _baseline(name, sensor, everything)
+        for level in dict.fromkeys(p.level for p in here if p.level != reference_level):
             varied = [p for p in here if p.level == level]
             ranges = {round(p.true_range_cm, 1) for p in varied} & {round(p.true_range_cm, 1) for p in reference}
             yield Question(
                 name=name,
                 question=topic.question,
-                level=level
-                or ("simultaneous" if name.endswith("simultaneous") else "sequential" if by_sensor else name),
-                reference=reference_level or "baseline",
+                level=level or CROSSTALK.get(name, name),
+                reference=reference_name,
                 sensor=sensor,
                 pairs=len(ranges),
                 effects=(),
@@ -150,6 +152,19 @@ def _compared(name: str, topic: _Topic, points: Sequence[Point], everything: Seq
             )
 
 
+def _baseline(name: str, sensor: str, everything: Sequence[Point]) -> tuple[str, list[Point]]:
+    """What an experiment without a level of reference is compared with: the same sensor's points, where it has some."""
+    baseline = [p for p in everything if p.condition == "baseline"]
+    own = [p for p in baseline if p.sensor == sensor]
+    if own or not sensor:
+        return "baseline", own or baseline
+    if name == "crosstalk_simultaneous":
+        waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
+        if waiting:
+            return "sequential", waiting
+    return "the baseline of another sensor", baseline
+
+
 def _reference_level(name: str, points: Sequence[Point]) -> str | None:
     """The level of the experiment itself that the others are compared with; None: the baseline."""
     levels = list(dict.fromkeys(p.level for p in points))
@@ -159,7 +174,7 @@ def _reference_level(name: str, points: Sequence[Point]) -> str | None:
         known = [(abs((p.air_temperature_c or 0.0) - 21.0), p.level) for p in points if p.air_temperature_c is not None]
         return min(known)[1] if known and min(known)[0] < 5.0 else None
     if name == "external_interference":
-        return "quiet" if "quiet" in levels else "" if "" in levels else None
+        return "quiet" if "quiet" in levels else None
     if name == "vibration":
         return next((each for each in levels if each in ("0 Hz", "")), None) if len(levels) > 1 else None
     return None
@@ -283,8 +298,15 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
         p_adjusted=different,
         bound=bound,
         verdict=verdict,
-        smallest_detectable=None if math.isinf(shown) else math.exp(min(shown, 500.0)) if is_ratio else shown,
+        smallest_detectable=_known_size(shown, is_ratio),
     )
+
+
+def _known_size(shown: float, is_ratio: bool) -> float | None:
+    """None where it is so large that the data show nothing."""
+    if is_ratio:
+        return math.exp(shown) if shown < math.log(MOST_RATIO) else None
+    return shown if shown < MOST_CM else None
 
 
 def _answered(question: Question) -> Question:
@@ -327,8 +349,10 @@ def _size(effect: Effect) -> str:
 
 
 def _doubt(effect: Effect) -> str:
-    if effect.estimate is None or effect.smallest_detectable is None:
+    if effect.estimate is None:
         return f"{effect.metric}: no two points to compare"
+    if effect.smallest_detectable is None:
+        return f"{_size(effect)}; these data could show nothing"
     return f"{_size(effect)}; these data would have shown {_amount(effect)} or more"
 
 

@@ -16,7 +16,7 @@ STYLES = {"matters": "yellow", "does not matter": "green", "cannot tell": "dim"}
 
 def show(findings: Findings, console: Console) -> None:
     """Print the results."""
-    rows = sum(each.rows for each in findings.sources)
+    rows = sum(each.readings for each in findings.points)
     table = Table(
         title=f"{findings.sensor}: {rows} readings at {len(findings.points)} points", title_justify="left", expand=False
     )

@@ -92,7 +92,13 @@ class Store:
         self._attempts: dict[str, list[Attempt]] = {}
         self._now: Attempt | None = None
         self._run = ""
-        for path in self.recordings:
+        recordings = self.recordings
+        if not recordings and (folder / READINGS_NAME).exists():
+            raise RecordingError(
+                f"{folder / READINGS_NAME}: not collected here, for there is no sitting-*.mcap beside it, and it would "
+                "be overwritten; name another folder with --out"
+            )
+        for path in recordings:
             self._recall(Recording(path))
 
     @property
@@ -183,8 +189,10 @@ class Store:
         return MeasuredData({name: _column(name, [row.get(name) for row in rows]) for name in names})
 
     def write_table(self) -> tuple[Path, int]:
-        """Write ``readings.csv`` anew; returns its path and how many rows it has."""
+        """Write ``readings.csv`` anew where anything was read; returns its path and how many rows it has."""
         path, beside = self.folder / READINGS_NAME, self.folder / f".{READINGS_NAME}.new"
+        if not self.recordings:
+            return path, 0
         data = self.readings()
         self._make_folder()
         beside.unlink(missing_ok=True)
@@ -239,7 +247,7 @@ class Store:
         name = message["point"]
         point = self._points.get(name)
         if point is None or _planned(point) != message["planned"]:
-            how = "is not in it" if point is None else f"was {message['planned']} and is now {_planned(point)}"
+            how = "is not in it" if point is None else _changed(json.loads(message["planned"]), point)
             raise RecordingError(
                 f"{path}: the campaign has changed since: point {name} {how}; go on with the campaign file of then "
                 "(msp-range collect keeps it in the recording), or name another folder with --out"
@@ -252,6 +260,13 @@ class Store:
             attempt.runs.append(message["run"])
         attempt.done |= message["event"] == "done"
         return attempt
+
+
+def _changed(before: dict[str, Any], point: Point) -> str:
+    now = json.loads(_planned(point))
+    names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    told = [f"{name} {before.get(name, 'none')}, now {now.get(name, 'none')}" for name in names]
+    return f"was changed ({'; '.join(told)})"
 
 
 def _planned(point: Point) -> str:

@@ -25,8 +25,8 @@ ROWS_MOST = 17
 """Lines of the histogram."""
 KEYS: dict[str, tuple[str, float, float]] = {
     "range": ("true_range_cm", 1.0, 2000.0),
-    "air": ("air_temperature_c", -40.0, 80.0),
-    "far": ("target_temperature_c", -40.0, 80.0),
+    "air": ("air_temperature_c", -40.0, 65.0),
+    "far": ("target_temperature_c", -40.0, 65.0),
     "humidity": ("humidity_pct", 0.0, 100.0),
     "angle": ("incidence_deg", -89.0, 89.0),
 }
@@ -75,6 +75,7 @@ class Terminal:
         self._noticed: list[str] = []
         self._next_look_s = 0.0
         self._question = ""
+        self._has_read = False
         self._last: Point | None = None
         self._planned_setup_s = self._real_setup_s = 0.0
 
@@ -100,6 +101,7 @@ class Terminal:
 
     def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
         """Draw the histogram now and then, and flag what is odd at once."""
+        self._has_read = True
         if outlier is not None:
             self._noticed.append(f"{outlier.sensor} reading {outlier.number}: {outlier.reading_cm} cm, {outlier.why}")
         elif reading.status.is_fault:
@@ -143,9 +145,15 @@ class Terminal:
         if not to_change and point.name not in self._visited:
             return Arranged(Say.GO, self._differing(point))
         self._visited.add(point.name)
-        self._ask_air(point)
+        if self._ask_air(point) is Say.STOP:
+            return Arranged(Say.STOP)
         while True:
             answer = self._ask(f"  {HELP} > ").strip().lower()
+            if answer == "r" and not self._has_read:
+                self._console.print(
+                    "  nothing was read before this; --repeat NAME reads a point of an earlier sitting again"
+                )
+                continue
             if answer in ("s", "r", "q"):
                 return Arranged({"s": Say.SKIP, "r": Say.AGAIN, "q": Say.STOP}[answer])
             wrong = self._note(point, answer)
@@ -153,20 +161,20 @@ class Terminal:
                 return Arranged(Say.GO, self._differing(point))
             self._console.print(f"  {wrong}", style="yellow", highlight=False)
 
-    def _ask_air(self, point: Point) -> None:
+    def _ask_air(self, point: Point) -> Say:
         """Ask for the air's temperature where no thermometer tells it and the plan has another one than before."""
         planned = point.columns.get("air_temperature_c")
         if self._campaign.thermometer is not None or (self._air_asked == (planned,)):
-            return
+            return Say.GO
         self._air_asked = (planned,)
         expected = "unknown" if planned is None else f"{planned:g}"
         while True:
             answer = self._ask(f"  Air at the sensor, by your thermometer \\[{expected}] deg C > ").strip().lower()
-            if not answer or answer == "q":
-                return
-            wrong = self._note(point, f"air={answer}")
+            if answer == "q":
+                return Say.STOP
+            wrong = self._note(point, f"air={answer}") if answer else None
             if wrong is None:
-                return
+                return Say.GO
             self._console.print(f"  {wrong}", style="yellow", highlight=False)
 
     def _note(self, point: Point, answer: str) -> str | None:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from msp_range.filters.base import Estimate
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
 
 START_SPEED_STD_M_S = 2.0
@@ -35,7 +36,7 @@ class KalmanParameters(Section):
     gate_sigmas: float | None = Field(4.0, gt=0)
     """readings farther from the prediction than this many standard deviations wait for a second one; null: none do"""
 
-    def make(self) -> "Kalman":
+    def make(self, sensor: SensorModel | None = None) -> "Kalman":
         """A filter in its starting state."""
         return Kalman(self)
 

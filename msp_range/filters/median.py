@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from msp_range.filters.base import Estimate
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
 
 
@@ -19,7 +20,7 @@ class MedianParameters(Section):
     window: int = Field(3, ge=1, le=999)
     """number of readings (whole number, 1 to 999)"""
 
-    def make(self) -> "Median":
+    def make(self, sensor: SensorModel | None = None) -> "Median":
         """A filter in its starting state."""
         return Median(self.window)
 

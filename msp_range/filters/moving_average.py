@@ -6,6 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from msp_range.filters.base import Estimate
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
 
 
@@ -17,7 +18,7 @@ class MovingAverageParameters(Section):
     window: int = Field(5, ge=1, le=1000)
     """number of readings (whole number, 1 to 1000)"""
 
-    def make(self) -> "MovingAverage":
+    def make(self, sensor: SensorModel | None = None) -> "MovingAverage":
         """A filter in its starting state."""
         return MovingAverage(self.window)
 

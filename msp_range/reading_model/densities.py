@@ -50,12 +50,10 @@ class Cells:
         Interval of a hit [cm].
     centre
         Expected range [cm].
-    within
-        Expected range within 0 ... maximum, on which spread and missed echoes may depend [cm].
+    maximum
+        The sensor's longest reading [cm].
     near, far, length
         Interval of the unexpected, and the length of its exponential, from the minimum on [cm].
-    count
-        How often each row was read.
     random
         Probability of a random reading's cell.
     missed
@@ -65,56 +63,41 @@ class Cells:
     lower: _Array
     upper: _Array
     centre: _Array
-    within: _Array
+    maximum: float
     near: _Array
     far: _Array
     length: _Array
-    count: _Array
     random: float | _Array
     missed: float
 
-    def __len__(self) -> int:
-        return len(self.centre)
-
-    def part(self, rows: slice) -> "Cells":
-        """A slice of the rows."""
-        return Cells(
-            self.lower[rows],
-            self.upper[rows],
-            self.centre[rows],
-            self.within[rows],
-            self.near[rows],
-            self.far[rows],
-            self.length[rows],
-            self.count[rows],
-            self.random,
-            self.missed,
-        )
+    @property
+    def within(self) -> _Array:
+        """Expected range within 0 ... maximum, on which spread and missed echoes may depend [cm]."""
+        return np.clip(self.centre, 0.0, self.maximum)
 
 
-def cells_of(grid: ReadingGrid, cell: NDArray[np.int64], expected_cm: _Array, count: _Array) -> Cells:
+def cells_of(grid: ReadingGrid, cell: NDArray[np.int64], expected_cm: _Array) -> Cells:
     """Rows of readings on the grid (`cell` from 0 on), or of the no-echo code (all `NO_ECHO`)."""
     m, r = grid.minimum_cm, grid.resolution_cm
     missed = bool(cell.size) and bool(cell[0] == NO_ECHO)
-    last = grid.cells - 1
-    unheard = ~(expected_cm < np.inf)
-    centre: _Array = np.where(unheard, UNHEARD_CM, expected_cm)
-    end = np.minimum(centre, grid.maximum_cm)
+    # fmin and not minimum: it takes NaN and infinity, a surface that is not heard, out of reach.
+    centre = np.fmin(expected_cm, UNHEARD_CM)
+    length = np.clip(centre, m, grid.maximum_cm) - m
     if missed:
-        cell = np.full(cell.size, last if grid.code_on_grid else grid.cells)
-    reading = m + r * cell
-    lower: _Array = np.where(cell == 0, -FAR_CM, reading - r / 2)
-    upper: _Array = np.full(cell.size, FAR_CM) if missed else np.asarray(reading + r / 2)
-    length = np.maximum(end - m, 0.0)
-    near = np.minimum(np.maximum(reading - r / 2 - m, 0.0), length)
-    far = np.maximum(np.minimum(reading + r / 2 - m, length), near)
+        cell = np.full(cell.size, grid.cells - 1 if grid.code_on_grid else grid.cells)
+    left = r * cell - r / 2
+    right = left + r
+    lower: _Array = np.where(cell == 0, -FAR_CM, left + m)
+    upper: _Array = np.where(missed, FAR_CM, right + m)
+    near = np.clip(left, 0.0, length)
+    far = np.clip(right, near, length)
     # An exponential without a length is all in the first cell: one that ends far away and has fallen off long before.
     none = length == 0.0
-    near[none] = np.where(cell[none] == 0, 0.0, FAR_CM)
-    far[none] = length[none] = FAR_CM
-    within = np.clip(centre, 0.0, grid.maximum_cm)
+    if none.any():
+        near[none] = np.where(cell[none] == 0, 0.0, FAR_CM)
+        far[none] = length[none] = FAR_CM
     random = 0.0 if missed and not grid.code_on_grid else 1.0 / grid.cells
-    return Cells(lower, upper, centre, within, near, far, length, count, random, float(missed))
+    return Cells(lower, upper, centre, grid.maximum_cm, near, far, length, random, float(missed))
 
 
 class Terms:
@@ -250,11 +233,11 @@ def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected
 
     Codes have their place among the readings by their number.
     """
-    cell, count = grid.cell(reading_cm), np.ones(reading_cm.size)
+    cell = grid.cell(reading_cm)
     second_cm, share = grid.second_no_echo_cm, theta[S] if grid.second_no_echo_cm is not None else 0.0
     free = optional([number for number in (V, G) if theta[number] != 0.0])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-        missed = Terms(cells_of(grid, np.full_like(cell, NO_ECHO), expected_cm, count), theta, free).q
+        missed = Terms(cells_of(grid, np.full_like(cell, NO_ECHO), expected_cm), theta, free).q
         # The grid's own readings up to a place, which is between two of its cells also for a code outside of it.
         on_grid = grid.cells - 1 if grid.code_on_grid else grid.cells
         place = np.ceil((reading_cm - grid.minimum_cm) / grid.resolution_cm - 0.5)
@@ -263,7 +246,7 @@ def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected
         own = np.where(cell == SECOND_NO_ECHO, -1 if grid.second_cell is None else grid.second_cell, cell)
         itself = np.zeros(reading_cm.size)
         ordinary = own >= 0
-        of_own = cells_of(grid, own[ordinary], expected_cm[ordinary], count[ordinary])
+        of_own = cells_of(grid, own[ordinary], expected_cm[ordinary])
         itself[ordinary] = Terms(of_own, theta, free).q
     below += np.where(reading_cm > grid.code_cm, (1.0 - share) * missed, 0.0)
     itself += np.where(cell == NO_ECHO, (1.0 - share) * missed, 0.0)
@@ -279,7 +262,7 @@ def _up_to(
 ) -> _Array:
     """Probability of the cells from the first to `cell`, without those of the codes."""
     cell = np.maximum(cell, 0)
-    cells = cells_of(grid, cell, expected_cm, np.ones(cell.size))
+    cells = cells_of(grid, cell, expected_cm)
     none = cells.length >= FAR_CM
     near = np.zeros(cell.size)
     wide = replace(

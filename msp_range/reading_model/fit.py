@@ -204,8 +204,10 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
     best: Optimum | None = None
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
-    for share, sigmas in ((0.5, 0.674), (0.2, 0.524)):
-        sigma = max(_quantile(distance, weight, share) / sigmas, 0.3 * rows.grid.resolution_cm)
+    # Readings that hardly differ tell little about a sigma of less than a step: one that is small and one of a step.
+    step_cm = rows.grid.resolution_cm
+    for share, sigmas, least in ((0.5, 0.674, step_cm), (0.2, 0.524, 0.3 * step_cm)):
+        sigma = max(_quantile(distance, weight, share) / sigmas, least)
         shorter = float(weight[error - theta[mix.O] < -4.0 * sigma].sum() / weight.sum())
         longer = float(weight[error - theta[mix.O] > 4.0 * sigma].sum() / weight.sum())
         for per_length in (0.5, 5.0):

@@ -47,6 +47,7 @@ BOUNDS = Bounds(
     lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -1.0, -1e4, 0.1]),
     upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, 1.0, 1e4, 10.0]),
     stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01, 20.0, 0.2]),
+    relative=np.arange(len(mix.NAMES)) == mix.L,
 )
 _SHARES = frozenset({"hit", "unexpected", "max", "random", "saturated_fraction"})
 
@@ -143,13 +144,16 @@ class FitResult:
 
         From the standard error, on the scale of log odds (weights and fraction) or of the logarithm (sigma, lambda);
         within four standard errors of a bound from the profile of the likelihood, which refits the others at every
-        step. All that the parameter can be, where it is not identified.
+        step. All that the parameter can be, where it is not identified; the value twice, where it was not fitted, as
+        the fraction of a sensor without a second code.
         """
         if name not in self.estimates:
             raise ValueError(f"found {name!r}, expected one of {', '.join(self.estimates)}")
         value, error = self.estimates[name], self.standard_errors[name]
         if name == "hit":
             return _share_interval(value, error, level, self.readings)
+        if _NUMBERS[name] not in self._moving:
+            return value, value
         low, high = _ends(name)
         if name in self.not_identified:
             return low, high
@@ -333,6 +337,7 @@ def _share_interval(share: float, error: float, level: float, readings: int) -> 
         gain = xlogy(share, share) + xlogy(missing, missing) - xlogy(share, other) - xlog1py(missing, -other)
         return float(trials * gain - drop)
 
-    low = float(brentq(excess, 1e-12, share)) if share > 0.0 else 0.0
-    high = float(brentq(excess, share, 1.0 - 1e-12)) if share < 1.0 - 1e-12 and excess(1.0 - 1e-12) > 0.0 else 1.0
+    lowest, highest = 1e-12, 1.0 - 1e-12
+    low = float(brentq(excess, lowest, share)) if share > lowest and excess(lowest) > 0.0 else 0.0
+    high = float(brentq(excess, share, highest)) if share < highest and excess(highest) > 0.0 else 1.0
     return low, high

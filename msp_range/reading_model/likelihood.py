@@ -6,17 +6,32 @@ parameters enters, and the sum of the logarithms of the readings' probabilities 
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.densities import FAR_CM, NAMES, UNHEARD_CM, Cells, S, Terms, cells_of
+from msp_range.reading_model.densities import NAMES, S, Terms, cells_of
 from msp_range.reading_model.grid import NO_ECHO, SECOND_NO_ECHO, ReadingGrid
 
 _Array = NDArray[np.float64]
 
 CHUNK = 1 << 13
 """Rows worked on at a time: what they need stays in the processor's cache."""
+
+
+class _Kind(NamedTuple):
+    """Rows of one kind."""
+
+    cell: NDArray[np.int64]
+    expected_cm: _Array
+    times: _Array
+
+    def chunks(self) -> "Iterator[_Kind]":
+        """A part of the rows at a time."""
+        for start in range(0, self.cell.size, CHUNK):
+            rows = slice(start, start + CHUNK)
+            yield _Kind(self.cell[rows], self.expected_cm[rows], self.times[rows])
 
 
 class Likelihood:
@@ -35,17 +50,11 @@ class Likelihood:
         self.readings = float(count.sum())
         self.rows = cell.size
         self._cell, self._expected_cm, self._count = cell, expected_cm, count
-        ordinary, missed, second = cell >= 0, cell == NO_ECHO, cell == SECOND_NO_ECHO
-        self._ordinary = cells_of(grid, cell[ordinary], expected_cm[ordinary], count[ordinary])
-        self._missed = cells_of(grid, cell[missed], expected_cm[missed], count[missed])
-        of_second = cell[second]
-        self._second = cells_of(grid, np.full_like(of_second, NO_ECHO), expected_cm[second], count[second])
-        self._second_own: Cells | None = None
-        if grid.second_cell is not None:
-            own = np.full_like(of_second, grid.second_cell)
-            self._second_own = cells_of(grid, own, expected_cm[second], count[second])
-        self.no_echoes = float(count[missed].sum())
-        self.second_codes = float(count[second].sum())
+        self._ordinary, self._missed, self._second = (
+            _Kind(cell[rows], expected_cm[rows], count[rows])
+            for rows in (cell >= 0, cell == NO_ECHO, cell == SECOND_NO_ECHO)
+        )
+        self.no_echoes = float(self._missed.times.sum())
 
     @property
     def ranges_cm(self) -> tuple[float, float]:
@@ -56,16 +65,17 @@ class Likelihood:
     @property
     def mean_length_cm(self) -> float:
         """Mean of the ranges beyond the minimum, where the reading is one [cm]."""
-        length = np.where(self._ordinary.length < FAR_CM, self._ordinary.length, 0.0)
-        return max(float(np.average(length, weights=self._ordinary.count)), self.grid.resolution_cm)
+        end_cm = np.minimum(self._ordinary.expected_cm, self.grid.maximum_cm)
+        length_cm = np.maximum(end_cm - self.grid.minimum_cm, 0.0)
+        return max(float(np.average(length_cm, weights=self._ordinary.times)), self.grid.resolution_cm)
 
     def errors(self) -> tuple[_Array, _Array]:
-        """Reading less expected range, where both are ranges [cm], and how often."""
-        heard = self._ordinary.centre < UNHEARD_CM
-        cells = np.flatnonzero(self._cell >= 0)[heard]
-        reading_cm = self.grid.minimum_cm + self.grid.resolution_cm * self._cell[cells]
-        expected_cm = self._expected_cm[cells]
-        return reading_cm - expected_cm, self._count[cells]
+        """Reading less expected range, where both can be ranges [cm], and how often."""
+        second = -1 if self.grid.second_cell is None else self.grid.second_cell
+        cell = np.where(self._cell == SECOND_NO_ECHO, second, self._cell)
+        rows = (cell >= 0) & (self._expected_cm < np.inf)
+        reading_cm = self.grid.minimum_cm + self.grid.resolution_cm * cell[rows]
+        return reading_cm - self._expected_cm[rows], self._count[rows]
 
     def part(self, every: int) -> "Likelihood":
         """That of every so many-th row."""
@@ -76,42 +86,42 @@ class Likelihood:
         """Value, gradient (k,) and Hessian (k, k) at `theta` (k,).
 
         The parameters from sigma_growth on have zeros where they are not in `free`. The value is -inf, and the others
-        are zero, where a reading has no probability.
+        are zero, where a reading has no probability, or one so small that its derivatives are no numbers.
         """
         value, gradient, hessian = 0.0, np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-            for cells in _chunks(self._ordinary):
-                value += _add(Terms(cells, theta, free), cells.count, gradient, hessian)
-            for cells in _chunks(self._missed):
-                value += _add(Terms(cells, theta, free), cells.count, gradient, hessian)
+            for kind in (*self._ordinary.chunks(), *self._missed.chunks()):
+                terms = Terms(cells_of(self.grid, kind.cell, kind.expected_cm), theta, free)
+                value += _add(terms, kind.times, gradient, hessian)
             if self.no_echoes:
                 first = 1.0 - theta[S]
                 value += self.no_echoes * (math.log(first) if first > 0.0 else -math.inf)
                 gradient[S] -= self.no_echoes / first if first > 0.0 else 0.0
                 hessian[S, S] -= self.no_echoes / first**2 if first > 0.0 else 0.0
-            for rows in _slices(len(self._second)):
-                value += self._add_second_code(rows, theta, free, gradient, hessian)
-        if not math.isfinite(value):
+            for kind in self._second.chunks():
+                value += self._add_second_code(kind, theta, free, gradient, hessian)
+        if not (math.isfinite(value) and np.isfinite(gradient).all() and np.isfinite(hessian).all()):
             return -math.inf, np.zeros_like(gradient), np.zeros_like(hessian)
         lower = np.tril_indices(len(NAMES), -1)
         hessian[lower] = hessian.T[lower]
         return value, gradient, hessian
 
     def _add_second_code(
-        self, rows: slice, theta: _Array, free: frozenset[int], gradient: _Array, hessian: _Array
+        self, kind: "_Kind", theta: _Array, free: frozenset[int], gradient: _Array, hessian: _Array
     ) -> float:
         """Readings of the second code: p = q(its own cell) + s q(no echo)."""
-        missed = Terms(self._second.part(rows), theta, free)
-        count = missed.cells.count
+        cell, expected_cm, count = kind
+        missed = Terms(cells_of(self.grid, np.full_like(cell, NO_ECHO), expected_cm), theta, free)
         p = theta[S] * missed.q
-        first = {i: theta[S] * each for i, each in missed.first()}
+        by_missed = dict(missed.first())
+        first = {i: theta[S] * each for i, each in by_missed.items()}
         own = None
-        if self._second_own is not None:
-            own = Terms(self._second_own.part(rows), theta, free)
+        if self.grid.second_cell is not None:
+            own_cell = np.full_like(cell, self.grid.second_cell)
+            own = Terms(cells_of(self.grid, own_cell, expected_cm), theta, free)
             p = p + own.q
             for i, each in own.first():
                 first[i] = first[i] + each
-        by_missed = dict(missed.first())
         first[S] = missed.q
         weight = count / p
         _add_first(list(first.items()), p, count, gradient, hessian)
@@ -141,11 +151,3 @@ def _add_first(first: list[tuple[int, _Array]], q: _Array, count: _Array, gradie
     products = np.zeros_like(hessian)
     products[np.ix_(order, order)] = weighted @ rows.T
     hessian -= np.triu(products)
-
-
-def _slices(rows: int) -> Iterator[slice]:
-    return (slice(start, start + CHUNK) for start in range(0, rows, CHUNK))
-
-
-def _chunks(cells: Cells) -> Iterator[Cells]:
-    return (cells.part(rows) for rows in _slices(len(cells)))

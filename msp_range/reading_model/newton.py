@@ -19,10 +19,12 @@ Derivatives = Callable[[_Array], tuple[float, _Array, _Array]]
 
 GAIN = 1e-3
 """The last step gains less than this in log-likelihood: it is at most 4 % of a standard error long, and what it leaves
-is of the order of its square. It may gain 50 times as much where the steps before say that it leaves next to nothing.
+is of the order of its square. It may gain 1000 times as much where the step before says that it leaves next to nothing.
 """
 ITERATIONS = 200
 HALVINGS = 30
+_RIDGE = 0.1
+"""A parameter on which nothing depends steps as if it were known to ten of its longest steps: not to infinity."""
 _FLATTEST = 1e-9
 """Smallest curvature that is believed, of a Hessian scaled to a diagonal of one."""
 
@@ -63,11 +65,18 @@ class Bounds:
         The bounds themselves.
     stride
         Longest step of one iteration.
+    relative
+        Whether half of the parameter itself is allowed where that is longer.
     """
 
     lower: _Array
     upper: _Array
     stride: _Array
+    relative: NDArray[np.bool_]
+
+    def longest(self, theta: _Array) -> _Array:
+        """Longest step of each parameter from here."""
+        return np.where(self.relative, np.maximum(self.stride, 0.5 * np.abs(theta)), self.stride)
 
 
 def maximise(
@@ -92,15 +101,16 @@ def maximise(
         up = (theta >= bounds.upper) & (gradient >= 0.0)
         inside = numbers[~(down | up)[numbers]]
         step = np.zeros_like(theta)
-        step[inside] = _newton(gradient[inside], hessian[np.ix_(inside, inside)])
+        ridge = np.diag((_RIDGE / bounds.longest(theta)[inside]) ** 2)
+        step[inside] = _newton(gradient[inside], hessian[np.ix_(inside, inside)] - ridge)
         left = 0.5 * float(gradient @ step)
         # Errors are squared from step to step, so that gains go as 1, c, c^3: the one after this is left^3 / before^2.
-        if left < gain or (left < 50.0 * gain and left**3 < 1e-3 * gain * before**2):
+        if left < gain or (left < 1e3 * gain and left**3 < 1e-3 * gain * before**2):
             # The last step is taken unseen: there is nothing to see in it.
             last = np.clip(theta + step, bounds.lower, bounds.upper)
             return Optimum(last, value + left, gradient, hessian, tuple(inside.tolist()), iteration)
         before = left
-        longest = float((np.abs(step) / bounds.stride).max())
+        longest = float((np.abs(step) / bounds.longest(theta)).max())
         step /= max(longest, 1.0)
         for _ in range(HALVINGS):
             trial = np.where(step == 0.0, theta, np.clip(theta + step, bounds.lower, bounds.upper))
@@ -151,16 +161,21 @@ def profile_limit(
     bound = bounds.upper[number] if step > 0.0 else bounds.lower[number]
     centre = float(best.theta[number])
 
+    # Asked for twice, a place must give the same answer; the climb there depends on where the last one ended.
+    known = {centre: -drop}
+
     def excess(value: float) -> float:
         nonlocal start
-        theta = np.array(start)
-        theta[number] = value
-        try:
-            found = maximise(derivatives, theta, others, bounds, gain=1e-4)
-        except NotConvergedError:
-            return math.inf
-        start = found.theta
-        return best.value - found.value - drop
+        if value not in known:
+            theta = np.array(start)
+            theta[number] = value
+            try:
+                found = maximise(derivatives, theta, others, bounds, gain=1e-4)
+                start = found.theta
+                known[value] = best.value - found.value - drop
+            except NotConvergedError:
+                known[value] = math.inf
+        return known[value]
 
     near, far, at_far = centre, centre + step, -math.inf
     for _ in range(60):
@@ -189,7 +204,6 @@ def _newton(gradient: _Array, hessian: _Array) -> _Array:
     if not gradient.size:
         return gradient
     scale = np.sqrt(np.abs(np.diag(hessian)))
-    scale[scale == 0.0] = 1.0
     curvature, axes = np.linalg.eigh(-hessian / np.outer(scale, scale))
     curvature = np.maximum(np.abs(curvature), _FLATTEST)
     step: _Array = axes @ ((axes.T @ (gradient / scale)) / curvature) / scale

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from msp_range.bus.replay import RecordedPing
+from msp_range.fusion.attitude import Angles
 from msp_range.reading import Status
 from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
-from msp_range.recording.topics import RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
 from msp_range.sensors.polling import POLL_INTERVAL_S
 
@@ -65,6 +66,23 @@ def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tupl
     known = ~np.isnan(data["air_temperature_c"])
     pairs = zip(data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist(), strict=True)
     return sorted(pairs)
+
+
+def recorded_attitudes(path: Path | str) -> list[Angles]:
+    """Attitudes that the autopilot sent, by time; none in a CSV file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    if not is_recording(path):
+        return []
+    return [
+        Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"])
+        for topic, _, message in Recording(path)
+        if topic == ATTITUDE_TOPIC
+    ]
 
 
 def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:

@@ -1,7 +1,7 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
-``/truth/<sensor>``; the rest are ``/fused``, ``/mavlink/sent``, ``/health`` and ``/campaign``. No key is
+``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health`` and ``/campaign``. No key is
 required: one that is absent is unknown. Every property has one plain type, because Foxglove and Lichtblick refuse
 schemas with unions and with null.
 """
@@ -20,6 +20,7 @@ _MAVLINK = {
 
 _PropertyTable = dict[str, tuple[str, str]]
 
+ATTITUDE_TOPIC = "/attitude"
 RANGE_PREFIX = "/range/"
 _RANGE: tuple[str, _PropertyTable] = (
     "one ranging of a sensor, and what became of it stage by stage",
@@ -43,11 +44,24 @@ _RANGE: tuple[str, _PropertyTable] = (
 
 TOPICS: dict[str, tuple[str, _PropertyTable]] = {
     "/fused": (
-        "height from all downward sensors",
+        "the ground from all downward sensors",
         {
             "time_s": _TIME_S,
-            "range_m": ("number", "fused distance [m]"),
+            "range_m": ("number", "distance along the vehicle's down axis [m]"),
             "variance_m2": ("number", "variance of its error [m^2]"),
+            "height_m": ("number", "height above the plane of the ground, straight up [m]"),
+            "climb_m_s": ("number", "how fast that grows [m/s]"),
+            "rise_north": ("number", "rise of the ground per metre north; forward where the attitude is not known"),
+            "rise_east": ("number", "rise of the ground per metre east; right where the attitude is not known"),
+        },
+    ),
+    ATTITUDE_TOPIC: (
+        "how the vehicle is turned, as the autopilot says",
+        {
+            "time_s": ("number", "when it was heard, on the bridge's clock [s]"),
+            "roll_rad": ("number", "Euler angles, intrinsic yaw, pitch, roll [rad]"),
+            "pitch_rad": ("number", "see roll_rad [rad]"),
+            "yaw_rad": ("number", "see roll_rad [rad]"),
         },
     ),
     "/mavlink/sent": ("a MAVLink message that went out", _MAVLINK),

@@ -384,6 +384,50 @@ def _collect_flights(campaign_file: Path, out: Path, model: Path | None, seed: i
     print(f"{table}: {rows} readings of {len(scenarios)} flights")
 
 
+@app.command()
+@tell_mistakes
+def filters(
+    table: Annotated[
+        Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=10, max=5000, help="runs of each scenario that filters are compared on")
+    ] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    out: Annotated[Path | None, typer.Option(help="folder for figures 5.7-5.15 and the tables as CSV and JSON")] = None,
+) -> None:
+    """The report's filter study: its nine filters in its three scenarios, what explains its rows, and a better filter.
+
+    Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
+    an implementation must have done otherwise to get it, or says what was tried.
+    """
+    from rich.console import Console
+
+    from msp_sim.filter_study.explain import explain
+    from msp_sim.filter_study.goals import goals
+    from msp_sim.filter_study.publish import publish
+    from msp_sim.filter_study.show import print_explanations, print_goals, print_tables
+    from msp_sim.filter_study.study import delays, study
+    from msp_sim.filter_study.table import read_table, report_table
+
+    rows = report_table() if table is None else read_table(table)
+    if out is not None:
+        make_folder(out)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    with console.status("comparing filters"):
+        results = study(seeds, seed)
+    with console.status("explaining the table"):
+        reverse, verdicts = explain(rows)
+    print_tables(console, verdicts, delays(results))
+    print_explanations(console, reverse, verdicts)
+    print_goals(console, goals(results))
+    if out is not None:
+        for path in publish(out, results, reverse, verdicts, seed):
+            print(f"written: {path}")
+
+
 Out = Annotated[Path, typer.Option(metavar="DIR", help="folder for gap.json, model.yaml, report.html and pictures")]
 OutArgument = Annotated[Path, typer.Argument(metavar="DIR", help="folder that 'msp-sim compare' or 'gap' made")]
 Measured = Annotated[

@@ -38,6 +38,8 @@ RUN = "flight"
 """Run of the readings of a simulated flight: one session."""
 LEVEL_M = 0.15
 """Where the ground below the sensors differs by more than this, one fused distance has no truth to compare with [m]."""
+EDGE_S = 0.5
+"""Nor has it for a round of the sensors after the ground below the vehicle's middle has changed by as much [s]."""
 
 
 KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, float]], None]
@@ -134,13 +136,18 @@ def emulated_bus(
 
 @dataclass(slots=True)
 class Track:
-    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value."""
+    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value.
+
+    ``below_m`` is the distance from the fused stream's reference point along the vehicle's down axis at that time: None
+    for sensors that look elsewhere, and where the ground differs from sensor to sensor.
+    """
 
     time_s: list[float] = field(default_factory=list)
     truth_m: list[float | None] = field(default_factory=list)
     raw_m: list[float | None] = field(default_factory=list)
     filtered_m: list[float | None] = field(default_factory=list)
     why: list[str | None] = field(default_factory=list)
+    below_m: list[float | None] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -208,6 +215,8 @@ class FlightLog:
         self._recorder = recorder
         self._truths: dict[str, Ping] = {}
         self._steps_m: dict[str, float] = {}
+        self._below_m: float | None = None
+        self._edge_s = float("-inf")
 
     def keep_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
         """Note what a ping met, at a time of the flight [s], and further context."""
@@ -233,14 +242,26 @@ class FlightLog:
         track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
         at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
         track.why.append(step.filtered.rejected or at_minimum)
+        if reading.sensor not in self._downward:
+            track.below_m.append(None)
+            return
+        below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
+        truth_m = None if below_m is None else below_m - self._reference_down_m
+        is_edge = below_m is None or self._is_edge(time_s, below_m)
+        track.below_m.append(None if is_edge else truth_m)
         if step.fused is not None:
-            below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
             fused = self.flight.fused
             fused.time_s.append(time_s)
-            fused.truth_m.append(None if below_m is None else below_m - self._reference_down_m)
+            fused.truth_m.append(truth_m)
             fused.filtered_m.append(step.fused.range_m)
-            level = all(abs(step_m) <= LEVEL_M for step_m in self._steps_m.values())
-            fused.why.append(None if below_m is not None and level else "edge")
+            fused.why.append("edge" if is_edge else None)
+            fused.below_m.append(None if is_edge else truth_m)
+
+    def _is_edge(self, time_s: float, below_m: float) -> bool:
+        if self._below_m is not None and abs(below_m - self._below_m) > LEVEL_M:
+            self._edge_s = time_s
+        self._below_m = below_m
+        return time_s - self._edge_s < EDGE_S or any(abs(step_m) > LEVEL_M for step_m in self._steps_m.values())
 
     def note(self, time_s: float, severity: Severity, text: str) -> None:
         """Note a change of health, at a time of the flight [s]."""

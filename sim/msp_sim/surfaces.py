@@ -26,6 +26,9 @@ TOUCH_M = 1e-6
 """A point that is no deeper in a surface than this stands on it [m]."""
 MOST_STEPS = 50
 """An edge that touches the beam's limit is followed along it for so many steps."""
+WAVES = 24
+"""Waves that make up a rough surface."""
+GOLDEN_ANGLE_RAD = math.pi * (3 - math.sqrt(5))
 PARALLEL = 1e-12
 """Below this a quadratic is taken for linear."""
 
@@ -59,11 +62,22 @@ class Box(Section):
     """how it is turned, from north to east [deg]"""
 
 
+class Roughness(Section):
+    """Tufts and hollows of a surface, which stay where they are."""
+
+    rms_m: Annotated[float, Field(gt=0, le=0.2)]
+    """root mean square of their heights over the mean surface, which is what heights above ground count from [m]"""
+    length_m: Annotated[float, Field(gt=0, le=10)] = 0.3
+    """typical distance from one tuft to the next [m]"""
+
+
 class Ground(Section):
     """What lies and stands below."""
 
     surface: str = "grass"
     """name of the surface before the first step"""
+    rough: dict[str, Roughness] = Field(default_factory=dict)
+    """how rough surfaces are, by name; the others, and the tops of boxes, are smooth"""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """how steeply the ground rises [deg]"""
     uphill_deg: float = 0.0
@@ -169,6 +183,26 @@ def _cone_ends(on_axis: float, axis_along: float, square: float, across: float, 
     return ((-b - root) / a, (-b + root) / a)
 
 
+class Tufts:
+    """Heights of a rough surface over its mean: a sum of waves of all directions, the same whenever it is asked.
+
+    Directions and phases are spread evenly (golden angle), not drawn: the roughness is part of the scenario.
+    """
+
+    def __init__(self, roughness: Roughness) -> None:
+        self._scale_m = roughness.rms_m * math.sqrt(2 / WAVES)
+        self._waves = []
+        for i in range(WAVES):
+            # From 0.7 to 1.4 waves in a length.
+            number = 2 * math.pi / roughness.length_m * 0.7 * 2 ** (i % 5 / 4)
+            angle = i * GOLDEN_ANGLE_RAD
+            self._waves.append((number * math.cos(angle), number * math.sin(angle), i * i * GOLDEN_ANGLE_RAD))
+
+    def height_m(self, north_m: float, east_m: float) -> float:
+        """Over the mean surface [m]."""
+        return self._scale_m * sum([math.cos(kn * north_m + ke * east_m + phase) for kn, ke, phase in self._waves])
+
+
 class _Wall(NamedTuple):
     """The upright face of a step: its distance along the steps' heading, and the rises at its foot and its lip [m].
     ``up`` is 1 where the ground is higher beyond it, -1 where it is lower; the surface is that of the higher side."""
@@ -199,6 +233,7 @@ class Terrain:
         grade_across = self._grade_e * self._heading_n - self._grade_n * self._heading_e
         length = math.hypot(1.0, grade_across)
         self._lip = (-self._heading_e / length, self._heading_n / length, -grade_across / length)
+        self._tufts = {name: Tufts(roughness) for name, roughness in ground.rough.items()}
         starts_m = [-math.inf, *(step.at_m for step in ground.steps)]
         rises_m, surfaces = [0.0], [ground.surface]
         self._walls = []
@@ -231,6 +266,9 @@ class Terrain:
         for start_m, end_m, rise_m, surface in self._strips:
             range_m = (base_m - rise_m) * self._cos_slope
             if start_m <= x + range_m * into_along < end_m:
+                if surface in self._tufts:
+                    foot = sensor[0] + range_m * self._into[0], sensor[1] + range_m * self._into[1]
+                    range_m -= self._tufts[surface].height_m(*foot) * self._cos_slope
                 flat = face_echo(max(range_m, 0.0), self._into, axis, half_angle_rad)
                 if flat:
                     yield Echo(*flat, surface, None)

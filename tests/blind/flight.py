@@ -21,8 +21,15 @@ Columns = dict[str, NDArray[np.generic]]
 Regime = Literal["iid", "ar1", "run_offsets", "whole_centimetres", "drifting", "heavy_outliers"]
 REGIMES: tuple[Regime, ...] = ("iid", "ar1", "run_offsets", "whole_centimetres", "drifting", "heavy_outliers")
 
-STRONG = Receiver(level_db=117.5, late_s=15e-6)
-"""A ping 18 dB louder than the report's, so that level hardly matters unless something takes the echo away."""
+STRONG = Receiver(
+    level_db=120.5,
+    rise_s=20e-6,
+    late_s=6e-6,
+    threshold_range_cm=(20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0, 450.0, 765.0),
+    threshold_db=(100.9, 95.6, 92.1, 87.9, 84.7, 79.8, 75.9, 72.5, 69.5, 66.8, 64.2, 61.8, 61.8),
+)
+"""A louder sensor than the report's, whose gain follows the level of a wall's echo: 27 dB to spare at all ranges up to
+4.5 m, so that level hardly matters unless something takes the echo away."""
 
 SENSORS = ("front", "rear")
 TARGETS = ("asphalt", "concrete", "grass")

@@ -122,9 +122,11 @@ def _bent_counter(flight: Flight, size_pct: float, rng: np.random.Generator) -> 
     flight.ping.range_m = flight.ping.range_m + 0.01 * size_pct * np.maximum(flight.ping.range_m - 2.07, 0.0)
 
 
-def _weak_ping(flight: Flight, size_db: float, rng: np.random.Generator) -> None:
-    """Water on the transducer: a weaker ping is found later on its rise, most where its echo is weak anyway."""
-    flight.ping.reflection_db = flight.ping.reflection_db - size_db
+def _stuck_gain(flight: Flight, share: float, rng: np.random.Generator) -> None:
+    """A gain that follows the falling level only in part: a far echo is found later on its rise."""
+    ping = flight.ping
+    fall_db = 20.0 * np.log10(np.maximum(ping.range_m, 0.2)) + 2.8 * (ping.range_m - 1.0)
+    ping.reflection_db = ping.reflection_db - share * fall_db
 
 
 def _second_lobe(flight: Flight, share: float, rng: np.random.Generator) -> None:
@@ -333,7 +335,7 @@ KNOWN: dict[str, Mechanism] = {
     "rough_ground": Mechanism(_rough_ground, 0.3, 1.0),
     "cold_start": Mechanism(_cold_start, 0.5),
     "bent_counter": Mechanism(_bent_counter, 0.3),
-    "weak_ping": Mechanism(_weak_ping, 12.0, 17.0),
+    "stuck_gain": Mechanism(_stuck_gain, 1.0, 1.3),
     "second_lobe": Mechanism(_second_lobe, 0.02, 1.0, place_cm=lambda f: f.number("true_range_cm") + 9.9),
     "turbulent_air": Mechanism(_turbulent_air, 1.0),
     "gravel": Mechanism(_gravel, 0.4),

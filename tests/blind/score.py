@@ -43,7 +43,7 @@ class Outcome:
     found_unknown
         Called unknown, with the right channel and variable.
     resolved_wrongly
-        Of a confounded pair: the wrong one, and not as one of two.
+        A name is given, alone or with others, and what is hidden is not among them.
     experiment
         An experiment is named that would tell the two apart.
     class_sizes
@@ -78,9 +78,7 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
     wrong = tuple(sorted(str(said[k]["name"]) for k in free))
     known = [accepted for accepted in wanted if accepted]
     found_unknown = any(_fits(each, entry) for each in answer["hidden"] for entry in unknown)
-    resolved_wrongly = any(
-        len(each) == 1 and not any(each & accepted for accepted in wanted) for each in classes
-    ) and bool(classes)
+    resolved_wrongly = any(not any(each & accepted for accepted in wanted) for each in classes)
     return Outcome(
         exact=met == len(known) == len(wanted) and not wrong and not unknown,
         named=bool(said),

@@ -200,7 +200,7 @@ def _cross(one: Array, other: Array, about_mean: bool = True) -> float:
 def _classes(reading_cm: Array, error_cm: Array, place_cm: Array | None) -> list[tuple[Array, bool]]:
     """Readings of each class, and whether the base has a parameter for its share."""
     reading = reading_cm.reshape(error_cm.shape)
-    hit = (np.abs(error_cm) < HIT_CM) & (reading != 255.0)
+    hit = np.abs(error_cm) < HIT_CM
     rest = ~hit & (reading < 765.0)
     classes = [(reading == 765.0, True), (reading > 765.0, False)]
     for there, in_base in (

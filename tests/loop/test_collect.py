@@ -273,7 +273,7 @@ def test_a_folder_of_another_campaign_bench_or_seed_is_refused(tmp_path: Path) -
     Collected(campaign(tmp_path), tmp_path / "out").go(after(5))
     with pytest.raises(RecordingError, match=r"seed 1, and this is .* seed 2"):
         Collected(campaign(tmp_path), tmp_path / "out", seed=2)
-    with pytest.raises(RecordingError, match=r"point baseline-60cm was .*; go on with the campaign file of then"):
+    with pytest.raises(RecordingError, match=r"point baseline-60cm was changed \(readings 30, now 50\); go on with"):
         Collected(campaign(tmp_path, condition(readings=50)), tmp_path / "out")
     with pytest.raises(RecordingError, match="point baseline-60cm is not in it"):
         Collected(campaign(tmp_path, condition(ranges_cm=[80])), tmp_path / "out")

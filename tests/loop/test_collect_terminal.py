@@ -101,7 +101,7 @@ def test_what_is_measured_otherwise_holds_until_the_plan_changes(tmp_path: Path)
         ("rang=60", "expected one of range=, air=, far=, humidity=, angle=, or Enter, s, r, q"),
         ("range=far", "expected a number after range="),
         ("range=", "expected a number after range="),
-        ("air=200", "expected -40 to 80"),
+        ("air=200", "expected -40 to 65"),
         ("range=60.4 what", "'what'"),
     ],
 )
@@ -226,3 +226,43 @@ def test_a_bench_of_emulated_sensors_is_no_bench(tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert "collected from the simulator" in result.output
     assert len(result.output.strip().splitlines()) == 1
+
+
+def test_without_a_bus_nobody_sets_anything_up(tmp_path: Path) -> None:
+    args = ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out"), "--bus", str(tmp_path / "i2c-1")]
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == 3
+    assert "i2c-1: cannot be opened: No such file or directory" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_table_that_was_not_collected_here_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/readings.csv").write_text("mine", encoding="utf-8")
+    result = CliRunner().invoke(app, ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 3
+    assert "not collected here" in result.output
+    assert (tmp_path / "out/readings.csv").read_text(encoding="utf-8") == "mine"
+
+
+def test_before_the_first_point_there_is_none_to_read_again(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, condition(ranges_cm=[60]), answers=["", "r", "q"])
+    bench.collected.go(bench.person)
+    assert "nothing was read before this" in bench.screen.getvalue()
+    assert bench.done() == [False]
+    assert not bench.collected.store.recordings
+
+
+def test_stopping_at_the_question_for_the_air_stops(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, condition(ranges_cm=[60]), answers=["q"])
+    bench.collected.go(bench.person)
+    assert len(bench.asked) == 1
+    assert not bench.collected.store.recordings
+
+
+def test_the_plan_of_flights_asks_nothing(tmp_path: Path) -> None:
+    args = ["collect", str(CONFIGS / "campaigns/flight.yaml"), "--out", str(tmp_path / "out"), "--plan"]
+    result = CliRunner().invoke(app, args, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "The recording" not in result.output
+    assert "The reference" in result.output

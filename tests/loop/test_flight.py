@@ -100,8 +100,10 @@ def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) ->
     """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
     flight, _ = demo
     summary = summarise(flight, "demo", 1)["fused"]
-    assert summary["rate_hz"] == pytest.approx(10.0, rel=0.01)
-    assert summary["error"]["p95_cm"] < 5.0
+    # Where two readings in a row agree on another height than the ground's, nothing is told: a step or an object.
+    assert summary["rate_hz"] == pytest.approx(10.0, rel=0.02)
+    assert summary["error"]["p95_cm"] < 3.5
+    assert summary["error"]["rms_cm"] < 2.0
     assert abs(summary["error"]["bias_cm"]) < 1.0
     assert summary["over_edges"] < 0.4 * summary["estimates"]
 
@@ -118,6 +120,9 @@ def test_what_the_autopilot_receives(demo: tuple[Flight, Simulation]) -> None:
     """Every field of the fused stream, as an autopilot reads it; its time is the autopilot's clock and the echo's."""
     flight, simulation = demo
     received = [(time_s, message) for time_s, message in simulation.received if message.get_type() == "DISTANCE_SENSOR"]
+    below = [each for each in received if each[1].id != 10]
+    assert {message.orientation for _, message in below} == {common.MAV_SENSOR_ROTATION_CUSTOM}
+    received = [each for each in received if each[1].id == 10]
     assert len(received) == len(flight.fused.time_s)
     messages = [message for _, message in received]
     assert {message.orientation for message in messages} == {common.MAV_SENSOR_ROTATION_PITCH_270}
@@ -170,7 +175,7 @@ def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
 
 
 def test_another_model_flies(tmp_path: Path) -> None:
-    """A sensor model without outliers, with little noise: nothing is rejected."""
+    """A sensor model without outliers, with little noise: nothing is rejected but each sensor's first."""
     model = (SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text()
     model = model.replace(
         "{hit: 0.96, unexpected: 0.01, max: 0.02, random: 0.01}", "{hit: 1.0, unexpected: 0.0, max: 0.0, random: 0.0}"
@@ -179,7 +184,7 @@ def test_another_model_flies(tmp_path: Path) -> None:
     run("fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")
     summary = json.loads((tmp_path / "f" / "summary.json").read_text())
     for sensor in summary["sensors"].values():
-        assert sensor["rejected"] == {}
+        assert sensor["rejected"] == {"unexpected": 1}
         assert sensor["error_before"]["rms_cm"] < 1.5
 
 

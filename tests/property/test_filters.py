@@ -1,5 +1,7 @@
 """What holds for every filter: a shifted scene gives a shifted estimate, and it lies among the readings."""
 
+import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -7,9 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from msp_range.filters.chain import Chain, Filtered
+from msp_range.filters.base import Estimate
+from msp_range.filters.chain import MEMORY_S, Chain, Filtered
 from msp_range.filters.table import FilterParameters
 from msp_range.reading import Reading, Status
+from msp_range.reading_model.sensor_model import Weights, load_sensor_model
 
 STD_M = 0.0207
 """Of a reading: not round, or four of them would be whole centimetres, and rounding would decide at the gate."""
@@ -61,3 +65,106 @@ def test_an_estimate_lies_among_the_readings(filters: list[dict[str, Any]], flig
         if filtered.estimate is not None:
             assert lowest_m - 1e-9 <= filtered.estimate.range_m <= highest_m + 1e-9
             assert 0 < filtered.estimate.variance_m2 <= STD_M**2 * (1 + 1e-9)
+
+
+SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+QUIET = SENSOR.model_copy(
+    update={
+        "reading_model": SENSOR.reading_model.model_copy(
+            update={"weights": Weights(hit=0.97, unexpected=0.0, max=0.02, random=0.01)}
+        )
+    }
+)
+"""A sensor whose wild readings are as likely anywhere: where a scene is does not matter to the filter."""
+CHANGEPOINT = {"filter": "changepoint"}
+
+
+def run_at(
+    filters: list[dict[str, Any]], flight: list[tuple[float, int]], *, offset_cm: int = 0, start_s: float = 0.0
+) -> list[Filtered]:
+    chain = Chain([ADAPTER.validate_python(each).make(QUIET) for each in filters])
+    time_s, out = start_s, []
+    for step_s, range_cm in flight:
+        time_s += step_s
+        out.append(chain.update(Reading(time_s, "a", Status.OK, (range_cm + offset_cm) / 100, STD_M)))
+    return out
+
+
+def assert_alike(here: list[Filtered], there: list[Filtered], offset_m: float, tolerance_m: float) -> None:
+    for one, other in zip(here, there, strict=True):
+        assert one.rejected == other.rejected
+        if one.estimate is not None and other.estimate is not None:
+            assert other.estimate.range_m - one.estimate.range_m == pytest.approx(offset_m, abs=tolerance_m)
+            assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=0.3)
+
+
+# Wild enough for steps and slopes, and not so wild that two runs are equally probable, when rounding would decide.
+walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8)), min_size=1, max_size=25).map(
+    lambda steps: [(step_s, 300 + sum(by for _, by in steps[: index + 1])) for index, (step_s, _) in enumerate(steps)]
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(flight=walks, offset_cm=st.integers(-60, 60))
+def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple[float, int]], offset_cm: int) -> None:
+    """Up to what the sensor's limits make of it: 'nowhere' is uniform between them."""
+    here, there = run_at([CHANGEPOINT], flight), run_at([CHANGEPOINT], flight, offset_cm=offset_cm)
+    assert_alike(here, there, offset_cm / 100, 2e-3)
+
+
+@pytest.mark.parametrize(
+    "filters", [*CHAINS, [CHANGEPOINT]], ids=lambda filters: "+".join(f["filter"] for f in filters)
+)
+@settings(deadline=None, max_examples=25)
+@given(flight=walks, start_s=st.sampled_from((1.0, 1024.0, 65536.0)))
+def test_shifted_time_stamps_change_nothing(
+    filters: list[dict[str, Any]], flight: list[tuple[float, int]], start_s: float
+) -> None:
+    assert_alike(run_at(filters, flight), run_at(filters, flight, start_s=start_s), 0.0, 1e-4)
+
+
+@pytest.mark.parametrize("parameters", [*(chain[0] for chain in CHAINS[1:5]), CHANGEPOINT], ids=str)
+@settings(deadline=None, max_examples=25)
+@given(flight=flights)
+def test_a_chain_of_one_is_that_one(parameters: dict[str, Any], flight: list[tuple[float, int]]) -> None:
+    """But for what the chain is there for: after a long gap it starts anew."""
+    one, last_s = ADAPTER.validate_python(parameters).make(SENSOR), 0.0
+    chain = Chain([ADAPTER.validate_python(parameters).make(SENSOR)])
+    time_s = 0.0
+    for step_s, range_cm in flight:
+        time_s += step_s
+        if time_s - last_s > MEMORY_S:
+            one.reset()
+        last_s = time_s
+        alone = one.update(time_s, Estimate(range_cm / 100, STD_M * STD_M))
+        assert chain.update(Reading(time_s, "a", Status.OK, range_cm / 100, STD_M)).estimate == alone
+
+
+codes = st.sampled_from([status for status in Status if not status.has_range])
+answers = st.lists(
+    st.tuples(st.floats(0.0, 3.0), st.one_of(codes, st.integers(20, 765)), st.booleans()), min_size=1, max_size=40
+)
+
+
+@pytest.mark.parametrize(
+    "filters", [*CHAINS, [CHANGEPOINT]], ids=lambda filters: "+".join(f["filter"] for f in filters)
+)
+@settings(deadline=None, max_examples=40)
+@given(answers=answers)
+def test_whatever_a_sensor_answers_what_comes_out_is_a_distance_or_a_reason(
+    filters: list[dict[str, Any]], answers: list[tuple[float, Status | int, bool]]
+) -> None:
+    chain = Chain([ADAPTER.validate_python(each).make(SENSOR) for each in filters])
+    time_s = 0.0
+    for step_s, answer, suspect in answers:
+        time_s += step_s
+        if isinstance(answer, Status):
+            filtered = chain.update(Reading(time_s, "a", answer, None, None))
+            assert filtered == Filtered(None, answer.value)
+            continue
+        filtered = chain.update(Reading(time_s, "a", Status.OK, answer / 100, STD_M, answer, suspect))
+        assert (filtered.estimate is None) != (filtered.rejected is None)
+        if filtered.estimate is not None:
+            assert math.isfinite(filtered.estimate.range_m)
+            assert 0 < filtered.estimate.variance_m2 < math.inf
+            assert -10 < filtered.estimate.range_m < 20

@@ -45,6 +45,8 @@ def airframe(sensors: Sequence[dict[str, Any]] = FOUR_DOWN, **changed: Any) -> A
         "temperature": {"fixed_c": CALIBRATED_C},
         "link": {"url": "udpout:127.0.0.1:14550"},
         "send": {"fused": {"id": FUSED_ID}},
+        # It puts out the first reading, which the changepoint filter keeps back.
+        "filters": [{"filter": "kalman"}],
     }
     return Airframe.model_validate(content | changed, context={"folder": CONFIGS})
 

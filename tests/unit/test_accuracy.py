@@ -38,6 +38,15 @@ def test_765_and_255_are_masked_to_one_peak() -> None:
     assert sum(count for _, count in found.histogram) == found.readings == 20_000
 
 
+def test_a_peak_between_two_centimetres_is_told_as_both() -> None:
+    readings = np.repeat([502.0, 503.0, 504.0, 505.0], [100, 1000, 960, 90])
+    part = point(np.random.default_rng(3), 500, n=readings.size, condition="maximum_range") | {"reading_cm": readings}
+    found = maximum_range(sort_into_points(table(part), SENSOR), SENSOR)
+    assert found is not None
+    # 1000 and 960 differ by less than 1.96 times the root of their sum, 87.
+    assert (found.peak.low, found.peak.value, found.peak.high) == (503.0, 503.0, 504.0)
+
+
 def test_two_surfaces_stay_two_peaks() -> None:
     rng = np.random.default_rng(2)
     two = np.concatenate([np.rint(rng.normal(503, 1.5, 900)), np.rint(rng.normal(470, 1.5, 300))])

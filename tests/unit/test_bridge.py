@@ -35,9 +35,10 @@ def test_the_fused_message_goes_out_on_each_reading() -> None:
     bench = Bench(airframe(), 300).fly(19.95)
     times_s = [time_s for time_s, _ in bench.sent()]
     answered_s = [ping_s + READY_S + 300 * 58e-6 for ping_s, _, _ in bench.pings]
-    assert len(times_s) == 200
+    # The first reading waits for a second one that agrees with it.
+    assert len(times_s) == 199
     # The sensor is asked every 2 ms.
-    assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(times_s, answered_s, strict=True))
+    assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(times_s, answered_s[1:], strict=True))
 
 
 @pytest.mark.parametrize(("dead", "rate_hz"), [("b", 10.0), ("bd", 10.0), ("abd", 2.5)])
@@ -142,7 +143,9 @@ def test_the_covariance_of_canted_sensors_covers_slant_and_nearest_point() -> No
     message = last(Bench(airframe(canted, filters=[], send={"fused": fused}), 150).fly(4.0))
     slant_cm = 150 * math.cos(math.radians(30))
     assert message.current_distance == round((150 + slant_cm) / 2)
-    assert message.covariance == math.ceil(((150 - slant_cm) / 2) ** 2 + SIGMA2_CM2 * 4 / 5)
+    # What the readings leave is less than one of them has, and what they share does not average out.
+    shared_cm2 = ((150 - slant_cm) / 2) ** 2
+    assert shared_cm2 < message.covariance <= math.ceil(shared_cm2 + SIGMA2_CM2)
 
 
 def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
@@ -153,7 +156,7 @@ def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
 
 
 def test_a_sensor_that_was_not_heard_yet_is_not_good() -> None:
-    assert [message.signal_quality for _, message in Bench(airframe(), 300).fly(0.45).sent()] == [25, 50, 75, 100, 100]
+    assert [message.signal_quality for _, message in Bench(airframe(), 300).fly(0.45).sent()] == [50, 75, 100, 100]
 
 
 def test_every_field_of_a_fused_message() -> None:
@@ -226,11 +229,14 @@ def test_the_fused_message_does_not_wait_and_single_ones_wait_for_it(down_cm: in
     sent = [(time_s, message.id) for time_s, message in bench.sent()]
     fused_s = [time_s for time_s, stream in sent if stream == FUSED_ID]
     answered_s = [ping_s + ready_s for ping_s, name, _ in bench.pings if name != "front"]
-    assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(fused_s, answered_s, strict=True))
+    assert all(
+        0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(fused_s, answered_s[-len(fused_s) :], strict=True)
+    )
     for (before_s, _), (time_s, stream) in pairwise(sent):
         if stream == 4:
             assert time_s - before_s >= 0.020 - 1e-9
-    assert Counter(stream for _, stream in sent) == {FUSED_ID: 90, 4: 30}
+    # A first distance waits for a second reading that agrees with it; that nothing was heard does not.
+    assert Counter(stream for _, stream in sent) == {FUSED_ID: 90 if down_cm == 765 else 89, 4: 30}
 
 
 @pytest.mark.parametrize(("reading_cm", "rate_hz"), [(150, 20.0), (250, 10.0)])
@@ -342,7 +348,7 @@ def test_a_full_disk_stops_the_recording_and_not_the_bridge() -> None:
     bench = Bench(airframe(), 300, recorder=paper).fly(10.0)
     assert "Range: recording stopped, disk trouble" in bench.texts()
     assert "no space left on device" in bench.said()
-    assert len(bench.distances_cm()) == 100
+    assert len(bench.distances_cm()) == 99
     assert paper.topics["/range/a"] < 15
 
 
@@ -390,3 +396,83 @@ def test_what_was_heard_before_the_program_stood_still_is_not_told_after_it(
     bench.clock.sleep_until(bench.clock.now() + stood_still_s)
     bench.fly(7.0 + stood_still_s)
     assert set(bench.distances_cm(from_s=5.5)) == {100}
+
+
+# What is below single sensors, and sensors that are stuck. A corner each, so that slopes are slopes.
+
+CORNERS = {"a": [0.25, -0.2, 0], "b": [0.25, 0.2, 0], "c": [-0.25, -0.2, 0], "d": [-0.25, 0.2, 0]}
+PALLET = [each | {"position_m": CORNERS[each["name"]]} for each in FOUR_DOWN]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_an_object_below_one_sensor_is_told_with_its_distance_and_leaves_the_ground_alone(autopilot: str) -> None:
+    def world(name: str, time_s: float) -> int:
+        return 240 if name == "b" and 5.0 <= time_s < 10.0 else 300
+
+    link = {"url": "udpout:127.0.0.1:14550", "autopilot": autopilot}
+    bench = Bench(airframe(PALLET, link=link), world).fly(15.0)
+    assert set(bench.distances_cm()) == {300}
+    told = [(time_s, message) for time_s, message in bench.sent() if message.id == 2]
+    assert 5.0 < told[0][0] < 6.3
+    assert 10.0 < told[-1][0] + 0.4 < 11.3
+    # Not a second stream that looks down: both autopilots would mix it with the fused one.
+    assert {message.orientation for _, message in told} == {common.MAV_SENSOR_ROTATION_CUSTOM}
+    # What comes first is what the sensor's own filter makes of the change.
+    assert {message.current_distance for _, message in told} <= {239, 240}
+    turned = Rotation.from_quat(told[0][1].quaternion, scalar_first=True)
+    assert turned.apply([1, 0, 0]) == pytest.approx([0, 0, 1], abs=1e-6)
+    assert bench.said(1.2) == ["Range b: object of 0.6 m below", "Range b: ground below"]
+    assert "Range b: object of 0.6 m below" in bench.texts()
+    # Two messages are never closer than PX4 can take them.
+    times_s = [time_s for time_s, _ in bench.sent()]
+    assert min(late - early for early, late in pairwise(times_s)) > 0.019
+
+
+def test_a_hole_is_told_in_a_text_and_has_no_stream() -> None:
+    bench = Bench(airframe(PALLET), lambda name, time_s: 380 if name == "c" and time_s > 5 else 300).fly(10.0)
+    assert set(bench.distances_cm()) == {300}
+    assert {message.id for _, message in bench.sent()} == {FUSED_ID}
+    assert bench.said(1.2) == ["Range c: hole of 0.8 m below"]
+
+
+def test_a_sensor_that_has_a_stream_of_its_own_needs_no_second_one() -> None:
+    send = {"fused": {"id": FUSED_ID}, "sensors": ["b"]}
+    link = {"url": "udpout:127.0.0.1:14550", "autopilot": "px4"}
+    vehicle = airframe(PALLET, link=link, send=send, filters=[])
+    bench = Bench(vehicle, lambda name, time_s: 240 if name == "b" and time_s > 5 else 300).fly(10.0)
+    assert {message.orientation for _, message in bench.sent()} == {25}
+    assert bench.distances_cm(2, 6.0) == [240] * 10
+
+
+def test_a_stuck_sensor_is_a_fault_from_when_the_vehicle_moves_until_it_answers_anew() -> None:
+    def world(name: str, time_s: float) -> int:
+        moving_cm = 300 + round(50 * max(0.0, min(time_s, 12.0) - 8.0))
+        return 300 if name == "b" and 3.0 < time_s < 16.0 else moving_cm
+
+    send = {"fused": {"id": FUSED_ID}, "sensors": ["b"]}
+    vehicle = airframe(PALLET, send=send, filters=[], link={"url": "udpout:127.0.0.1:14550", "autopilot": "px4"})
+    bench = Bench(vehicle, world).fly(20.0)
+    assert bench.said(1.2) == ["Range b: stuck at one value", "Range b: good again"]
+    assert {message.current_distance for time_s, message in bench.sent() if 13.0 < time_s < 16.0} <= {499, 500, 501}
+    assert bench.rejected("b")["stuck"] > 10
+    assert all(message.id == FUSED_ID for time_s, message in bench.sent() if 9.2 < time_s < 16.0), "a fault is silence"
+    states = [message.system_status for time_s, message in bench.sent("HEARTBEAT") if 11.0 < time_s < 16.0]
+    assert set(states) == {common.MAV_STATE_CRITICAL}
+
+
+def test_the_attitude_is_asked_for_where_none_is_sent_and_recorded_where_it_is() -> None:
+    paper = Paper(math.inf)
+    bench = Bench(airframe(PALLET), 300, recorder=paper)
+    for i in range(100):
+        bench.hear(HEARTBEAT)
+        if i >= 50:
+            bench.hear(common.MAVLink_attitude_message(100 * i, 0.1, 0.0, 0.0, 0, 0, 0))
+        bench.fly(0.1 * (i + 1))
+    asked = [time_s for time_s, each in bench.sent("COMMAND_LONG") if each.param1 == common.MAVLINK_MSG_ID_ATTITUDE]
+    assert len(asked) == 1
+    assert paper.topics["/attitude"] == pytest.approx(50, abs=2)
+    # It leans, and its sensors read the same: so does the ground below it, and straight up it is farther.
+    assert bench.distances_cm(from_s=9.0)[-1] == 300
+    fused = [step.fused for step in bench.steps if step.fused is not None][-1]
+    assert fused.height_m == pytest.approx(3.0 / math.cos(0.1), abs=0.005)
+    assert abs(fused.rise_east) == pytest.approx(math.tan(0.1), abs=0.01)

@@ -73,8 +73,8 @@ def test_table_4_1_is_complete() -> None:
 def test_the_future_is_in_the_order_of_figure_2_2() -> None:
     conditions = list(dict.fromkeys(point.condition for point in points_of("future")))
     assert conditions[:5] == ["maximum_range", "humidity", "natural_ground", "uneven_surface", "moving_target"]
-    assert conditions[5] == "other_kind"
-    (name,) = {point.setup.sensors for point in of_condition(points_of("future"), "other_kind")}
+    assert conditions[5:] == ["baseline", "field_of_view"]
+    (name,) = {point.setup.sensors for point in of_condition(points_of("future"), "baseline")}
     assert load_campaign(CONFIGS / "campaigns/future.yaml").sensor(name[0]).sensor_model.name == "MB1232"
 
 

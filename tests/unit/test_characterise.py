@@ -94,6 +94,23 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
     assert len(after.evidence) == 2
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "{}/a.csv/m.yaml"), "a.csv is a file, expected a folder"),
+        (("--out", "{}/m.yaml", "--report", "{}/a.csv"), "a.csv is a file, expected a folder"),
+        (("--out", "{}"), "there is a folder already"),
+        (("--out", "{}/m.yaml", "--date", "today"), "expected a day such as 2026-10-05"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_work(tmp_path: Path, options, message: str) -> None:
+    write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(6), 100)))
+    result = run(tmp_path / "a.csv", "--sensor", SENSOR, *(each.format(tmp_path) for each in options))
+    assert result.exit_code == 3
+    assert message in result.output
+    assert [each.name for each in tmp_path.iterdir()] == ["a.csv"]
+
+
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     data, out = bench(tmp_path), tmp_path / "model.yaml"
     out.write_text("mine", encoding="utf-8")
@@ -125,6 +142,11 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
         (lambda rng: [point(rng, 100, n=10)], "found 10 readings with a true range, expected at least 30"),
         (lambda rng: [point(rng, 100, missed=1.0)], "nothing can be found"),
         (
+            lambda rng: [point(rng, z, error_cm=300 - z) for z in (100, 150, 200)],
+            "at 3 of 3 undisturbed points the readings are not near the true range",
+        ),
+        (lambda rng: [point(rng, 100, air_temperature_c=70.0)], "expected deg C from -50 to 65"),
+        (
             lambda rng: [point(rng, 100, condition="basline")],
             "no analysis knows the condition 'basline'; is it 'baseline'?",
         ),
@@ -141,11 +163,29 @@ def test_data_that_say_nothing_are_refused(tmp_path: Path, parts, message: str) 
 
 def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05)))
-    result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    out = tmp_path / "a folder that" / "is not there" / "m.yaml"
+    result = run(tmp_path / "a.csv", "--out", out, "--sensor", SENSOR)
     assert result.exit_code == 0, result.output
     assert "one range only" in result.output
     assert "no air_temperature_c" in result.output
-    assert load_sensor_model(tmp_path / "m.yaml").calibration == ()
+    assert load_sensor_model(out).calibration == ()
+
+
+def test_the_beam_of_one_sensor_is_not_put_beside_the_noise_of_another(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    parts = [point(rng, z, sensor="narrow") for z in range(40, 301, 20)]
+    parts += [
+        point(rng, 100, n=40, sensor="wide", condition="field_of_view", incidence_deg=5.0 * k) for k in range(-7, 8)
+    ]
+    write_csv(tmp_path / "a.csv", table(*parts))
+    command = (tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
+    refused = run(*command)
+    assert refused.exit_code == 3
+    assert "baseline is of narrow and field_of_view of wide" in refused.output
+    assert not (tmp_path / "m.yaml").exists()
+    assert "there are some of narrow, wide" in run(*command, "--of", "other").output
+    assert run(*command, "--of", "narrow").exit_code == 0
+    assert load_sensor_model(tmp_path / "m.yaml").breakaway == load_sensor_model(SENSOR).breakaway
 
 
 def test_a_sensor_without_a_driver_does_not_fly(tmp_path: Path) -> None:

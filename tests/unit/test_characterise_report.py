@@ -12,6 +12,7 @@ from PIL import Image
 
 from msp_range.characterise.findings import Findings
 from msp_range.characterise.report import write_report
+from msp_range.characterise.report.draw.errors import Errors, draw_errors
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
@@ -240,3 +241,14 @@ def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path):
     data = data.select(data["condition"] == "baseline")
     with pytest.raises(ConfigError, match="the report cannot be written"):
         write_report(nothing_found(data), data, MODEL, tmp_path / "file" / "report")
+
+
+def test_panels_share_an_axis_of_ranges_where_some_lack_one():
+    few = Errors("loud", np.array([200.0] * 5), np.zeros(5), np.zeros(5, dtype=bool))
+    many = Errors("quiet", np.repeat([40.0, 200.0, 260.0], 5), np.zeros(15), np.zeros(15, dtype=bool))
+    for panels in ([many, few], [few, many]):
+        figure = draw_errors(panels)
+        assert all(axes.get_xlim() == figure.axes[0].get_xlim() for axes in figure.axes)
+        low, high = figure.axes[0].get_xlim()
+        assert low < 40.0
+        assert high > 260.0

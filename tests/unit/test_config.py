@@ -82,7 +82,7 @@ def test_what_is_left_out() -> None:
     vehicle = Airframe.model_validate(content)
     assert (vehicle.bus, vehicle.temperature.fixed_c, vehicle.recording) == (1, 20.0, None)
     assert (vehicle.polling.groups, vehicle.polling.near, vehicle.polling.adaptive) == (None, None, True)
-    assert [each.filter for each in vehicle.filters] == ["kalman"]
+    assert [each.filter for each in vehicle.filters] == ["changepoint"]
     assert [sensor.name for sensor in vehicle.downward] == [sensor["name"] for sensor in QUAD["sensors"]]
     assert vehicle.sent_names == []
     assert RotationDeg().radians == (0.0, 0.0, 0.0)
@@ -142,7 +142,7 @@ def test_what_is_left_out() -> None:
         ),
         (
             lambda c: c["filters"][0].update(filter="kalmn"),
-            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman. Did you mean 'kalman'?",
+            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman, changepoint. Did",
         ),
         (
             lambda c: c["temperature"]["sources"][0].update(source="files"),

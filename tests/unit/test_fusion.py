@@ -1,40 +1,68 @@
-"""The fused downward distance against closed forms and least squares."""
+"""The ground below four sensors: what it follows, what it leaves out, and what it tells of that."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from msp_range.filters.base import Estimate
-from msp_range.fusion import MOST_POINTS, NEWEST_S, WINDOW_S, DownwardSensor, Fusion, Oblique
+from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, RecordedAttitude
+from msp_range.fusion.attitude import OLDEST_S
+from msp_range.fusion.fusion import MEMORY_S, NEWEST_S
+from msp_range.fusion.sightings import WINDOW_S
+from msp_range.geometry import Vector, boresight
+from msp_range.reading import Reading, Status
 
 SIGMA_M = 0.02
-VARIANCE_M2 = SIGMA_M**2
 SLOT_S = 0.1
 NAMES = "abcd"
+CORNERS = {"a": (0.25, -0.2), "b": (0.25, 0.2), "c": (-0.25, -0.2), "d": (-0.25, 0.2)}
+DOWN: Vector = (0.0, 0.0, 1.0)
 
 
-def four(cos_tilt: float = 1.0, below_m: float = 0.0, oblique: Oblique = "slant") -> Fusion:
-    return Fusion({name: DownwardSensor(cos_tilt, below_m, oblique) for name in NAMES})
+def four(below_m: float = 0.0, oblique: Oblique = "slant", attitude: AttitudeTrack | None = None) -> Fusion:
+    """Sensors under the corners of a pallet, straight down."""
+    sensors = {name: DownwardSensor((x, y, below_m), DOWN, oblique) for name, (x, y) in CORNERS.items()}
+    return Fusion(sensors, attitude or AttitudeTrack())
+
+
+def reading(name: str, time_s: float, range_m: float | None, raw: int | None = None, suspect: bool = False) -> Reading:
+    """One with a range, or one that heard nothing; two alike have different raw answers unless they are given."""
+    if range_m is None:
+        return Reading(time_s, name, Status.NO_ECHO, raw=765)
+    raw = hash((name, time_s)) & 0x7FFF if raw is None else raw
+    return Reading(time_s, name, Status.OK, range_m, SIGMA_M, raw, suspect)
+
+
+def take(fusion: Fusion, each: Reading) -> Fused | None:
+    return fusion.update(fusion.judge(each), each.time_s + 0.03)
 
 
 def fly(
-    fusion: Fusion, truth_m: Callable[[float], float], readings: int, noise_m: np.ndarray | None = None
-) -> list[Estimate]:
-    """Four sensors in turn, a reading each slot; the echo times are off the slots by up to 20 ms."""
-    jitter_s = np.random.default_rng(8).uniform(0.0, 0.02, readings)
+    fusion: Fusion,
+    range_m: Callable[[str, float], float | None],
+    readings: int,
+    noise_m: Sequence[float] | np.ndarray | None = None,
+    start: int = 0,
+) -> list[Fused | None]:
+    """Four sensors in turn, a reading each slot."""
     out = []
-    for i in range(readings):
-        time_s = i * SLOT_S + jitter_s[i]
-        range_m = truth_m(time_s) + (0.0 if noise_m is None else noise_m[i])
-        out.append(fusion.update(NAMES[i % 4], time_s, Estimate(range_m, VARIANCE_M2)))
+    for i in range(start, start + readings):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        seen_m = range_m(name, time_s)
+        if seen_m is not None and noise_m is not None:
+            seen_m += noise_m[i - start]
+        out.append(take(fusion, reading(name, time_s, seen_m)))
     return out
 
 
-def error_m(truth_m: Callable[[float], float], out: list[Estimate]) -> np.ndarray:
-    jitter_s = np.random.default_rng(8).uniform(0.0, 0.02, len(out))
-    return np.array([each.range_m - truth_m(i * SLOT_S + jitter_s[i]) for i, each in enumerate(out)])
+def noise(count: int, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).normal(scale=SIGMA_M, size=count)
+
+
+def errors_m(out: Sequence[Fused | None], truth_m: Callable[[float], float], start: int = 0) -> np.ndarray:
+    return np.array([each.range_m - truth_m(i * SLOT_S) for i, each in enumerate(out, start) if each is not None])
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 0.5, -2.0, 4.0, -4.5])
@@ -42,59 +70,80 @@ def test_a_ramp_is_followed_without_lag(speed_m_s: float) -> None:
     def ramp(time_s: float) -> float:
         return 50.0 + speed_m_s * time_s
 
-    out = fly(four(), ramp, 60)
-    # The speed changes by 4 m/s a second at most, and four readings must be there to see it.
-    known = math.ceil(abs(speed_m_s) / 4.0 / SLOT_S) + 5
-    np.testing.assert_allclose(error_m(ramp, out)[known:], 0.0, atol=1e-9)
+    fusion = four()
+    out = fly(fusion, lambda name, time_s: ramp(time_s), 80)
+    assert np.abs(errors_m(out[40:], ramp, 40)).max() < 0.005
+    assert fusion.ground is not None
+    assert fusion.ground.climb_m_s == pytest.approx(speed_m_s, abs=0.01)
 
 
-def test_noise_is_averaged_nearly_as_well_as_by_least_squares() -> None:
-    """Theil and Sen's line needs at most half as many readings more as the best one does, for normal noise."""
+def test_noise_is_halved_and_the_variance_says_by_how_much() -> None:
+    out = fly(four(), lambda name, time_s: 3.0, 4000, noise(4000))[50:]
+    assert None not in out
+    off_m = errors_m(out, lambda time_s: 3.0)
+    assert off_m.std() < 0.5 * SIGMA_M
+    stated_m2 = np.array([each.variance_m2 for each in out if each is not None])
+    assert 0.3 < np.mean(off_m**2) / np.mean(stated_m2) < 1.1
 
-    def climb(time_s: float) -> float:
-        return 1.0 + 0.4 * time_s
 
-    readings = 4000
-    noise_m = np.random.default_rng(2).normal(scale=SIGMA_M, size=readings)
-    out = fly(four(), climb, readings, noise_m)
-    errors_m = error_m(climb, out)[10:]
-    jitter_s = np.random.default_rng(8).uniform(0.0, 0.02, readings)
-    times_s = np.arange(readings) * SLOT_S + jitter_s
-    ranges_m = climb(times_s) + noise_m  # type: ignore[arg-type]
-    best_m = [
-        np.polyval(np.polyfit(times_s[i - 4 : i + 1] - times_s[i], ranges_m[i - 4 : i + 1], 1), 0.0) - climb(times_s[i])
-        for i in range(10, readings)
-    ]
-    assert errors_m.std() < 1.25 * np.std(best_m)
-    assert abs(errors_m.mean()) < 0.1 * SIGMA_M
-    stated_m2 = np.array([each.variance_m2 for each in out[10:]])
-    # Never surer than it has reason to be, and not three times as careful either.
-    assert 1 / 3 < np.mean(errors_m**2) / np.mean(stated_m2) < 1.1
+@pytest.mark.parametrize("acceleration_m_s2", [3.0, -3.0, 4.5])
+def test_hard_acceleration_does_not_silence_it(acceleration_m_s2: float) -> None:
+    def height_m(time_s: float) -> float:
+        """At rest, a second at the acceleration, then at a steady speed."""
+        t = max(time_s - 5.0, 0.0)
+        return 20.0 + acceleration_m_s2 * (t * t / 2 if t < 1 else t - 0.5)
+
+    out = fly(four(), lambda name, time_s: height_m(time_s), 80, noise(80))
+    told = [i * SLOT_S for i, each in enumerate(out) if each is not None]
+    assert max(late - early for early, late in pairwise(told)) < 0.35
+    assert np.abs(errors_m(out, height_m)).max() < 0.25
 
 
 @pytest.mark.parametrize("off_m", [-2.0, -0.3, 0.5, 3.0])
 @pytest.mark.parametrize("speed_m_s", [0.0, 1.0])
-def test_one_sensor_that_sees_something_else_does_not_move_it(off_m: float, speed_m_s: float) -> None:
+def test_one_sensor_that_sees_something_else_does_not_move_it_and_is_told_of(off_m: float, speed_m_s: float) -> None:
     def ramp(time_s: float) -> float:
         return 4.0 + speed_m_s * time_s
 
-    noise_m = np.array([off_m if i % 4 == 2 else 0.0 for i in range(80)])
-    errors_m = error_m(ramp, fly(four(), ramp, 80, noise_m))[12:]
-    # In two windows of four the wild sensor pulls the slope; half a metre a second over two slots is the most.
-    assert np.abs(errors_m).max() < (0.15 if speed_m_s else 1e-9)
+    fusion = four()
+    fly(fusion, lambda name, time_s: ramp(time_s), 40, noise(40))
+    out = fly(fusion, lambda name, time_s: ramp(time_s) + (off_m if name == "c" else 0.0), 40, noise(40, 2), 40)
+    assert None not in out
+    assert np.abs(errors_m(out, ramp, 40)).max() < 0.06
+    assert fusion.object_m("c") == pytest.approx(-off_m, abs=0.06)
+    assert [fusion.object_m(name) for name in "abd"] == [None, None, None]
+    out = fly(fusion, lambda name, time_s: ramp(time_s), 12, noise(12), 80)
+    assert fusion.object_m("c") is None
 
 
-def test_a_single_wild_reading_does_not_move_it() -> None:
-    noise_m = np.zeros(40)
-    noise_m[[20, 33]] = [-2.5, 3.0]
-    assert {each.range_m for each in fly(four(), lambda time_s: 4.0, 40, noise_m)[5:]} == {4.0}
+def test_a_single_wild_reading_does_not_move_it_and_is_no_object() -> None:
+    fusion = four()
+    wild_m = noise(80)
+    wild_m[[40, 53, 58]] = [-2.5, 3.0, -0.4]
+    out = fly(fusion, lambda name, time_s: 4.0, 80, wild_m)
+    assert np.abs(errors_m(out[20:], lambda time_s: 4.0)).max() < 0.05
+    assert [fusion.object_m(name) for name in NAMES] == 4 * [None]
 
 
-def test_a_step_of_the_ground_is_followed_within_three_readings() -> None:
-    out = fly(four(), lambda time_s: 4.0 if time_s < 2.0 else 3.0, 40)
-    assert [each.range_m for each in out[4:20]] == [4.0] * 16
-    np.testing.assert_allclose([each.range_m for each in out[23:]], 3.0, atol=0.1)
-    np.testing.assert_allclose([each.range_m for each in out[28:]], 3.0, atol=1e-9)
+def test_a_step_of_the_ground_is_followed_at_the_third_reading_and_not_told_wrongly_at_the_second() -> None:
+    out = fly(four(), lambda name, time_s: 4.0 if time_s < 4.95 else 3.0, 80, noise(80))
+    assert np.abs(errors_m(out[30:51], lambda time_s: 4.0)).max() < 0.06
+    assert out[51] is None
+    assert np.abs(errors_m(out[52:], lambda time_s: 3.0)).max() < 0.10
+    assert np.abs(errors_m(out[60:], lambda time_s: 3.0)).max() < 0.06
+
+
+def test_ground_that_two_of_four_see_lower_is_no_step_but_a_hole_below_two() -> None:
+    fusion = four()
+    fly(fusion, lambda name, time_s: 3.0, 40, noise(40))
+    out = fly(fusion, lambda name, time_s: 3.6 if name in "ab" else 3.0, 40, noise(40, 5), 40)
+    assert np.abs(errors_m(out, lambda time_s: 3.0)).max() < 0.06
+    assert [fusion.object_m(name) for name in NAMES] == [
+        pytest.approx(-0.6, abs=0.06),
+        pytest.approx(-0.6, abs=0.06),
+        None,
+        None,
+    ]
 
 
 def test_groups_that_ping_together_are_no_motion() -> None:
@@ -102,12 +151,24 @@ def test_groups_that_ping_together_are_no_motion() -> None:
     fusion = four()
     draw = np.random.default_rng(6)
     off_m = []
-    for i in range(400):
+    for i in range(300):
         for name in NAMES:
             range_m = 3.0 + draw.normal(scale=SIGMA_M)
-            off_m.append(fusion.update(name, i * SLOT_S + range_m * 2.9e-3, Estimate(range_m, VARIANCE_M2)).range_m)
-    assert np.std(off_m[8:]) < SIGMA_M
-    assert np.abs(np.array(off_m[8:]) - 3.0).max() < 4 * SIGMA_M
+            fused = take(fusion, reading(name, i * SLOT_S + range_m * 2.9e-3, range_m))
+            off_m.append(0.0 if fused is None else fused.range_m - 3.0)
+    assert np.std(off_m[8:]) < 0.5 * SIGMA_M
+    assert np.abs(np.array(off_m[8:])).max() < 3 * SIGMA_M
+
+
+def test_echoes_of_a_group_that_are_out_of_order_make_no_speed() -> None:
+    """Sensors that ping together answer in the order of their ranges, and what heard nothing has the ping's time."""
+    fusion = four()
+    for turn in range(50):
+        take(fusion, reading("a", 0.1 * turn + 0.020, 3.0))
+        take(fusion, reading("b", 0.1 * turn, 3.0))
+    assert fusion.ground is not None
+    assert fusion.ground.height_m == pytest.approx(3.0, abs=1e-6)
+    assert fusion.ground.climb_m_s == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 30.0])
@@ -122,66 +183,258 @@ def test_groups_that_ping_together_are_no_motion() -> None:
 def test_a_canted_sensor_reads_the_slant_or_the_nearest_point(
     tilt_deg: float, oblique: Oblique, down: Callable[[float, float], float]
 ) -> None:
+    sensors = {
+        name: DownwardSensor(
+            (0.0, 0.0, 0.07), boresight(0.0, math.radians(tilt_deg - 90), math.radians(90 * i)), oblique
+        )
+        for i, name in enumerate(NAMES)
+    }
+    fused = fly(Fusion(sensors, AttitudeTrack()), lambda name, time_s: 5.0, 40)[-1]
+    assert fused is not None
     cosine = math.cos(math.radians(tilt_deg))
-    fused = fly(four(cosine, 0.07, oblique), lambda time_s: 5.0, 20)[-1]
-    assert fused.range_m == pytest.approx(down(5.0, cosine) + 0.07, rel=1e-12)
+    assert fused.range_m == pytest.approx(down(5.0, cosine) + 0.07, rel=1e-6)
     # Where it is unknown which, the truth may be half the difference away in every reading alike.
     half_m = (5.0 - 5.0 * cosine) / 2 if oblique == "unknown" else 0.0
-    assert fused.variance_m2 == pytest.approx(VARIANCE_M2 * 4 / MOST_POINTS + half_m**2, rel=1e-9)
+    assert half_m**2 < fused.variance_m2 < half_m**2 + SIGMA_M**2
 
 
-def test_of_the_first_readings_the_last_one_counts_and_then_the_middle_one() -> None:
-    """Two or three readings say more about noise than about speed, and the mean of two would follow a wild one."""
+def test_the_first_reading_waits_for_one_that_agrees() -> None:
     fusion = four()
-    out = [fusion.update("abc"[i], i * SLOT_S, Estimate(3.0 + 0.1 * i, VARIANCE_M2)) for i in range(3)]
-    assert out[:2] == [(3.0, VARIANCE_M2), (pytest.approx(3.1), VARIANCE_M2)]
-    assert out[2].range_m == pytest.approx(3.1)
+    assert take(fusion, reading("a", 0.0, 1.2)) is None
+    assert take(fusion, reading("b", 0.1, 3.0)) is None
+    fused = take(fusion, reading("c", 0.2, 3.02))
+    assert fused is not None
+    assert fused.range_m == pytest.approx(3.02)
 
 
-def test_the_variance_of_few_readings_and_of_readings_that_disagree() -> None:
-    fusion = four()
-    first = fusion.update("a", 0.0, Estimate(3.0, VARIANCE_M2))
-    assert first == (3.0, VARIANCE_M2)
-    for i, (name, range_m) in enumerate(zip("bcda", (3.5, 2.5, 3.5, 2.5), strict=True), start=1):
-        last = fusion.update(name, i * SLOT_S, Estimate(range_m, VARIANCE_M2))
-    assert math.sqrt(last.variance_m2) > 0.4
+def test_one_sensor_alone_needs_two_readings_to_believe_a_step_and_knows_no_objects() -> None:
+    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack())
+    wild = [4.0] * 20 + [2.0] + [4.0] * 9 + [3.0] * 10
+    out = [take(fusion, reading("a", i * SLOT_S, range_m)) for i, range_m in enumerate(wild)]
+    assert [i for i, each in enumerate(out) if each is None] == [0, 20, 30]
+    assert out[29] is not None
+    assert out[29].range_m == pytest.approx(4.0, abs=0.01)
+    assert out[31] is not None
+    assert out[31].range_m == pytest.approx(3.0, abs=0.01)
+    assert fusion.object_m("a") is None
 
 
 @pytest.mark.parametrize(("sensors", "told"), [("a", False), ("ab", True), ("abc", True)])
 def test_without_a_reading_two_other_sensors_must_have_seen_the_ground(sensors: str, told: bool) -> None:
     fusion = four()
-    for i in range(6):
-        fusion.update(sensors[i % len(sensors)], i * SLOT_S, Estimate(3.0 + 0.5 * i * SLOT_S, VARIANCE_M2))
-    fused = fusion.at(6 * SLOT_S)
+    for i in range(30):
+        take(fusion, reading(sensors[i % len(sensors)], i * SLOT_S, 3.0 + 0.5 * i * SLOT_S))
+    fused = take(fusion, reading("d", 30 * SLOT_S, None))
     assert (fused is not None) is told
     if fused is not None:
-        assert fused.range_m == pytest.approx(3.3)
+        assert fused.range_m == pytest.approx(4.5, abs=0.03)
 
 
 def test_nothing_is_told_of_what_was_seen_too_long_ago() -> None:
+    def after(gap_s: float, told_s: float = 0.03) -> Fused | None:
+        fusion = four()
+        fly(fusion, lambda name, time_s: 3.0, 20)
+        return fusion.update(reading("a", 1.9 + gap_s, None), 1.9 + gap_s + told_s)
+
+    assert after(NEWEST_S - 0.01) is not None
+    assert after(NEWEST_S + 0.01) is None
+    # A ranging that is told long after it was made, as after a pause of the program.
+    assert after(0.1, told_s=0.3) is None
     fusion = four()
-    assert fusion.at(0.0) is None
-    fusion.update("a", 1.0, Estimate(3.0, VARIANCE_M2))
-    fusion.update("b", 1.1, Estimate(3.0, VARIANCE_M2))
-    assert fusion.at(1.1 + NEWEST_S - 0.01) is not None
-    assert fusion.at(1.1 + NEWEST_S + 0.01) is None
-    # One sensor goes on; the other's reading leaves the window.
-    fusion.update("b", 1.5, Estimate(3.0, VARIANCE_M2))
-    assert fusion.at(1.0 + WINDOW_S - 0.01) is not None
-    assert fusion.at(1.0 + WINDOW_S + 0.01) is None
-    assert fusion.update("c", 9.0, Estimate(1.0, VARIANCE_M2)) == (1.0, VARIANCE_M2)
+    fly(fusion, lambda name, time_s: 3.0, 20)
+    assert take(fusion, reading("a", 1.9 + MEMORY_S + 0.1, 1.0)) is None, "ground as good as new: two readings again"
+    assert take(fusion, reading("b", 2.0 + MEMORY_S + 0.1, 1.0)) is not None
+
+
+def test_of_two_sensors_one_must_go_on_seeing_the_ground() -> None:
+    fusion = four()
+    for i in range(20):
+        take(fusion, reading("ab"[i % 2], i * SLOT_S, 3.0))
+    take(fusion, reading("a", 2.0, 3.0))
+    take(fusion, reading("a", 2.3, 3.0))
+    assert take(fusion, reading("c", 1.9 + WINDOW_S - 0.02, None)) is not None
+    take(fusion, reading("a", 2.6, 3.0))
+    assert take(fusion, reading("c", 2.7, None)) is None
 
 
 def test_only_downward_sensors_belong_to_it() -> None:
     fusion = four()
     assert (fusion.includes("a"), fusion.includes("forward")) == (True, False)
     with pytest.raises(KeyError):
-        fusion.update("forward", 0.0, Estimate(3.0, VARIANCE_M2))
+        fusion.update(reading("forward", 0.0, 3.0), 0.0)
 
 
-def test_echoes_of_a_group_that_are_out_of_order_make_no_speed() -> None:
-    """Sensors that ping together answer in the order of their ranges, and what heard nothing has the ping's time."""
-    fusion = Fusion({name: DownwardSensor(1.0, 0.0, "slant") for name in "ab"})
-    for turn in range(50):
-        assert fusion.update("a", 0.1 * turn + 0.020, Estimate(3.0, 4e-4)).range_m == 3.0
-        assert fusion.update("b", 0.1 * turn, Estimate(3.0, 4e-4)).range_m == 3.0
+def test_a_fault_code_that_is_a_range_passes_only_for_ground_that_is_there() -> None:
+    """255 on a vehicle at 2.75 m that hears nothing now and then, and on one that is at 2.55 m."""
+    fusion = four()
+    fly(fusion, lambda name, time_s: 2.75, 40, noise(40))
+    for i in range(40, 60):
+        fused = take(fusion, reading(NAMES[i % 4], i * SLOT_S, 2.55, suspect=True))
+    assert fused is None or abs(fused.range_m - 2.75) < 0.05
+    assert [fusion.object_m(name) for name in NAMES] == 4 * [None]
+    fusion = four()
+    fly(fusion, lambda name, time_s: 2.6, 40, noise(40))
+    for i in range(40, 60):
+        fused = take(fusion, reading(NAMES[i % 4], i * SLOT_S, 2.55, raw=255, suspect=True))
+        assert fused is not None
+    assert fused.range_m == pytest.approx(2.55, abs=0.03)
+
+
+# What is stuck.
+
+
+def climbing(stuck: str, speed_m_s: float, readings: int = 120, hover: int = 40) -> tuple[Fusion, list[Fused | None]]:
+    """A hover at 3 m, then a climb; the sensors ``stuck`` keep the answer that they had 3 s before it."""
+    fusion, out, draw = four(), [], np.random.default_rng(4)
+    for i in range(readings):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        truth_m = 3.0 + speed_m_s * max(time_s - hover * SLOT_S, 0.0)
+        range_m = round(truth_m + draw.normal(scale=SIGMA_M), 2)
+        if name in stuck and i >= hover - 30:
+            range_m = 3.01
+        out.append(take(fusion, reading(name, time_s, range_m, raw=round(100 * range_m))))
+    return fusion, out
+
+
+@pytest.mark.parametrize("stuck", ["a", "d", "ab", "ac", "bc"])
+@pytest.mark.parametrize("speed_m_s", [0.3, 1.0, -0.5])
+def test_stuck_sensors_do_not_hold_the_ground_and_are_faults(stuck: str, speed_m_s: float) -> None:
+    """It would make an autopilot climb away; two of four that are stuck must not outvote the two that are not."""
+    fusion, out = climbing(stuck, speed_m_s)
+    end_m = 3.0 + speed_m_s * 7.9
+    assert out[-1] is not None
+    assert out[-1].range_m == pytest.approx(end_m, abs=0.06)
+    for name in NAMES:
+        judged = fusion.judge(reading(name, 12.0, 3.01, raw=301))
+        assert (judged.status is Status.STUCK) is (name in stuck)
+        assert (judged.range_m is None) is (name in stuck)
+    # What it reads is not an object either.
+    assert [fusion.object_m(name) for name in stuck] == [None] * len(stuck)
+    healthy = fusion.judge(reading(stuck[0], 12.1, end_m, raw=round(100 * end_m)))
+    assert healthy.status is Status.OK
+
+
+def test_a_sensor_that_repeats_itself_over_calm_ground_is_not_stuck() -> None:
+    fusion = four()
+    for i in range(200):
+        each = reading(NAMES[i % 4], i * SLOT_S, 3.0, raw=300)
+        assert fusion.judge(each) is each
+        assert fusion.update(each, each.time_s) is not None or i == 0
+
+
+def test_sensors_at_their_minimum_on_the_ground_are_not_stuck() -> None:
+    """They all read 20 until the vehicle is higher than that."""
+    fusion = four()
+    for i in range(150):
+        height_m = 0.1 + max(0.0, 0.5 * (i * SLOT_S - 5.0))
+        range_m = max(round(height_m, 2), 0.20)
+        each = reading(NAMES[i % 4], i * SLOT_S, range_m, raw=round(100 * range_m))
+        assert fusion.judge(each) is each
+        fused = fusion.update(each, each.time_s)
+    assert fused is not None
+    assert fused.range_m == pytest.approx(height_m, abs=0.05)
+
+
+# Attitude and slope.
+
+
+class Turned:
+    """A vehicle whose angles are a function of time."""
+
+    def __init__(self, angles: Callable[[float], tuple[float, float, float]]) -> None:
+        self.angles = angles
+
+    def ranges(self, height_m: float, rise: tuple[float, float]) -> Callable[[str, float], float]:
+        """Distances along the axes of the four sensors, by vectors."""
+
+        def range_m(name: str, time_s: float) -> float:
+            from scipy.spatial.transform import Rotation
+
+            rotation = Rotation.from_euler("ZYX", self.angles(time_s)[::-1]).as_matrix()
+            normal = np.array([*rise, 1.0])
+            at = rotation @ np.array([*CORNERS[name], 0.0])
+            return float(normal @ (np.array([0, 0, height_m]) - at) / (normal @ rotation[:, 2]))
+
+        return range_m
+
+
+@pytest.mark.parametrize("rise", [(0.0, 0.0), (0.15, 0.0), (-0.05, 0.10)])
+def test_with_attitude_the_height_is_straight_up_and_the_distance_along_the_vehicles_axis(
+    rise: tuple[float, float],
+) -> None:
+    """Height and slope are the ground's while the vehicle leans and turns; the message is what a sensor would read."""
+    vehicle = Turned(lambda t: (0.15 * math.sin(t), 0.12 * math.sin(1.3 * t), 0.2 * t))
+    ranges, track = vehicle.ranges(2.5, rise), AttitudeTrack()
+    fusion = four(attitude=track)
+    off_m = []
+    for i in range(300):
+        time_s = i * SLOT_S
+        assert track.hear(Angles(time_s + 0.01, *vehicle.angles(time_s + 0.01)))
+        fused = take(fusion, reading(NAMES[i % 4], time_s, ranges(NAMES[i % 4], time_s)))
+        if fused is not None and i > 100:
+            roll, pitch, _ = vehicle.angles(time_s)
+            axis = fused.height_m / fused.range_m
+            slope_free = math.cos(roll) * math.cos(pitch)
+            assert axis == pytest.approx(slope_free, abs=0.05 if rise != (0.0, 0.0) else 1e-3)
+            off_m.append(fused.height_m - 2.5)
+    assert np.abs(off_m).max() < 0.01
+    ground = fusion.ground
+    assert ground is not None
+    assert (ground.rise_north, ground.rise_east) == (pytest.approx(rise[0], abs=0.01), pytest.approx(rise[1], abs=0.01))
+
+
+def test_without_attitude_a_leaning_vehicle_sees_a_slope_and_the_same_distance() -> None:
+    vehicle = Turned(lambda t: (0.0, 0.1, 0.0))
+    fusion = four()
+    fused = fly(fusion, vehicle.ranges(2.5, (0.0, 0.0)), 200)[-1]
+    assert fused is not None
+    assert fused.range_m == pytest.approx(2.5 / math.cos(0.1), abs=0.005)
+
+
+def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> None:
+    track = AttitudeTrack()
+    assert track.rotation_at(0.0) is None
+    assert track.hear(Angles(1.0, 0.0, 0.0, math.radians(350)))
+    assert not track.hear(Angles(1.1, math.nan, 0.0, 0.0))
+    assert track.hear(Angles(1.2, 0.0, 0.2, math.radians(10)))
+    assert not track.hear(Angles(1.2005, 0.0, 0.9, 0.0)), "the same buffer"
+    rotation = track.rotation_at(1.1)
+    assert rotation is not None
+    assert -rotation[2][0] == pytest.approx(math.sin(0.1))
+    assert rotation[1][0] == pytest.approx(0.0, abs=1e-9), "north lies between 350 and 10 deg"
+    assert track.rotation_at(1.2 + OLDEST_S - 0.01) is not None
+    assert track.rotation_at(1.2 + OLDEST_S + 0.01) is None
+
+
+def test_recorded_attitudes_are_known_from_their_time_on() -> None:
+    now, kept = [0.0], []
+    recorded = RecordedAttitude([Angles(1.0, 0.1, 0.0, 0.0), Angles(1.1, 0.2, 0.0, 0.0)], lambda: now[0], kept.append)
+    assert recorded.rotation_at(0.0) is None
+    now[0] = 1.05
+    rotation = recorded.rotation_at(1.0)
+    assert rotation is not None
+    assert rotation[2][1] == pytest.approx(math.sin(0.1))
+    now[0] = 2.0
+    recorded.rotation_at(1.1)
+    assert [each.time_s for each in kept] == [1.0, 1.1]
+
+
+# What a filter has to be.
+
+
+def test_it_is_equivariant_to_an_offset_and_blind_to_the_origin_of_time() -> None:
+    def out(higher_m: float, later_s: float) -> list[tuple[float, float] | None]:
+        fusion, wild = four(), np.random.default_rng(9)
+        told = []
+        for i in range(300):
+            range_m = (
+                4.0 + 0.3 * math.sin(0.1 * i) + wild.normal(scale=SIGMA_M) + (wild.random() < 0.03) * wild.normal()
+            )
+            fused = take(fusion, reading(NAMES[i % 4], later_s + i * SLOT_S, range_m + higher_m, raw=i))
+            told.append(None if fused is None else (fused.range_m - higher_m, fused.climb_m_s))
+        return told
+
+    for changed in (out(2.5, 0.0), out(0.0, 1024.0)):
+        for one, other in zip(out(0.0, 0.0), changed, strict=True):
+            assert (one is None) == (other is None)
+            assert one is None or other is None or one == pytest.approx(other, abs=1e-8)

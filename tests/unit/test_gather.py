@@ -46,6 +46,16 @@ def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
         gather([one, copy], SENSOR)
 
 
+def test_readings_that_are_in_two_files_are_refused(tmp_path: Path) -> None:
+    """As in a sitting's recording and the table that collect makes of all sittings."""
+    whole = data()
+    one = written(tmp_path, whole, "one.csv")
+    part = written(tmp_path, whole.select(np.arange(100, 300)), "part.csv")
+    for paths in ([one, part], [part, one]):
+        with pytest.raises(RecordingError, match=r"200 of its readings are in .* too; each may count once"):
+            gather(paths, SENSOR)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -87,6 +87,25 @@ def test_readings_that_are_all_far_off_are_not_of_the_surface() -> None:
     assert (found.hits, found.short, found.error) == (0, 100, None)
 
 
+@pytest.mark.parametrize(("true_cm", "error_cm"), [(100, -17.2), (260, -17.2), (100, 22.0), (300, 40.0), (300, -40.0)])
+def test_a_surface_that_is_read_far_off_is_still_the_surface(true_cm: float, error_cm: float) -> None:
+    """A neighbour's ping that is 1 ms early makes 17 cm, and 46 deg C make 4 % of the range."""
+    rng = np.random.default_rng(10)
+    found = sort_into_points(table(point(rng, true_cm, error_cm=error_cm)), SENSOR)[0].found
+    assert found.hits == 100
+    assert found.error is not None
+    assert found.error.value == pytest.approx(error_cm, abs=0.3)
+
+
+def test_hits_that_scatter_more_are_all_hits() -> None:
+    rng = np.random.default_rng(11)
+    found = sort_into_points(table(point(rng, 400, n=4000, sigma_cm=4.0)), SENSOR)[0].found
+    # 4.5 standard deviations leave out one in 150,000, and the fixed 8 cm would one in 20.
+    assert found.hits >= 3998
+    assert found.spread is not None
+    assert found.spread.value == pytest.approx(4.0, abs=0.15)
+
+
 def test_the_error_in_other_air_is_taken_back_by_eq_7() -> None:
     rng = np.random.default_rng(7)
     # 5 deg C: sound takes longer by sqrt(295.65 / 278.15), and a sensor made for 22.5 deg C reads that much more.

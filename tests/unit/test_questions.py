@@ -78,6 +78,20 @@ def test_little_data_cannot_tell_and_says_what_it_would_have_shown() -> None:
     assert "would have shown" in found.answer
 
 
+def test_data_that_could_show_nothing_name_no_size() -> None:
+    """Two points that differ by a few centimetres would call for an effect of many metres."""
+    rng = np.random.default_rng(12)
+    parts = [
+        *bench(rng, "baseline", ranges=(100, 200)),
+        point(rng, 100, condition="vibration", vibration_hz=60, error_cm=-6.0),
+        point(rng, 200, condition="vibration", vibration_hz=60, error_cm=6.0),
+    ]
+    bias = effect(asked(*parts)["vibration 60 Hz"], "bias")
+    assert bias.verdict == "cannot tell"
+    assert bias.smallest_detectable is None
+    assert "could show nothing" in asked(*parts)["vibration 60 Hz"].answer
+
+
 def test_one_point_is_no_comparison() -> None:
     rng = np.random.default_rng(4)
     found = asked(point(rng, 100), point(rng, 100, condition="vibration", vibration_hz=60, error_cm=4.0))
@@ -130,6 +144,13 @@ def test_crosstalk_is_asked_of_each_sensor_and_each_has_its_own_answer() -> None
         "crosstalk_sequential sequential one": "does not matter",
         "crosstalk_sequential sequential two": "does not matter",
     }
+    # Only the first sensor has a baseline: what the second one's own offset is, another sensor's does not say.
+    assert [each.reference for each in found.values()] == [
+        "baseline",
+        "sequential",
+        "baseline",
+        "the baseline of another sensor",
+    ]
 
 
 def test_crosstalk_that_comes_and_goes_is_seen_in_the_odds() -> None:

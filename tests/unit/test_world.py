@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msp_sim.surfaces import Box, Ground, Step
+from msp_sim.surfaces import Box, Ground, Roughness, Step
 from msp_sim.vehicle import Pose
 from msp_sim.world import Air, Beam, WarmLayer, World
 
@@ -542,3 +542,39 @@ def test_steps_out_of_order_and_an_upside_down_layer_are_refused():
         Ground(steps=(Step(at_m=5.0), Step(at_m=2.0)))
     with pytest.raises(ValueError, match=r"expected top_m above bottom_m, but 1.0 is not above 2.0"):
         WarmLayer(bottom_m=2.0, top_m=1.0, warmer_by_c=3.0)
+
+
+def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
+    ground = Ground(surface="grass", rough={"grass": Roughness(rms_m=0.03, length_m=0.3)}, slope_deg=5.0)
+    rough, smooth = World(ground, Air()), World(Ground(surface="grass", slope_deg=5.0), Air())
+    beam = Beam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(15.0))
+    off_m = []
+    for i in range(2000):
+        pose = Pose(0.0, (0.05 * i, 0.013 * i, -20.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+        one, other = rough.ping(pose, beam), smooth.ping(pose, beam)
+        assert one.true_range_cm is not None
+        assert other.true_range_cm is not None
+        off_m.append((one.true_range_cm - other.true_range_cm) / 100)
+        assert rough.height_above_ground(pose) == smooth.height_above_ground(pose)
+        assert rough.ping(pose, beam) == one
+    assert np.std(off_m) == pytest.approx(0.03, rel=0.1)
+    assert np.mean(off_m) == pytest.approx(0.0, abs=0.003)
+    # A tuft's place says little of the next one's.
+    assert abs(np.corrcoef(off_m[:-6], off_m[6:])[0, 1]) < 0.4
+
+
+def test_only_the_surfaces_that_are_named_are_rough() -> None:
+    ground = Ground(
+        surface="concrete",
+        rough={"grass": Roughness(rms_m=0.05)},
+        steps=(Step(at_m=10.0, surface="grass"),),
+        boxes=(Box(surface="grass", centre_m=(20.0, 0.0), size_m=(2.0, 2.0), height_m=0.5),),
+    )
+    world = World(ground, Air())
+    beam = Beam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(5.0))
+
+    def range_cm(north_m: float) -> float | None:
+        return world.ping(Pose(0.0, (north_m, 0.1, -3.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)), beam).true_range_cm
+
+    assert [range_cm(x) for x in (2.0, 3.3, 20.1)] == [pytest.approx(300), pytest.approx(300), pytest.approx(250)]
+    assert range_cm(13.3) != pytest.approx(300, abs=0.05)

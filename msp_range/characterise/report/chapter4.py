@@ -12,7 +12,17 @@ from msp_range.characterise.findings import BreakawayAngle, Estimate, Findings
 from msp_range.characterise.report.draw.beam import Sweep, draw_sweep
 from msp_range.characterise.report.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_range.characterise.report.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_range.characterise.report.rows import Absent, Drawn, Maker, Rows, minus, plus, sentence, summary
+from msp_range.characterise.report.rows import (
+    Absent,
+    Drawn,
+    Maker,
+    Rows,
+    minus,
+    plus,
+    sentence,
+    set_up_error_cm,
+    summary,
+)
 from msp_range.characterise.temperature import REPORT_ROOM_C
 from msp_range.reading_model.mixture import ReadingModel
 
@@ -123,7 +133,7 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
             f"The report: a single peak near {found.report_peak_cm:g} cm."
         )
         if fitted is not None:
-            caption += " Circles: what the fitted mixture expects in each centimetre."
+            caption += " Circles: what the mixture, fitted about these hits' own mean, expects in each centimetre."
     else:
         caption = (
             f"There {_are(len(found.peaks_before), 'peak')}: "
@@ -135,8 +145,9 @@ def _maximum_range(findings: Findings, rows: Rows, masked: bool, kind: str) -> D
 
 
 def _probabilities(findings: Findings, rows: Rows, true_cm: float) -> NDArray[np.float64]:
-    """Probability of each reading from 0 cm on by the fitted model, at a true range in the fit's own centimetres."""
+    """Probability of each reading from 0 cm on by the fitted model, about the range that the fit took it to be."""
     expected_cm = float(np.mean(rows.apparent_cm[rows.of("maximum_range") & (rows.true_cm == true_cm)]))
+    expected_cm += set_up_error_cm(findings, "maximum_range", true_cm)
     readings = np.arange(0.0, rows.model.maximum_cm + 1.0)
     model = ReadingModel.of(rows.model)
     return np.exp(model.log_prob(readings, {"true_range_cm": np.full(readings.size, expected_cm)}))
@@ -300,11 +311,11 @@ def _crosstalk(findings: Findings, rows: Rows, condition: str) -> Drawn:
     found = rows.of(condition)
     names = np.unique(rows.sensor[found]).tolist()
     panels: list[Errors] = [
-        rows.errors(found & (rows.sensor == name), f"sensor {number}: {name}")
+        rows.errors(found & (rows.sensor == name), name if name.startswith("sensor") else f"sensor {number}, {name}")
         for number, name in enumerate(names, start=1)
     ]
-    caption = " ".join(f"{each.label}: {summary(each)}" for each in panels)
-    caption = caption[0].upper() + caption[1:] + _answers(findings, condition, None)
+    caption = " ".join(sentence(f"{each.label}: {summary(each)}") for each in panels)
+    caption += _answers(findings, condition, None)
     caption += (
         " The report: sensor 2 reads short, because it hears the earlier ping of sensor 1."
         if condition == "crosstalk_simultaneous"
@@ -320,7 +331,7 @@ def _external(findings: Findings, rows: Rows) -> Drawn:
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MOST_LEVELS]]
     caption = f"{summary(rows.errors(found))} {_answers(findings, 'external_interference', None)}".strip()
     left_out = len(levels) - len(panels)
-    caption += f" {left_out} more levels are not drawn." if left_out else ""
+    caption += f" Not drawn: {left_out} more level{'s'[: left_out - 1]}." if left_out else ""
     caption += " The report has no figure: its test was inconclusive."
     return Drawn(draw_errors(panels), caption, "Range error over true range beside an external ultrasonic source.")
 
@@ -363,6 +374,9 @@ def interval(estimate: Estimate) -> str:
     if reach == 0.0:
         return minus(f"{estimate.value:.6g}{unit}")
     digits = int(min(max(1 - np.floor(np.log10(reach)), 0), 6))
+    if ends and 0.0 < abs(estimate.value) < 0.1 * reach:
+        # A wide interval says that little is known, and not another number.
+        digits = int(min(max(digits, 1 - np.floor(np.log10(abs(estimate.value)))), 6))
     low = "?" if estimate.low is None else f"{estimate.low:.{digits}f}"
     high = "?" if estimate.high is None else f"{estimate.high:.{digits}f}"
     return minus(f"{estimate.value:.{digits}f} ({low} to {high}){unit}")

@@ -21,7 +21,7 @@ from msp_range.characterise.report.draw.mixture import (
     draw_random,
     draw_unexpected,
 )
-from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence, summary
+from msp_range.characterise.report.rows import Absent, Drawn, Rows, sentence, set_up_error_cm, summary
 from msp_range.characterise.temperature import REPORT_TABLE
 from msp_range.page.page import Table
 from msp_range.reading_model.mixture import ReadingModel
@@ -171,10 +171,12 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     """
     if findings.mixture is None:
         raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
-    chosen = _one_range(rows)
+    condition, true_cm = _one_range(rows)
+    chosen = rows.of(condition) & (rows.true_cm == true_cm)
     minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
-    apparent_cm = float(np.mean(rows.apparent_cm[chosen]))
+    # About the range that the fit took it to be.
+    apparent_cm = float(np.mean(rows.apparent_cm[chosen])) + set_up_error_cm(findings, condition, true_cm)
     contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
     whole = ReadingModel.of(rows.model)
     weights = whole.parameters.weights
@@ -206,15 +208,17 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     return fitted, np.exp(whole.log_prob(k, contexts))
 
 
-def _one_range(rows: Rows) -> NDArray[np.bool_]:
-    """Rows at one range: the one with the most readings of the maximum range, else a middle one of the baseline."""
+def _one_range(rows: Rows) -> tuple[str, float]:
+    """Condition and true range: most readings of the maximum range, else a middle one of the baseline."""
+    condition = "maximum_range"
     try:
-        found = rows.of("maximum_range")
+        found = rows.of(condition)
     except Absent:
-        found = rows.of("baseline")
+        condition = "baseline"
+        found = rows.of(condition)
     ranges, counts = np.unique(rows.true_cm[found], return_counts=True)
     much = ranges[counts >= 0.5 * np.max(counts)]
-    return np.asarray(found & (rows.true_cm == much[much.size // 2]))
+    return condition, float(much[much.size // 2])
 
 
 def _density(findings: Findings, rows: Rows, kind: str) -> Drawn:

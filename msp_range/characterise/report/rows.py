@@ -4,6 +4,7 @@ Measured data and the sensor model enter; arrays for the drawing functions leave
 page prints in the picture's place.
 """
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -174,6 +175,17 @@ def summary(errors: Errors) -> str:
             f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
         )
     return text + "."
+
+
+def set_up_error_cm(findings: Findings, condition: str, true_range_cm: float) -> float:
+    """How far the set-ups of a condition at a range are from the calibration, their mean [cm]; 0 where unknown."""
+    set_ups = () if findings.mixture is None else findings.mixture.set_ups
+    found = [
+        each.error_cm
+        for each in set_ups
+        if each.condition == condition and math.isclose(each.true_range_cm, true_range_cm)
+    ]
+    return sum(found) / len(found) if found else 0.0
 
 
 def sentence(text: str) -> str:

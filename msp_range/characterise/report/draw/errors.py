@@ -96,8 +96,10 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
     limits_cm = axes.limits_cm or shared_limits_cm(panels, axes)
     figure = new_figure(3.5 if len(panels) == 1 else 6.1 if len(panels) == 2 else 1.1 + 1.7 * len(panels))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    # One axis of ranges for all panels, also where some have fewer of them.
+    ranges_cm = np.unique(np.concatenate([each.true_range_cm for each in panels]))
     for each, row in zip(panels, rows, strict=True):
-        _panel(row, each, axes, limits_cm)
+        _panel(row, each, axes, limits_cm, ranges_cm)
         if len(panels) > 1:
             row.set_title(each.label, pad=24.0)
     if len(panels) > 1:
@@ -124,8 +126,7 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
     return low, high
 
 
-def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, float]) -> None:
-    ranges_cm = np.unique(each.true_range_cm)
+def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, float], ranges_cm: _Array) -> None:
     low, high = limits_cm
     compressed = max(-low, high) > 6.0 * LINEAR_CM
     if compressed:
@@ -165,7 +166,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
     bars: list[tuple[float, float, float]] = []
     far: list[tuple[float, float]] = []
     middles: list[tuple[float, float, float]] = []
-    for range_cm in ranges_cm.tolist():
+    for range_cm in np.unique(each.true_range_cm).tolist():
         here = each.true_range_cm == range_cm
         errors = each.error_cm[here & ~each.missed]
         _count_above(

@@ -1,0 +1,184 @@
+"""Peers on blind tables: ``python -m benchmarks.blind_peers N SEED`` draws N tables of each kind and asks every peer.
+
+Tables lie in a folder as `tests.blind` lays them out, so that ``--out`` also takes one that ``make blind`` has drawn.
+What is there already is not made again. Needs the extra ``bench``.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind_peers.detectors import DETECTORS, compare
+from benchmarks.blind_peers.library import library
+from benchmarks.blind_peers.namers import NAMERS
+from msp_range.recording.csv_form import read_csv
+from msp_sim.model.model import load_model
+from tests.blind.__main__ import SENSOR, draw
+from tests.blind.__main__ import run as run_gap
+from tests.blind.flight import REGIMES
+from tests.blind.score import accepted_names, interval, judge
+from tests.blind.tables import ROWS, RUNS, TOGETHER, Case, draw_cases
+
+RMS_BIAS_SIGMA = 0.1
+HIT_SHARE = 0.95
+BIAS_ERRORS = round(RMS_BIAS_SIGMA * (HIT_SHARE * RUNS * ROWS / 2) ** 0.5, 2)
+"""What that bias is in standard errors on the half of the rows that choose."""
+ALPHA = 0.05
+FOUND = f"bias of {RMS_BIAS_SIGMA:g} sigma rms: found"
+OURS = "gap workflow"
+
+
+def cases(count: int, seed: int) -> list[Case]:
+    """Nulls in each regime, single effects of 6 and of 10 standard errors, and weak biases."""
+    drawn = [case for regime in REGIMES for case in draw_cases(seed, count, "null", regime)]
+    drawn += [case for errors in (6.0, 10.0) for case in draw_cases(seed, count, "one", "iid", errors)]
+    biases = [*TOGETHER["bias"], *TOGETHER["bias too"]]
+    drawn += [Case(0, seed, "one", "iid", ((biases[k % len(biases)], BIAS_ERRORS),)) for k in range(count)]
+    return [replace(case, number=number) for number, case in enumerate(drawn)]
+
+
+def prepare(out: Path, count: int, seed: int, pool: ProcessPoolExecutor, at_once: int) -> None:
+    """Draw tables unless there are some, and characterise the bases."""
+    if not (out / "answers").exists():
+        wanted = cases(count, seed)
+        # Each part writes the bases that it needs: the same bytes.
+        list(pool.map(partial(draw, out, seed=seed), [wanted[k::at_once] for k in range(at_once)]))
+    for base in sorted((out / "bases").glob("*.csv")):
+        model = base.with_suffix(".yaml")
+        if not model.exists():
+            command = [Path(sys.executable).parent / "msp-range", "characterise", base, "--sensor", SENSOR]
+            subprocess.run([*command, "--out", model, "--seed", str(seed)], check=True, capture_output=True)
+
+
+def ask(seed: int, table: Path) -> None:
+    """What each peer says of one table, and its seconds of the processor, into ``peers.json`` beside it."""
+    if (table / "peers.json").exists():
+        return
+    model = load_model(table.parents[1] / "bases" / f"{(table / 'base').read_text(encoding='utf-8')}.yaml")
+    data = read_csv(table / "measured.csv")
+    rng = np.random.default_rng((seed, int(table.name)))
+    runs = np.unique(data["run"])
+    chosen = data.select(np.isin(data["run"], rng.permutation(runs)[: runs.size // 2]))
+    contexts = {name: column for name, column in chosen.columns.items() if name != "reading_cm"}
+    said: dict[str, Any] = {}
+
+    def timed(what: Callable[[], Any]) -> tuple[Any, float]:
+        start_s = time.process_time()
+        return what(), time.process_time() - start_s
+
+    scores, library_s = timed(lambda: library(model, contexts, chosen["reading_cm"]))
+    for name, namer in NAMERS.items():
+        names, seconds = timed(lambda namer=namer: namer(scores))
+        said[name] = {"names": sorted(names), "seconds": round(library_s + seconds, 2)}
+    compared = compare(model, contexts, chosen["reading_cm"], rng)
+    for name, detector in DETECTORS.items():
+        p_value, seconds = timed(lambda detector=detector: detector(compared, rng))
+        said[name] = {"p_value": p_value, "seconds": round(seconds, 2)}
+    (table / "peers.json").write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+
+
+Counts = dict[tuple[str, str], list[bool]]
+"""Yes or no, table by table, of each method in each column."""
+
+
+def score(out: Path) -> tuple[Counts, dict[str, list[float]]]:
+    """What every method said, against the answers; and seconds a table."""
+    names = accepted_names()
+    counts: Counts = defaultdict(list)
+    seconds: dict[str, list[float]] = defaultdict(list)
+    for path in sorted((out / "answers").glob("*.json")):
+        answer = json.loads(path.read_text(encoding="utf-8"))
+        table = out / "tables" / path.stem
+        for method, said in json.loads((table / "peers.json").read_text(encoding="utf-8")).items():
+            seconds[method].append(said["seconds"])
+            gap = {"effects": [{"name": name, "verdict": "named"} for name in said.get("names", ())]}
+            alarm = said["p_value"] < ALPHA if "p_value" in said else bool(said["names"])
+            _count(counts, method, answer, gap if "names" in said else None, alarm, names)
+        if (table / "gap" / "gap.json").exists():
+            gap = json.loads((table / "gap" / "gap.json").read_text(encoding="utf-8"))
+            seconds[OURS].append(gap.get("seconds", float("nan")))
+            _count(counts, OURS, answer, gap, judge(answer, gap, names).named or bool(gap.get("unknown")), names)
+    return counts, seconds
+
+
+def _count(
+    counts: Counts,
+    method: str,
+    answer: Mapping[str, Any],
+    gap: Mapping[str, Any] | None,
+    alarm: bool,
+    names: Mapping[str, frozenset[str]],
+) -> None:
+    if answer["kind"] == "null":
+        counts[method, answer["regime"]].append(alarm)
+    elif answer["kind"] in ("one", "three"):
+        wanted = max(each["wanted"] for each in answer["hidden"])
+        if wanted == BIAS_ERRORS:
+            counts[method, FOUND].append(alarm)
+            return
+        counts[method, f"{answer['kind']}, {wanted:g} s.e.: found"].append(alarm)
+        if gap is not None:
+            counts[method, f"{answer['kind']}, {wanted:g} s.e.: exact set"].append(judge(answer, gap, names).exact)
+
+
+def show(counts: Counts, seconds: Mapping[str, list[float]]) -> str:
+    """Two tables in Markdown: shares with 95 % intervals after Wilson."""
+    methods = [each for each in (OURS, *NAMERS, *DETECTORS) if each in seconds]
+    columns = {column for _, column in counts}
+    nulls = [regime for regime in REGIMES if regime in columns]
+    rest = sorted(columns - set(nulls) - {FOUND}) + [FOUND] * (FOUND in columns)
+    parts = []
+    for heading, shown in (("Nothing hidden: said that something is", nulls), ("Something hidden", rest)):
+        if not shown:
+            continue
+        of = max(len(counts.get((method, column), ())) for method in methods for column in shown)
+        lines = [f"{heading} (at most {of} tables each)", "", "| | " + " | ".join(shown) + " | s a table |"]
+        lines.append("|---" * (len(shown) + 2) + "|")
+        for method in methods:
+            cells = [_cell(counts.get((method, column), [])) for column in shown]
+            lines.append(f"| {method} | " + " | ".join(cells) + f" | {np.mean(seconds[method]):.2g} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def _cell(said: list[bool]) -> str:
+    if not said:
+        return ""
+    low, high = interval(sum(said), len(said))
+    return f"{sum(said) / len(said):.2f} ({low:.2f} to {high:.2f})"
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind_peers", description=__doc__)
+    parser.add_argument("count", type=int, help="tables of each kind")
+    parser.add_argument("seed", type=int)
+    parser.add_argument("--out", type=Path, help="folder; build/blind-peers-SEED-COUNT unless given")
+    parser.add_argument("--at-once", type=int, default=2)
+    parser.add_argument("--without-ours", action="store_true", help="do not call msp-sim gap")
+    given = parser.parse_args()
+    out = given.out or Path("build") / f"blind-peers-{given.seed}-{given.count}"
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with ProcessPoolExecutor(given.at_once) as pool:
+        prepare(out, given.count, given.seed, pool, given.at_once)
+        list(pool.map(partial(ask, given.seed), sorted((out / "tables").iterdir())))
+    command = [Path(sys.executable).parent / "msp-sim", "gap", "--help"]
+    if not given.without_ours and subprocess.run(command, capture_output=True, check=False).returncode == 0:
+        run_gap(out, given.seed, given.at_once)
+    print(show(*score(out)))
+
+
+if __name__ == "__main__":
+    main()

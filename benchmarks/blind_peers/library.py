@@ -1,0 +1,185 @@
+"""What every namer chooses from: each catalogue entry's score, reading by reading.
+
+A table and a base model enter, a matrix leaves: derivatives of each reading's log probability by each entry of the
+catalogue, and by the base's own parameters, all by finite differences of `Model.log_prob`. It shares the catalogue with
+the gap workflow, and no statistics.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logit
+
+from msp_range.reading_model.sensor_model import MixtureParameters, Weights
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import WORD_COLUMNS, Effect, Parameter
+from msp_sim.model.model import Model
+
+Array = NDArray[np.float64]
+LEAST = 1e-12
+"""Probability of a reading that the model cannot give."""
+LEAST_WEIGHT = 1e-6
+"""Of each kind of reading: one that the base does not have may still be there."""
+LEAST_SATURATED = 1e-3
+MOST_WORDS = 12
+ROUNDS = 20
+BASE_STEP = 0.02
+"""Of the base's parameters, for derivatives."""
+DAMPING = 0.5
+"""Of a step of the base's fit: what no reading speaks of stays where it is."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """Scores of n readings.
+
+    Attributes
+    ----------
+    base
+        By the base's own parameters, (n, 6): offset, spread, odds of short, missed and random readings, rate of the
+        short ones. The saturated share is at its best, and is not among them: where no reading is 255 it has no slope.
+    scores
+        By the entries, (n, k), divided by their root sums of squares.
+    names
+        Of the entries; one that is tried in several shapes, or for several words, is there several times.
+    one_sided
+        Entries whose number cannot be negative.
+    """
+
+    base: Array
+    scores: Array
+    names: tuple[str, ...]
+    one_sided: NDArray[np.bool_]
+
+
+def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Library:
+    """Scores of all entries that the contexts can show.
+
+    Parameters
+    ----------
+    model
+        The base; its own effects stay. Its own parameters are fitted to the readings first.
+    contexts
+        Columns of the CSV form.
+    reading_cm
+        Readings [cm], shape (n,), all known.
+    """
+    contexts = {**contexts, "previous_reading_cm": previous(contexts, reading_cm)}
+    model = fitted(model, contexts, reading_cm)
+    base = _base_scores(model, contexts, reading_cm)
+    here = _log_prob(model, contexts, reading_cm)
+    columns, names, one_sided = [], [], []
+    for effect, of, values, parameter in _entries(contexts):
+        start = parameter.null or 0.0
+        changed = model.adding(effect.name, of, **{**values, parameter.name: start + parameter.step})
+        score = np.expm1(_log_prob(changed, contexts, reading_cm) - here)
+        size = np.sqrt(np.sum(score**2))
+        if size > 0.0:
+            columns.append(score / size)
+            names.append(effect.name)
+            one_sided.append(parameter.low >= 0.0)
+    return Library(base[:, :6], np.column_stack(columns), tuple(names), np.array(one_sided))
+
+
+def previous(contexts: Mapping[str, Any], reading_cm: Array) -> Array:
+    """The same sensor's reading before in the run [cm]; NaN for the first."""
+    series = np.char.add(np.asarray(contexts["run"], dtype=str), np.asarray(contexts["sensor"], dtype=str))
+    order = np.lexsort((np.asarray(contexts["time_s"], dtype=float), series))
+    follows = series[order][1:] == series[order][:-1]
+    before = np.full(reading_cm.size, np.nan)
+    before[order[1:][follows]] = reading_cm[order[:-1][follows]]
+    return before
+
+
+def _base_scores(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Array:
+    here = _log_prob(model, contexts, reading_cm)
+    changed = [_changed(model, BASE_STEP * unit) for unit in np.eye(7)]
+    return np.column_stack([np.expm1(_log_prob(each, contexts, reading_cm) - here) for each in changed]) / BASE_STEP
+
+
+def _log_prob(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Array:
+    return np.maximum(model.log_prob(reading_cm, contexts), np.log(LEAST))
+
+
+def _some_of_each(model: Model) -> Model:
+    """With a little of every kind of reading: what the base has none of may still be there."""
+    sensor, mixture = model.sensor, model.sensor.reading_model
+    shares = {name: max(share, LEAST_WEIGHT) for name, share in mixture.weights.model_dump().items()}
+    saturated = min(max(mixture.saturated_fraction, LEAST_SATURATED), 1.0 - LEAST_SATURATED)
+    update = {"weights": _sum_to_one(mixture, shares), "saturated_fraction": saturated}
+    return Model(sensor.model_copy(update={"reading_model": mixture.model_copy(update=update)}), model.effects)
+
+
+def fitted(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Model:
+    """With the base's parameters at the readings' maximum of the likelihood, by damped steps of Gauss and Newton."""
+    model = _some_of_each(model)
+    best = _log_prob(model, contexts, reading_cm).sum()
+    for _ in range(ROUNDS):
+        base = _base_scores(model, contexts, reading_cm)
+        step = np.linalg.solve(base.T @ base + DAMPING * np.eye(base.shape[1]), base.sum(axis=0))
+        for _ in range(6):
+            tried = _changed(model, step)
+            reached = _log_prob(tried, contexts, reading_cm).sum()
+            if reached > best:
+                break
+            step = 0.3 * step
+        if reached <= best + 1e-3:
+            break
+        model, best = tried, reached
+    return model
+
+
+def _sum_to_one(mixture: MixtureParameters, shares: Mapping[str, float]) -> Weights:
+    total = sum(shares.values())
+    return mixture.weights.model_copy(update={name: share / total for name, share in shares.items()})
+
+
+def _changed(model: Model, by: Array) -> Model:
+    """The model with its base's parameters changed by so much: the offset [cm], logarithms of the rest."""
+    sensor, mixture = model.sensor, model.sensor.reading_model
+    factors = dict(zip(("hit", "unexpected", "max", "random"), np.exp([0.0, *by[2:5]]), strict=True))
+    shares = {name: share * factors[name] for name, share in mixture.weights.model_dump().items()}
+    saturated = expit(logit(mixture.saturated_fraction) + by[6])
+    update = {
+        "weights": _sum_to_one(mixture, shares),
+        "sigma_cm": mixture.sigma_cm * np.exp(by[1]),
+        "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * np.exp(by[1]),
+        "unexpected_rate_per_m": mixture.unexpected_rate_per_m * np.exp(by[5]),
+        "saturated_fraction": min(max(saturated, LEAST_SATURATED), 1.0 - LEAST_SATURATED),
+    }
+    knots = [(knot.true_cm, knot.reading_cm) for knot in sensor.calibration] or [(100.0, 100.0), (200.0, 200.0)]
+    moved = [{"true_cm": true_cm, "reading_cm": reading_cm + by[0]} for true_cm, reading_cm in knots]
+    # The sensor keeps its calibration's curve, so that one with another calibration is made anew.
+    sensor = type(sensor).model_validate({**sensor.model_dump(), "calibration": moved})
+    return Model(sensor.model_copy(update={"reading_model": mixture.model_copy(update=update)}), model.effects)
+
+
+def _entries(contexts: Mapping[str, Any]) -> Iterator[tuple[Effect, str | None, dict[str, float], Parameter]]:
+    """Entries of the catalogue whose columns are there, in each shape that it is to be tried in."""
+    for effect in CATALOGUE.values():
+        if not all(_says(contexts, name) for name in (*effect.needs, *([effect.of] if effect.of else []))):
+            continue
+        words: list[str | None] = [None]
+        if effect.of is not None:
+            words = [str(word) for word in np.unique(np.asarray(contexts[effect.of])) if word]
+            if not 1 < len(words) <= MOST_WORDS:
+                continue
+        shapes = [parameter for parameter in effect.parameters if parameter.null is None]
+        numbers = [parameter for parameter in effect.parameters if parameter.null is not None]
+        for word in words:
+            for tried in product(*(shape.tried or (shape.default,) for shape in shapes)):
+                held = {shape.name: float(value or 0.0) for shape, value in zip(shapes, tried, strict=True)}
+                held |= {number.name: number.null or 0.0 for number in numbers}
+                for number in numbers:
+                    yield effect, word, held, number
+
+
+def _says(contexts: Mapping[str, Any], name: str) -> bool:
+    if name not in contexts:
+        return False
+    column = np.asarray(contexts[name])
+    return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())

@@ -1,0 +1,111 @@
+"""How the vehicle is turned at the time of an echo, from the autopilot's ATTITUDE messages.
+
+The angles of the newest two messages enter, a rotation leaves: a straight line through them, since an echo is older
+than the message that comes after it. Where none is sent, or the last one is old, there is none.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+from msp_range.geometry import Matrix, rotation_matrix
+
+OLDEST_S = 0.6
+"""An attitude this much older than the echo says nothing of it [s]; autopilots send it at 4 Hz or more."""
+AHEAD_S = 0.1
+"""A turn is thought to go on for this long after the newest message [s]."""
+TOGETHER_S = 0.001
+
+
+class Angles(NamedTuple):
+    """An attitude: when it came [s], and Euler angles [rad], intrinsic z-y'-x''."""
+
+    time_s: float
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+
+
+class Attitude(Protocol):
+    """Whoever knows how the vehicle is turned."""
+
+    def rotation_at(self, time_s: float) -> Matrix | None:
+        """Body FRD to north, east, down at a time on the bridge's clock [s]; None where it is not known."""
+        ...
+
+
+class AttitudeTrack:
+    """The last two attitudes that were heard."""
+
+    def __init__(self) -> None:
+        self._before: Angles | None = None
+        self._newest: Angles | None = None
+
+    def hear(self, angles: Angles) -> bool:
+        """Take an attitude; False where it is no use: not numbers, or together with the one before."""
+        if not all(map(math.isfinite, angles)):
+            return False
+        if self._newest is not None and angles.time_s - self._newest.time_s < TOGETHER_S:
+            return False  # They lay in one buffer; a line through them could have any slope.
+        self._before, self._newest = self._newest, angles
+        return True
+
+    def rotation_at(self, time_s: float) -> Matrix | None:
+        """Body to north, east, down; None where nothing is known.
+
+        Examples
+        --------
+        >>> AttitudeTrack().rotation_at(0.0) is None
+        True
+        """
+        newest, before = self._newest, self._before
+        if newest is None or time_s - newest[0] > OLDEST_S:
+            return None
+        end_s, roll, pitch, yaw = newest
+        if before is not None and end_s - before[0] < OLDEST_S:
+            begin_s, from_roll, from_pitch, from_yaw = before
+            share = (min(max(time_s, begin_s), end_s + AHEAD_S) - end_s) / (end_s - begin_s)
+            roll += share * _turn(from_roll, roll)
+            pitch += share * (pitch - from_pitch)
+            yaw += share * _turn(from_yaw, yaw)
+        return rotation_matrix(roll, pitch, yaw)
+
+
+class RecordedAttitude:
+    """Recorded attitudes, each known from its time on.
+
+    Parameters
+    ----------
+    attitudes
+        In order of time.
+    now
+        The time that it is [s].
+    keep
+        Called with each when its time has come.
+    """
+
+    def __init__(
+        self, attitudes: Sequence[Angles], now: Callable[[], float], keep: Callable[[Angles], None] | None = None
+    ) -> None:
+        self._track = AttitudeTrack()
+        self._coming = iter(attitudes)
+        self._next = next(self._coming, None)
+        self._now = now
+        self._keep = keep
+
+    def rotation_at(self, time_s: float) -> Matrix | None:
+        """As `AttitudeTrack.rotation_at`, of those that have been heard by now."""
+        now_s = self._now()
+        while self._next is not None and self._next.time_s <= now_s:
+            if self._track.hear(self._next) and self._keep is not None:
+                self._keep(self._next)
+            self._next = next(self._coming, None)
+        return self._track.rotation_at(time_s)
+
+
+def _turn(start_rad: float, end_rad: float) -> float:
+    """The shorter way round from one angle to another [rad]."""
+    turn_rad = end_rad - start_rad
+    if -math.pi <= turn_rad <= math.pi:
+        return turn_rad
+    return math.remainder(turn_rad, 2 * math.pi)

@@ -1,0 +1,254 @@
+"""Height over the ground, its rate, and the ground's slope: an extended Kalman filter for three ways to move.
+
+Height h [m] moves with its rate w [m/s], and w by white acceleration. Three such filters run side by side, for a
+vehicle that is calm, that moves and that manoeuvres; they are mixed by how well each foretells the readings
+(interacting multiple models: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
+
+The ground's rise per metre north and east, g, is common to the three. What a reading tells of it is the difference of
+its lever (how far from the reference point the sensor looks) from the mean lever of the last readings; where that mean
+is, the height is known, and how the slope carries on from there is not learnt from it. So the two are independent, and
+what no sensor sees stays uncertain: one sensor at a corner knows the height there and not below the vehicle's middle.
+Plain floats: for so few that is quicker than arrays.
+"""
+
+import math
+from typing import NamedTuple
+
+from msp_range.fusion.mounting import View
+
+CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 1e-4, 1e-2, 1.0
+"""Spectral density of the vehicle's acceleration [m^2/s^3]: at a steady rate; bobbing; changing its speed by a metre a
+second within a second."""
+WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
+"""How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
+SPURS_PER_S, EASES_PER_S = 0.2, 1.0
+"""How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
+START_WEIGHTS = (0.2, 0.4, 0.4)
+"""Of the three ways at the beginning."""
+SHORTEST_BASE_S, START_SLOPE_M = 0.08, 0.05
+"""Two readings show a rate where they are this far apart [s]; a slope puts them apart by this [m]."""
+SLOPE_STD = 0.10
+"""Standard deviation of the ground's rise a metre: 6 deg."""
+SLOPE_LASTS_S = 30.0
+"""Time constant with which the slope falls back to level where no reading holds it [s]."""
+LEVER_SHARE = 0.2
+"""Share of the newest reading's lever in the mean lever: a round of four sensors."""
+LEAST_SHARE = 1e-3
+"""A filter is not mixed with less than this of another."""
+LEAST_WEIGHT = 1e-4
+"""No way to move is ever ruled out further than this."""
+SQRT_TWO_PI = math.sqrt(2 * math.pi)
+
+_Motion = tuple[float, float, float, float, float]
+"""Means and covariance of one filter: h, w, hh, hw, ww."""
+
+
+class Ground(NamedTuple):
+    """Where the ground is, and the covariance of the errors.
+
+    Attributes
+    ----------
+    height_m, climb_m_s
+        Height of the reference point above the plane of the ground, straight up, and how fast it grows [m, m/s].
+    rise_north, rise_east
+        Rise of the ground per metre; forward and right where the attitude is not known.
+    covariance
+        4 x 4, in that order, SI units.
+    """
+
+    height_m: float
+    climb_m_s: float
+    rise_north: float
+    rise_east: float
+    covariance: tuple[tuple[float, ...], ...]
+
+
+class GroundFilter:
+    """The three filters, their mixture, and the slope.
+
+    Parameters
+    ----------
+    height_m, variance_m2
+        Height at the beginning [m], and the variance of its error [m^2].
+    higher_m, elapsed_s
+        How much higher that is than another reading [m], how long ago [s].
+
+    Attributes
+    ----------
+    height_m, climb_m_s, rise_north, rise_east
+        The mixture's mean; see `Ground`.
+    """
+
+    def __init__(self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float) -> None:
+        apart_s = max(elapsed_s, SHORTEST_BASE_S)
+        # Of two places on a slope, perhaps, and each with its noise.
+        climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
+        start: _Motion = (height_m, higher_m / apart_s, variance_m2, variance_m2 / apart_s, climb_variance)
+        self._filters: tuple[_Motion, ...] = (start, start, start)
+        self._weights: tuple[float, ...] = START_WEIGHTS
+        self.height_m, self.climb_m_s = start[:2]
+        self._mean_lever: tuple[float, float] | None = None
+        self.level()
+
+    def level(self) -> None:
+        """Forget the slope, as where its frame has changed."""
+        self.rise_north = self.rise_east = 0.0
+        self._slope = (SLOPE_STD * SLOPE_STD, 0.0, SLOPE_STD * SLOPE_STD)
+
+    def predict(self, t: float) -> None:
+        """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way."""
+        if t <= 0:
+            return
+        calm, moving, wild = self._filters
+        of_calm, of_moving, of_wild = self._weights
+        wakes, calms = of_calm * min(WAKES_PER_S * t, 0.5), of_moving * min(CALMS_PER_S * t, 0.4)
+        spurs, eases = of_moving * min(SPURS_PER_S * t, 0.4), of_wild * min(EASES_PER_S * t, 0.5)
+        of_calm += calms - wakes
+        of_moving += wakes + eases - calms - spurs
+        of_wild += spurs - eases
+        # A calm vehicle's filter takes hardly anything of the next one; that one takes from both sides.
+        woken = _mixed(moving, calm, wakes / (of_moving - eases))
+        self._filters = (
+            _moved(calm, moving, calms / of_calm, t, CALM_M2_S3),
+            _moved(woken, wild, eases / of_moving, t, MOVING_M2_S3),
+            _moved(wild, moving, spurs / of_wild, t, MANOEUVRE_M2_S3),
+        )
+        self._weights = (of_calm, of_moving, of_wild)
+        self._combine()
+        stays = max(1 - t / SLOPE_LASTS_S, 0.0)
+        square = stays * stays
+        comes = (1 - square) * SLOPE_STD * SLOPE_STD
+        nn, ne, ee = self._slope
+        self._slope = (nn * square + comes, ne * square, ee * square + comes)
+        self.rise_north *= stays
+        self.rise_east *= stays
+
+    def update(self, view: View, innovation_m: float, variance_m2: float, other_per_m: float) -> float | None:
+        """Take a reading that is ``innovation_m`` longer than expected, where it is of the ground.
+
+        Parameters
+        ----------
+        view, innovation_m, variance_m2
+            What is expected, how much longer the reading is [m], and the variance of its error [m^2].
+        other_per_m
+            Probability density of readings that are not of the ground [1/m].
+
+        Returns
+        -------
+        float or None
+            The innovation squared over its variance; None where the reading is more likely of something else, and
+            nothing has changed.
+        """
+        _, a, by_north, by_east, _ = view
+        lever_north, lever_east = by_north / a, by_east / a
+        mean_north, mean_east = self._mean_lever or (lever_north, lever_east)
+        b, c = a * (lever_north - mean_north), a * (lever_east - mean_east)
+        nn, ne, ee = self._slope
+        x_north, x_east = b * nn + c * ne, b * ne + c * ee
+        noise_m2 = variance_m2 + b * x_north + c * x_east
+        likelihoods, total, normalised, total_m2 = [], 0.0, 0.0, 0.0
+        expected_m = innovation_m + a * self.height_m
+        for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
+            # The reading was foretold for the mixture; each filter's own mean is a little off from that.
+            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+            square = own_m * own_m / own_m2
+            likelihood = weight * math.exp(-0.5 * square) / math.sqrt(own_m2)
+            likelihoods.append(likelihood)
+            total += likelihood
+            normalised += weight * square
+            total_m2 += weight * own_m2
+        if total < other_per_m * SQRT_TWO_PI:
+            return None
+        self._weights = tuple([max(each / total, LEAST_WEIGHT) for each in likelihoods])
+        k_north, k_east = x_north / total_m2, x_east / total_m2
+        to_north, to_east = k_north * innovation_m, k_east * innovation_m
+        self.rise_north += to_north
+        self.rise_east += to_east
+        self._slope = (nn - k_north * x_north, ne - k_north * x_east, ee - k_east * x_east)
+        # The height where the mean lever is stays, whatever the slope.
+        lower_m = mean_north * to_north + mean_east * to_east
+        filters = []
+        for h, w, hh, hw, ww in self._filters:
+            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+            k0, k1 = a * hh / own_m2, a * hw / own_m2
+            still = 1 - a * k0
+            filters.append((h - lower_m + k0 * own_m, w + k1 * own_m, still * hh, still * hw, ww - a * k1 * hw))
+        self._filters = tuple(filters)
+        self._mean_lever = (
+            mean_north + LEVER_SHARE * (lever_north - mean_north),
+            mean_east + LEVER_SHARE * (lever_east - mean_east),
+        )
+        self._combine()
+        return normalised
+
+    def shift(self, by_m: float, variance_m2: float, climb_variance: float) -> None:
+        """The ground is ``by_m`` lower than thought, as beyond a step; the vehicle's motion stays."""
+        self._filters = tuple(
+            [(h + by_m, w, hh + variance_m2, hw, ww + climb_variance) for h, w, hh, hw, ww in self._filters]
+        )
+        self._combine()
+
+    def ground(self) -> Ground:
+        """The mixture's mean and covariance: h = H - m . g, H the height where the mean lever m is, apart from g."""
+        hh = hw = ww = 0.0
+        for weight, (h, w, own_hh, own_hw, own_ww) in zip(self._weights, self._filters, strict=True):
+            off_m, off_m_s = h - self.height_m, w - self.climb_m_s
+            hh += weight * (own_hh + off_m * off_m)
+            hw += weight * (own_hw + off_m * off_m_s)
+            ww += weight * (own_ww + off_m_s * off_m_s)
+        north, east = self._mean_lever or (0.0, 0.0)
+        nn, ne, ee = self._slope
+        hn, he = -(north * nn + east * ne), -(north * ne + east * ee)
+        covariance = (
+            (hh - north * hn - east * he, hw, hn, he),
+            (hw, ww, 0.0, 0.0),
+            (hn, 0.0, nn, ne),
+            (he, 0.0, ne, ee),
+        )
+        return Ground(self.height_m, self.climb_m_s, self.rise_north, self.rise_east, covariance)
+
+    def variance(self, by_height: float, by_north: float, by_east: float) -> float:
+        """Variance of the error of a linear combination of height and slope."""
+        height_m, total = self.height_m, 0.0
+        for weight, motion in zip(self._weights, self._filters, strict=True):
+            off_m = motion[0] - height_m
+            total += weight * (motion[2] + off_m * off_m)
+        mean_north, mean_east = self._mean_lever or (0.0, 0.0)
+        b, c = by_north - by_height * mean_north, by_east - by_height * mean_east
+        nn, ne, ee = self._slope
+        return by_height * by_height * total + b * (b * nn + 2 * c * ne) + c * c * ee
+
+    def _combine(self) -> None:
+        a, b, c = self._weights
+        calm, moving, wild = self._filters
+        self.height_m = a * calm[0] + b * moving[0] + c * wild[0]
+        self.climb_m_s = a * calm[1] + b * moving[1] + c * wild[1]
+
+
+def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
+    """Mean and covariance of a mixture of which ``share`` is the other's."""
+    h, w, hh, hw, ww = own
+    h2, w2, hh2, hw2, ww2 = other
+    dh, dw, rest = h2 - h, w2 - w, 1 - share
+    return (
+        h + share * dh,
+        w + share * dw,
+        hh + share * (hh2 - hh + rest * dh * dh),
+        hw + share * (hw2 - hw + rest * dh * dw),
+        ww + share * (ww2 - ww + rest * dw * dw),
+    )
+
+
+def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float) -> _Motion:
+    """Mixed, then x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
+    h, w, hh, hw, ww = own
+    if share > LEAST_SHARE:
+        h2, w2, hh2, hw2, ww2 = other
+        dh, dw, rest = h2 - h, w2 - w, 1 - share
+        h += share * dh
+        w += share * dw
+        hh += share * (hh2 - hh + rest * dh * dh)
+        hw += share * (hw2 - hw + rest * dh * dw)
+        ww += share * (ww2 - ww + rest * dw * dw)
+    noise = density * t
+    return h + w * t, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise

@@ -1,0 +1,109 @@
+"""`msp-range tune`: recorded flights -> Q and R of their Kalman filter, as the line of an airframe file.
+
+The readings are those that went into the filter: corrected for temperature, of status ok, and not a value that is also
+a fault code.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from msp_range.config import Airframe, load_airframe, load_airframe_from
+from msp_range.filters.kalman import KalmanParameters
+from msp_range.filters.tune import FEWEST, Track, Tuned, tune
+from msp_range.reading import Status
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording, is_recording
+from msp_range.recording.topics import RANGE_PREFIX
+
+Model = Literal["constant", "constant_velocity"]
+
+
+def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Model | None) -> Tuned:
+    """Fit one filter to all sensors of all recordings.
+
+    Raises
+    ------
+    RecordingError
+        A file is no recording, or too few readings have a range.
+    ConfigError
+        The airframe file cannot be used.
+    """
+    tracks: list[Track] = []
+    for path in paths:
+        tracks += recorded_tracks(path)
+    airframe = load_airframe(airframe_file) if airframe_file is not None else _flown(paths[0])
+    parameters = _kalman_of(airframe, model)
+    models = [sensor.sensor_model for sensor in airframe.sensors]
+    variance_cm2 = max(each.reading_model.sigma_cm**2 + each.resolution_cm**2 / 12 for each in models)
+    try:
+        return tune(tracks, parameters, variance_cm2)
+    except ValueError as error:
+        raise RecordingError(f"{', '.join(map(str, paths))}: {error}: fly longer, or name more recordings") from None
+
+
+def recorded_tracks(path: Path) -> list[Track]:
+    """The readings of each sensor of a recording, as they went into its filters.
+
+    Raises
+    ------
+    RecordingError
+        Not a recording, or one without readings.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file")
+    if not is_recording(path):
+        raise RecordingError(f"{path}: not an MCAP recording; expected what msp-range run or msp-sim fly recorded")
+    tracks: dict[str, list[tuple[float, float]]] = {}
+    for topic, _, message in Recording(path):
+        is_range = topic.startswith(RANGE_PREFIX) and message.get("status") == Status.OK.value
+        if is_range and "corrected_m" in message and not message.get("suspect"):
+            tracks.setdefault(topic, []).append((message["time_s"], message["corrected_m"]))
+    if not tracks:
+        raise RecordingError(f"{path}: holds no readings with a range; expected {FEWEST} or more")
+    return [sorted(each) for each in tracks.values()]
+
+
+def _flown(path: Path) -> Airframe:
+    return load_airframe_from(Recording(path).files, path)
+
+
+def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:
+    """The airframe's Kalman filter; the default one where it has none or one of another model."""
+    for each in airframe.filters:
+        if isinstance(each, KalmanParameters) and model in (None, each.model):
+            return each
+    return KalmanParameters(filter="kalman", model=model or "constant_velocity")
+
+
+def show(tuned: Tuned) -> None:
+    """Print values, intervals, likelihoods, and the lines for the airframe file."""
+    console = Console(width=120, highlight=False)
+    console.print(
+        f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.wild} wild readings apart\n"
+    )
+    table = Table(box=None)
+    for heading in ("parameter", "before", "fitted", "95 % interval"):
+        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    for each in tuned.fitted:
+        interval = f"{each.low:.3g} to {each.high:.3g}"
+        if each.low == 0.0 or each.high == float("inf"):
+            interval = "not told by these flights"
+        table.add_row(each.name, f"{each.before:.3g}", f"{each.value:.3g}", interval)
+    console.print(table)
+    gain = tuned.after - tuned.before
+    console.print(f"log likelihood: {tuned.before:.1f} before, {tuned.after:.1f} fitted, {gain:+.1f}")
+    console.print("\nfor the airframe file:\n\nfilters:")
+    console.print(f"  - {{{_line(tuned.parameters)}}}", soft_wrap=True)
+
+
+def _line(parameters: KalmanParameters) -> str:
+    """What differs from the defaults, and always the model and what was fitted."""
+    defaults = KalmanParameters(filter="kalman").model_dump()
+    of_q = "acceleration_std_m_s2" if parameters.model == "constant_velocity" else "process_variance_cm2"
+    always = ("filter", "model", of_q, "measurement_variance_cm2")
+    kept = {key: value for key, value in parameters.model_dump().items() if key in always or value != defaults[key]}
+    return ", ".join(f"{key}: {'null' if value is None else value}" for key, value in kept.items())

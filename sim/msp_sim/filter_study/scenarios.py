@@ -1,0 +1,124 @@
+"""The report's three scenarios (table 5.3): true ranges of many runs, and readings of them.
+
+A generator enters; true ranges, where their segments begin, and readings in centimetres leave, one row a seed. The
+report shows pictures of its random ranges and no recipe: segments of 5 to 19 samples, half of them constant at a new
+level and half a ramp from the last level to a new one, levels uniform from 230 to 360 cm, give what they show.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.reading_model.mixture import ReadingModel
+from msp_range.reading_model.sensor_model import MixtureParameters
+from msp_sim.profiles import SAMPLES_OF_A_STRETCH
+
+SAMPLES = 200
+INTERVAL_S = 0.1
+"""10 Hz for 20 s (5.3.1)."""
+FIXED_CM = 300.0
+SET_CM = (275.0, 225.0, 350.0, 325.0)
+RANDOM_CM = (230.0, 360.0)
+NOISE_CM2 = 3.7811
+"""Variance of the noise: the report's measured one, which it also takes for R (table 5.2) [cm^2]."""
+WILD_WEIGHTS = {"hit": 0.90, "unexpected": 0.03, "max": 0.05, "random": 0.02}
+"""Shares of readings where some are not of the surface: 5 % no echo, 3 % short, 2 % random."""
+SHORT_RATE_PER_M = 0.5
+"""As in the model file of the MB1242 [1/m]."""
+MINIMUM_CM, MAXIMUM_CM = 20, 765
+NAMES = ("fixed", "steps", "random")
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of one scenario, shape (seeds, samples).
+
+    Attributes
+    ----------
+    name
+        fixed, steps or random.
+    true_cm
+        True range [cm].
+    segment
+        Number of the segment that a sample is in, from 0 on.
+    ramp
+        Whether that segment is a ramp.
+    reading_cm
+        Readings [cm], whole numbers; NaN where there was no echo.
+    """
+
+    name: str
+    true_cm: Array
+    segment: NDArray[np.int64]
+    ramp: NDArray[np.bool_]
+    reading_cm: Array
+
+
+def report_readings(runs: Runs, rng: np.random.Generator, variance_cm2: float = NOISE_CM2) -> Runs:
+    """Runs with the report's noise: Gaussian, then rounded to whole centimetres."""
+    noisy = runs.true_cm + rng.normal(0.0, np.sqrt(variance_cm2), runs.true_cm.shape)
+    return replace(runs, reading_cm=np.rint(noisy))
+
+
+def wild_readings(runs: Runs, rng: np.random.Generator) -> Runs:
+    """Runs whose readings follow the mixture of `WILD_WEIGHTS`, behind the status gate: no echo is NaN."""
+    model = ReadingModel(wild_parameters(), MINIMUM_CM, MAXIMUM_CM)
+    reading_cm = model.sample({"true_range_cm": runs.true_cm.ravel()}, rng).reshape(runs.true_cm.shape)
+    return replace(runs, reading_cm=np.where(reading_cm == MAXIMUM_CM, np.nan, reading_cm))
+
+
+def gaussian_parameters() -> MixtureParameters:
+    """The reading model of the report's noise."""
+    return _parameters({"hit": 1.0, "unexpected": 0.0, "max": 0.0, "random": 0.0})
+
+
+def wild_parameters() -> MixtureParameters:
+    """The reading model of `wild_readings`."""
+    return _parameters(WILD_WEIGHTS)
+
+
+def _parameters(weights: dict[str, float]) -> MixtureParameters:
+    return MixtureParameters.model_validate(
+        {
+            "weights": weights,
+            "sigma_cm": NOISE_CM2**0.5,
+            "unexpected_rate_per_m": SHORT_RATE_PER_M,
+            "saturated_fraction": 0.0,
+        }
+    )
+
+
+def truth(name: str, seeds: int, rng: np.random.Generator) -> Runs:
+    """A scenario's runs; the readings are the true ranges."""
+    shape = (seeds, SAMPLES)
+    segment, ramp = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
+    if name == "fixed":
+        true_cm = np.full(shape, FIXED_CM)
+    elif name == "steps":
+        each = SAMPLES // len(SET_CM)
+        true_cm = np.tile(np.repeat(SET_CM, each), (seeds, 1))
+        segment[:] = np.repeat(np.arange(len(SET_CM)), each)
+    elif name == "random":
+        true_cm = np.empty(shape)
+        for row in range(seeds):
+            _random(true_cm[row], segment[row], ramp[row], rng)
+    else:
+        raise ValueError(f"scenario {name!r}, expected one of {', '.join(NAMES)}")
+    return Runs(name, true_cm, segment, ramp, true_cm)
+
+
+def _random(true_cm: Array, segment: NDArray[np.int64], ramp: NDArray[np.bool_], rng: np.random.Generator) -> None:
+    """Fill one run; a ramp's first sample is at the last level, and its new level is the next segment's last."""
+    fewest, most = SAMPLES_OF_A_STRETCH
+    start, number, last_cm = 0, 0, FIXED_CM
+    while start < true_cm.size:
+        length = int(rng.integers(fewest, most, endpoint=True))
+        is_ramp, level_cm = rng.random() < 0.5, float(rng.uniform(*RANDOM_CM))
+        part = slice(start, min(start + length, true_cm.size))
+        share = np.arange(part.stop - part.start) / length
+        true_cm[part] = last_cm + (level_cm - last_cm) * share if is_ramp else level_cm
+        segment[part], ramp[part] = number, is_ramp
+        start, number, last_cm = part.stop, number + 1, level_cm

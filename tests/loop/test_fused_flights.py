@@ -1,0 +1,117 @@
+"""Simulated flights over all kinds of ground: how well the height is known, what is told of objects and faults."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.clock import VirtualClock
+from msp_sim.flight import Flight, Simulation, Track
+from msp_sim.scenario import PlannedFault, Scenario, load_scenario
+
+SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
+
+
+def fly(scenario: Scenario, seed: int = 1) -> Flight:
+    simulation = Simulation(scenario, VirtualClock(), seed)
+    for _ in simulation.fly():
+        pass
+    return simulation.flight
+
+
+def error_m(track: Track, values_m: list[float | None]) -> np.ndarray:
+    pairs = zip(values_m, track.below_m, track.why, strict=True)
+    return np.array(
+        [
+            value - truth
+            for value, truth, why in pairs
+            if value is not None and truth is not None and why != "at_minimum"
+        ]
+    )
+
+
+def rms(errors_m: np.ndarray) -> float:
+    return math.sqrt(float((errors_m**2).mean()))
+
+
+@pytest.mark.parametrize("name", ["flat", "slope", "steps", "boxes", "rough_grass"])
+def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) -> None:
+    flight = fly(load_scenario(SCENARIOS / f"{name}.yaml"))
+    fused_m = error_m(flight.fused, flight.fused.filtered_m)
+    assert len(fused_m) > 400
+    raw_m = [error_m(track, track.raw_m) for track in flight.tracks.values()]
+    assert rms(fused_m) < 0.5 * min(map(rms, raw_m))
+    # That is easy where one reading in thirty is wild. Against the readings that are not:
+    assert rms(fused_m) < 0.7 * min(rms(each[np.abs(each) < 0.15]) for each in raw_m)
+    assert np.abs(fused_m).max() < 0.15
+    times_s = np.array(flight.fused.time_s)
+    assert np.diff(times_s).max() < 0.65
+    assert len(times_s) / (times_s[-1] - times_s[0]) > 9.7
+
+
+@pytest.mark.parametrize("kind", ["silent", "stuck"])
+def test_a_dead_or_stuck_sensor_costs_little_and_is_told(kind: str) -> None:
+    scenarios = [load_scenario(SCENARIOS / f"{name}.yaml") for name in ("flat", "terrain", "rough_grass")]
+    fault = PlannedFault(sensor="front_left", kind=kind, from_s=12.0, to_s=200.0)
+    good, bad = [], []
+    for scenario in scenarios:
+        good.append(fly(scenario))
+        broken = scenario.model_copy(update={"faults": (fault.model_copy(update={"to_s": scenario.duration_s}),)})
+        bad.append(fly(broken))
+        said = [text for _, _, text in bad[-1].texts]
+        assert any(
+            text.startswith("Range front_left: " + {"silent": "no answer", "stuck": "stuck"}[kind]) for text in said
+        )
+    errors = [
+        np.concatenate([error_m(each.fused, each.fused.filtered_m) for each in flights]) for flights in (good, bad)
+    ]
+    assert rms(errors[1]) < 1.2 * rms(errors[0])
+
+
+def test_over_flat_ground_rough_grass_and_slopes_nothing_is_taken_for_an_object() -> None:
+    for name in ("flat", "slope", "rough_grass", "hover", "sinusoid"):
+        flight = fly(load_scenario(SCENARIOS / f"{name}.yaml"), seed=3)
+        assert [text for _, _, text in flight.texts if "below" in text] == [], name
+
+
+def test_boxes_beside_the_middle_are_told_one_by_one() -> None:
+    """Four boxes of 30 to 60 cm to the right, left, right and left of the way, each under the front sensor first."""
+    texts = fly(load_scenario(SCENARIOS / "boxes.yaml")).texts
+    objects = [(time_s, text) for time_s, _, text in texts if "object" in text]
+    firsts = [next((each for each in objects if each[0] > start_s), None) for start_s in (10, 20, 30, 40)]
+    assert [each[1].split(":")[0] for each in firsts if each is not None] == [
+        "Range front_right",
+        "Range front_left",
+        "Range front_right",
+        "Range front_left",
+    ]
+    highs_m = [float(each[1].split(" of ")[1].split(" m")[0]) for each in firsts if each is not None]
+    assert highs_m == pytest.approx([0.3, 0.4, 0.5, 0.6], abs=0.11)
+
+
+HARD = """
+name: hard
+airframe: {airframe}
+duration_s: 20
+flight:
+  altitude:
+    - {{kind: climb, to_m: 2.0}}
+    - {{kind: hold, duration_s: 3}}
+    - {{kind: climb, to_m: 5.0, speed_m_s: 3, acceleration_m_s2: {acceleration}}}
+    - {{kind: hold, duration_s: 3}}
+    - {{kind: climb, to_m: 2.0, speed_m_s: 3, acceleration_m_s2: {acceleration}}}
+    - {{kind: hold, duration_s: 3}}
+"""
+
+
+@pytest.mark.parametrize("acceleration", [3, 5])
+def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, acceleration: int) -> None:
+    airframe = SCENARIOS.parent / "quad_pallet.yaml"
+    path = tmp_path / "hard.yaml"
+    path.write_text(HARD.format(airframe=airframe, acceleration=acceleration))
+    for seed in range(3):
+        flight = fly(load_scenario(path), seed)
+        times_s = np.array(flight.fused.time_s)
+        assert np.diff(times_s).max() < 0.35
+        assert np.percentile(np.abs(error_m(flight.fused, flight.fused.filtered_m)), 95) < 0.05

@@ -1,0 +1,147 @@
+"""The filter of the ground against dense matrices, and what its three ways to move are for."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from msp_range.fusion import ground_filter
+from msp_range.fusion.ground_filter import SLOPE_STD, START_SLOPE_M, GroundFilter
+from msp_range.fusion.mounting import View
+
+R_M2 = 0.02**2
+NO_OTHER = 1e-30
+STRAIGHT = View(2.0, 1.0, 0.0, 0.0, 0.0)
+CORNERS = [View(2.0, 1.0, -x, -y, 0.0) for x, y in ((0.25, -0.2), (0.25, 0.2), (-0.25, -0.2), (-0.25, 0.2))]
+
+
+def test_with_one_way_to_move_it_is_a_kalman_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+    density = 0.3
+    for name in ("CALM_M2_S3", "MOVING_M2_S3", "MANOEUVRE_M2_S3"):
+        monkeypatch.setattr(ground_filter, name, density)
+    draw = np.random.default_rng(3)
+    known = GroundFilter(2.0, R_M2, 0.1, 0.1)
+    mean = np.array([2.0, 1.0])
+    covariance = np.array([[R_M2, R_M2 / 0.1], [R_M2 / 0.1, (2 * R_M2 + START_SLOPE_M**2) / 0.1**2]])
+    for i in range(200):
+        t = draw.uniform(0.01, 0.2)
+        # Van Loan: the noise of white acceleration over t from a matrix exponential.
+        block = expm(np.array([[0, -1, 0, 0], [0, 0, 0, density], [0, 0, 0, 0], [0, 0, 1, 0]], float) * t)
+        transition = block[2:, 2:].T
+        mean, covariance = transition @ mean, transition @ covariance @ transition.T + transition @ block[:2, 2:]
+        known.predict(t)
+        scale = 1.0 + 0.05 * (i % 3)
+        row = np.array([scale, 0.0])
+        innovation_m = draw.normal(scale=0.03)
+        total = row @ covariance @ row + R_M2
+        gain = covariance @ row / total
+        mean, covariance = mean + gain * innovation_m, covariance - np.outer(gain, row @ covariance)
+        square = known.update(View(2.0, scale, 0.0, 0.0, 0.0), innovation_m, R_M2, NO_OTHER)
+        assert square == pytest.approx(innovation_m**2 / total, rel=1e-6)
+        ground = known.ground()
+        np.testing.assert_allclose(ground[:2], mean, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.array(ground.covariance)[:2, :2], covariance, rtol=1e-6, atol=1e-12)
+    assert known.variance(0.9, 0.0, 0.0) == pytest.approx(0.81 * covariance[0, 0], rel=1e-6)
+    # One place tells nothing of the slope.
+    assert ground[2:4] == (0.0, 0.0)
+    np.testing.assert_allclose(np.array(ground.covariance)[2:, 2:], SLOPE_STD**2 * np.eye(2))
+
+
+def test_four_corners_tell_the_slope_and_their_variance_says_how_well() -> None:
+    draw = np.random.default_rng(8)
+    rise = np.array([0.08, -0.12])
+    squares = []
+    for _ in range(200):
+        known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+        for i in range(40):
+            known.predict(0.1)
+            view = CORNERS[i % 4]
+            off = (rise - [known.rise_north, known.rise_east]) @ [view.by_north, view.by_east]
+            known.update(view, 2.0 - known.height_m + off + draw.normal(scale=0.02), R_M2, NO_OTHER)
+        ground = known.ground()
+        errors = np.array([ground.height_m - 2.0, *(np.array(ground[2:4]) - rise)])
+        squares.append([errors[0] ** 2, errors[1] ** 2, errors[2] ** 2] / np.diag(ground.covariance)[[0, 2, 3]])
+    assert np.all(np.mean(squares, axis=0) < 1.6)
+    assert np.all(np.mean(squares, axis=0) > 0.3)
+
+
+def test_one_corner_alone_knows_the_middle_no_better_than_the_slope_is_known() -> None:
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+    for _ in range(400):
+        known.predict(0.1)
+        known.update(CORNERS[0], 2.0 - known.height_m, R_M2, NO_OTHER)
+    covariance = np.array(known.ground().covariance)
+    lever_m = math.hypot(0.25, 0.2)
+    assert math.sqrt(covariance[0, 0]) == pytest.approx(SLOPE_STD * lever_m, rel=0.1)
+    # Where it looks, it knows better.
+    assert math.sqrt(known.variance(1.0, -0.25, 0.2)) < 0.02
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    row = np.array([0.9, 0.0, 0.2, -0.1])
+    assert known.variance(0.9, 0.2, -0.1) == pytest.approx(row @ covariance @ row, rel=1e-9)
+
+
+def hover(known: GroundFilter, truth_m: np.ndarray, draw: np.random.Generator) -> np.ndarray:
+    """Errors and normalised squares of readings that come each tenth of a second from the reference point."""
+    out = []
+    for height_m in truth_m:
+        known.predict(0.1)
+        known.update(STRAIGHT, height_m + draw.normal(scale=0.02) - known.height_m, R_M2, NO_OTHER)
+        out.append((known.height_m - height_m, (known.height_m - height_m) ** 2 / known.variance(1.0, 0.0, 0.0)))
+    return np.array(out)
+
+
+def test_a_calm_vehicle_is_known_to_half_the_noise_and_the_variance_says_so() -> None:
+    out = hover(GroundFilter(2.0, R_M2, 0.0, 0.1), np.full(6000, 2.0), np.random.default_rng(1))[100:]
+    assert out[:, 0].std() < 0.5 * 0.02
+    # Kalman filters of a real vehicle had better be careful: a steady one is the easiest case.
+    assert 0.4 < out[:, 1].mean() < 1.2
+
+
+@pytest.mark.parametrize(("swing_m", "period_s"), [(0.05, 3.0), (1.0, 6.0), (1.0, 4.0)])
+def test_a_vehicle_that_moves_is_followed_at_least_as_well_as_by_the_readings(swing_m: float, period_s: float) -> None:
+    truth_m = 3.0 + swing_m * np.sin(2 * math.pi / period_s * 0.1 * np.arange(3000))
+    out = hover(GroundFilter(3.0, R_M2, 0.0, 0.1), truth_m, np.random.default_rng(2))[100:]
+    assert math.sqrt((out[:, 0] ** 2).mean()) < 0.02
+    assert 0.5 < out[:, 1].mean() < 2.0
+
+
+def test_a_reading_of_something_else_changes_nothing() -> None:
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+    hover(known, np.full(50, 2.0), np.random.default_rng(5))
+    before = known.ground()
+    assert known.update(View(2.0, 1.0, 0.0, 0.0, 0.0), 0.5, R_M2, 1e-3) is None
+    assert known.ground() == before
+    assert known.update(View(2.0, 1.0, 0.0, 0.0, 0.0), 0.03, R_M2, 1e-3) is not None
+
+
+def test_a_step_moves_the_height_only_and_leaves_it_uncertain() -> None:
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+    hover(known, 2.0 + 0.05 * np.arange(50), np.random.default_rng(5))
+    before = known.ground()
+    known.shift(-0.4, 0.05**2, 0.3**2)
+    after = known.ground()
+    assert after.height_m == pytest.approx(before.height_m - 0.4)
+    assert after[1:4] == pytest.approx(before[1:4])
+    change = np.array(after.covariance) - np.array(before.covariance)
+    np.testing.assert_allclose(np.diag(change), [0.05**2, 0.3**2, 0, 0], atol=1e-12)
+
+
+def test_time_that_stands_still_or_goes_back_changes_nothing() -> None:
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+    before = known.ground()
+    known.predict(0.0)
+    known.predict(-0.01)
+    assert known.ground() == before
+
+
+def test_a_slope_whose_frame_has_changed_is_forgotten() -> None:
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1)
+    for i in range(30):
+        known.predict(0.1)
+        known.update(CORNERS[i % 4], 0.02 * (-1) ** i, R_M2, NO_OTHER)
+    assert abs(known.rise_north) + abs(known.rise_east) > 0
+    known.level()
+    ground = known.ground()
+    assert (ground.rise_north, ground.rise_east) == (0.0, 0.0)
+    assert ground.covariance[2][2] == pytest.approx(SLOPE_STD**2)

@@ -1,0 +1,44 @@
+"""The mixture of a bench whose set-ups are each off by more than the sensor scatters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.findings import Mixture
+from msp_range.characterise.mixture import fit_mixture
+from msp_range.characterise.points import sort_into_points
+from msp_range.correction.calibration import IDENTITY
+from msp_range.reading_model.sensor_model import load_sensor_model
+from tests.support.plain_bench import point, table
+
+SENSOR = load_sensor_model(Path("configs/sensors/mb1242.yaml"))
+
+
+def fitted(seed: int, *, n: int, off_cm: float) -> Mixture:
+    rng = np.random.default_rng(seed)
+    parts = [
+        point(rng, z, n=n, error_cm=off_cm * rng.standard_normal(), sigma_cm=0.7, missed=0.03, stray=0.01)
+        for z in range(40, 500, 20)
+    ]
+    points = sort_into_points(table(*parts), SENSOR)
+    found = fit_mixture(points, IDENTITY, SENSOR, np.random.default_rng(seed))
+    assert not isinstance(found, str)
+    return found.found
+
+
+def test_how_far_set_ups_are_off_is_not_the_sensor_s_noise() -> None:
+    found = fitted(1, n=600, off_cm=0.6)
+    sigma = next(each.fitted for each in found.parameters if each.name == "sigma_cm")
+    assert sigma.value == pytest.approx(0.7, abs=0.02)
+    assert found.pit_p_value > 0.01
+    assert "nothing depends on range" in found.conditional
+    assert any(note.startswith("23 of 23 set-ups are fitted about the mean of their own hits") for note in found.notes)
+
+
+def test_set_ups_of_few_readings_stay_where_the_reference_puts_them() -> None:
+    found = fitted(2, n=40, off_cm=0.0)
+    sigma = next(each.fitted for each in found.parameters if each.name == "sigma_cm")
+    # Their own means would take 1/40 off the variance, and hide what the set-ups differ by.
+    assert sigma.value == pytest.approx(0.7, abs=0.05)
+    assert not any("set-ups" in note for note in found.notes)

@@ -1,0 +1,65 @@
+"""What a sensor reads over a plane: against geometry by numpy, and its derivatives against differences."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from msp_range.fusion.mounting import LEVEL, DownwardSensor, Oblique
+from msp_range.geometry import boresight, rotation_matrix
+
+ANGLES_DEG = [(0.0, 0.0, 0.0), (5.0, -8.0, 70.0), (-12.0, 3.0, 200.0)]
+
+
+def reads(sensor: DownwardSensor, angles_rad: Any, height_m: float, rise: tuple[float, float]) -> tuple[float, float]:
+    """(slant, nearest) [m] by vectors: a plane through the point ``height_m`` below the origin, NED."""
+    turned = Rotation.from_euler("ZYX", angles_rad[::-1]).as_matrix()
+    at, looks = turned @ np.array(sensor.position_m), turned @ np.array(sensor.boresight)
+    normal = np.array([rise[0], rise[1], 1.0])
+    over_m = normal @ (np.array([0.0, 0.0, height_m]) - at)
+    return float(over_m / (normal @ looks)), float(over_m / np.linalg.norm(normal))
+
+
+@pytest.mark.parametrize("angles_deg", ANGLES_DEG)
+@pytest.mark.parametrize("rise", [(0.0, 0.0), (0.1, -0.2)])
+@pytest.mark.parametrize("oblique", ["slant", "nearest", "unknown"])
+def test_a_reading_is_where_the_beam_or_the_perpendicular_meets_the_plane(
+    angles_deg: tuple[float, float, float], rise: tuple[float, float], oblique: Oblique
+) -> None:
+    angles_rad = tuple(math.radians(each) for each in angles_deg)
+    sensor = DownwardSensor((0.3, -0.2, 0.05), boresight(0.0, math.radians(-78), math.radians(30)), oblique)
+    view = sensor.view(rotation_matrix(*angles_rad), 2.5, *rise)
+    assert view is not None
+    slant_m, nearest_m = reads(sensor, angles_rad, 2.5, rise)
+    if oblique == "unknown":
+        # Midway in what a reading tells of the height: 1 / r of a height is the mean of the two.
+        assert 1 / view.expected_m == pytest.approx((1 / slant_m + 1 / nearest_m) / 2, rel=1e-12)
+        assert math.sqrt(view.shared_variance_m2) == pytest.approx(abs(slant_m - nearest_m) / 2, rel=0.1)
+    else:
+        assert view.expected_m == pytest.approx(slant_m if oblique == "slant" else nearest_m, rel=1e-12)
+        assert view.shared_variance_m2 == 0.0
+
+
+@pytest.mark.parametrize("angles_deg", ANGLES_DEG)
+@pytest.mark.parametrize("oblique", ["slant", "nearest", "unknown"])
+def test_the_derivatives_are_those_of_the_reading(angles_deg: tuple[float, float, float], oblique: Oblique) -> None:
+    rotation = rotation_matrix(*(math.radians(each) for each in angles_deg))
+    sensor = DownwardSensor((0.25, 0.2, 0.05), boresight(0.0, math.radians(-80), math.radians(90)), oblique)
+    state, small = np.array([3.0, 0.12, -0.07]), 1e-6
+
+    def at(*state: float) -> float:
+        view = sensor.view(rotation, *state)
+        assert view is not None
+        return view.expected_m
+
+    view = sensor.view(rotation, *state)
+    assert view is not None
+    differences = [(at(*(state + step)) - at(*(state - step))) / (2 * small) for step in small * np.eye(3)]
+    np.testing.assert_allclose([view.by_height, view.by_north, view.by_east], differences, rtol=1e-7, atol=1e-8)
+
+
+def test_a_beam_along_the_ground_sees_none() -> None:
+    forward = DownwardSensor((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), "slant")
+    assert forward.view(LEVEL, 2.0, 0.0, 0.0) is None
