@@ -147,3 +147,22 @@ def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: li
     assert after.verdict in ("explained", "partly explained")
     assert after.gap is not None
     assert after.gap.nats_per_reading.after < 0.2 * after.gap.nats_per_reading.before  # type: ignore[operator]
+
+
+def test_a_campaign_whose_sensor_is_off_shows_it(tmp_path: Path) -> None:
+    bench = ROOT / "configs" / "sensors" / "mb1242_bench.yaml"
+    off = bench.read_text(encoding="utf-8").replace(
+        "\neffects:\n", "\neffects:\n  - {name: range_scale, parameters: {scale_pct: 1.0}}\n"
+    )
+    (tmp_path / "off.yaml").write_text(off, encoding="utf-8")
+    campaign = ROOT / "configs" / "campaigns" / "afternoon.yaml"
+    run("collect", campaign, "--model", tmp_path / "off.yaml", "--out", tmp_path / "made")
+    run("compare", tmp_path / "made" / "readings.csv", "--model", bench, "--out", tmp_path / "out")
+    run("add", tmp_path / "out")
+    found = read_findings(tmp_path / "out")
+    # Its runs are points, each at one range: a scale is seen as what it does over range, by its name or as a curve.
+    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    curves = {(each.channel, each.variables) for each in found.unknown}
+    assert "range_scale" in names or ("bias", ("true_range_cm",)) in curves
+    assert found.gap is not None
+    assert found.gap.nats_per_reading.after < 0.1 * found.gap.nats_per_reading.before  # type: ignore[operator]
