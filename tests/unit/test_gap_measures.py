@@ -21,7 +21,7 @@ def table_of(columns, units: int = 50) -> Table:
 def measured(columns) -> tuple[Measures, dict[str, float]]:
     table = table_of(columns)
     parts = partitions(table.contexts)
-    drawn = twins(MODEL_GIVEN, table, parts, 8, np.random.default_rng(7))
+    drawn = twins(MODEL_GIVEN, table, parts, 5, np.random.default_rng(7))
     return measure(MODEL_GIVEN, table, parts, drawn), dict(drawn.floor)
 
 
@@ -77,7 +77,7 @@ def test_slices_say_where_and_are_corrected_for_their_number() -> None:
     rng = np.random.default_rng(3)
     table = table_of(readings(4000, bias=lambda c: np.where(c["throttle"] > 0.9, 2.0, 0.0)))
     parts = partitions(table.contexts)
-    drawn = twins(MODEL_GIVEN, table, parts, 8, rng)
+    drawn = twins(MODEL_GIVEN, table, parts, 5, rng)
     slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, rng)
     assert slices[0].variables == ()
     first = slices[1]
