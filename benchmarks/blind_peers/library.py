@@ -158,7 +158,7 @@ def _changed(model: Model, by: Array) -> Model:
         "weights": _sum_to_one(mixture, shares),
         "sigma_cm": mixture.sigma_cm * np.exp(by[1]),
         "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * np.exp(by[1]),
-        "unexpected_rate_per_m": mixture.unexpected_rate_per_m * np.exp(by[5]),
+        "unexpected_rate_per_m": min(max(mixture.unexpected_rate_per_m * np.exp(by[5]), 1e-4), 1000.0),
         "saturated_fraction": min(max(saturated, LEAST_SATURATED), 1.0 - LEAST_SATURATED),
     }
     knots = [(knot.true_cm, knot.reading_cm) for knot in sensor.calibration] or [(100.0, 100.0), (200.0, 200.0)]
