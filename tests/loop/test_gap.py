@@ -32,7 +32,7 @@ def hidden(columns: dict[str, Any]) -> np.ndarray:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("gap")
-    write_csv(made / "flights.csv", readings(3000, 4, bias=hidden))
+    write_csv(made / "flights.csv", readings(2400, 4, bias=hidden))
     told = run("gap", made / "flights.csv", "--model", MODEL, "--out", made / "out")
     (made / "told.txt").write_text(told, encoding="utf-8")
     return made
@@ -46,7 +46,7 @@ def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
     assert found.verdict == "explained"
     names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
     assert "range_scale" in names
-    assert found.rows == 3000
+    assert found.rows == 2400
     assert found.runs == 10
     assert found.gap is not None
     assert found.gap.bias_cm.before == pytest.approx(3.0, abs=0.3)
@@ -62,7 +62,7 @@ def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None
     assert added
     evidence = added[0]["evidence"]
     assert evidence["data"][0]["name"] == "flights.csv"
-    assert evidence["data"][0]["rows"] == 3000
+    assert evidence["data"][0]["rows"] == 2400
     assert evidence["gap_before"]["bias_cm"] > 2.0 > evidence["gap_after"]["bias_cm"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", evidence["date"])
     told = run("fly", ROOT / "configs" / "scenarios" / "hover.yaml", "--model", folder / "out" / "model.yaml")
@@ -106,10 +106,44 @@ def test_a_folder_without_a_comparison_is_told(tmp_path: Path) -> None:
 
 
 def test_nothing_missing_says_what_would_have_been_seen(tmp_path: Path) -> None:
-    write_csv(tmp_path / "flights.csv", readings(2500, 6))
+    write_csv(tmp_path / "flights.csv", readings(1500, 6))
     told = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
     assert "Nothing is missing" in told
     assert "would have shown" in told
     found = read_findings(tmp_path / "out")
     assert (found.verdict, found.effects, found.unknown) == ("nothing missing", (), ())
     assert any(each.name == "humidity" and "humidity_pct" in each.columns for each in found.not_testable)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Flights of a sensor that has more to it than mb1242.yaml says, as the bridge recorded them."""
+    made = tmp_path_factory.mktemp("flights")
+    hidden_model = ROOT / "configs" / "sensors" / "mb1242_in_flight.yaml"
+    paths = []
+    for seed in range(1, 5):
+        scenario = ROOT / "configs" / "scenarios" / "demo.yaml"
+        run("fly", scenario, "--model", hidden_model, "--seed", seed, "--out", made / str(seed))
+        paths.append((made / str(seed) / "flight.mcap").rename(made / f"flight-{seed}.mcap"))
+    return paths
+
+
+def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: list[Path], tmp_path: Path) -> None:
+    run("compare", *recordings, "--model", MODEL, "--out", tmp_path)
+    before = read_findings(tmp_path)
+    assert before.runs == 4
+    # The front left sensor is mounted 1.5 cm lower, and the slices say so before anything is named.
+    (front_left,) = [each for each in before.slices if each.where == "sensor front_left"]
+    assert front_left.bias_cm == pytest.approx(1.5, abs=0.4)
+    assert front_left.p_value is not None
+    assert front_left.p_value < 0.05
+    run("add", tmp_path)
+    after = read_findings(tmp_path)
+    offset = {(each.name, each.of): each for each in after.effects}["mounting_offset", "front_left"]
+    value = offset.parameters["offset_cm"]
+    assert value.low is not None
+    assert value.high is not None
+    assert value.low < 1.5 < value.high
+    assert after.verdict in ("explained", "partly explained")
+    assert after.gap is not None
+    assert after.gap.nats_per_reading.after < 0.2 * after.gap.nats_per_reading.before  # type: ignore[operator]

@@ -80,6 +80,8 @@ class Scene:
         self.sensor = sensor
         self._contexts = contexts
         self._known: dict[str, Any] = {}
+        self.kept: dict[Any, Any] = {}
+        """What an effect wants to work out once for all its values."""
 
     def __contains__(self, column: str) -> bool:
         return column in self._contexts

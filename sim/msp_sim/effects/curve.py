@@ -52,10 +52,13 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     count = int(np.prod([len(each) for each in knots]))
     unit = "cm" if channel == "bias" else "1"
     names = [f"value_{i}" for i in range(count)]
+    shape = (tuple(variables), tuple(tuple(each) for each in knots))
 
     def act(scene: Scene, values: Mapping[str, float]) -> Change:
         at = np.array([values[name] for name in names])
-        return Change(**{FIELDS[channel]: hats(scene, variables, knots) @ at})
+        if shape not in scene.kept:
+            scene.kept[shape] = hats(scene, variables, knots)
+        return Change(**{FIELDS[channel]: scene.kept[shape] @ at})
 
     return Effect(
         name=CURVE,
@@ -75,10 +78,7 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -
     weights: _Array | None = None
     for variable, places in zip(variables, knots, strict=True):
         own = _hats(variable, np.atleast_1d(scene[variable]), places)
-        if weights is None:
-            weights = own
-        else:
-            weights = (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
+        weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
     if weights is None:
         raise ValueError("a curve needs a variable")
     return weights if np.ndim(scene[variables[0]]) else weights[0]

@@ -16,7 +16,7 @@ from scipy.special import gammaincc, gammaln
 from msp_sim.effects.base import WORD_COLUMNS
 from msp_sim.effects.curve import CurveChannel, hats
 from msp_sim.gap.refit import sums_by
-from msp_sim.gap.tangent import BASE, CHANNELS
+from msp_sim.gap.tangent import CHANNELS
 
 _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition"})
@@ -200,14 +200,6 @@ def _log_chance(statistic: float, degrees: int) -> float:
     return float(-half + (shape - 1.0) * np.log(half) - gammaln(shape))
 
 
-@dataclass(frozen=True)
-class Formula:
-    """A short form that goes through a curve."""
-
-    text: str
-    misfit: float
-
-
 def formula(variable: str, at: _Array, values: _Array, deviation: _Array) -> str:
     """The shortest form of a small grammar that goes through a curve, with its numbers.
 
@@ -264,6 +256,3 @@ def _grammar(variable: str, at: _Array, span: float) -> list[tuple[str, list[_Ar
     if variable.endswith("_deg") and np.all(np.abs(at) < 80.0):
         forms.append((f"{{0}} + {{1}} / cos({variable})", [1.0 / np.cos(np.radians(at))], 0))
     return forms
-
-
-__all__ = ["BASE", "FreeForm", "formula", "scan", "variables_of"]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from msp_sim.gap import adequacy
@@ -19,7 +20,7 @@ from msp_sim.gap.adequacy import FreeForm
 from msp_sim.gap.beginning import fit_base
 from msp_sim.gap.refit import Fitted, refit
 from msp_sim.gap.screen import Screen, Sums, information_of, screen, sums, twin
-from msp_sim.gap.tangent import BASE, Channels, Entry, Prepared, entries
+from msp_sim.gap.tangent import BASE, Entry, Prepared, entries
 from msp_sim.gap.units import Dependence, dependence
 from msp_sim.model.model import Active, Model, active_curve
 
@@ -99,6 +100,7 @@ class Chosen:
     path: tuple[tuple[str, _Array, tuple[Active, ...]], ...]
     dependence: Dependence
     dropped: tuple[tuple[str, str], ...] = ()
+    run_offset_cm: float = 0.0
 
 
 @dataclass
@@ -113,6 +115,8 @@ class Search:
     alpha: float
     tested: list[Entry] = field(init=False)
     missing: list[tuple[str, tuple[str, ...]]] = field(init=False)
+    common_inflation: float = 1.0
+    """Of likelihoods, where the unit is the run."""
 
     def __post_init__(self) -> None:
         found, self.missing = entries(self.model, self.contexts)
@@ -140,7 +144,16 @@ class Search:
 
     def sums(self, fitted: Fitted) -> Sums:
         """Scores of all rows at a fit."""
-        return sums(self.model, fitted.base, fitted.effects, self.tested, self.contexts, self.reading_cm, self.unit)
+        return sums(
+            self.model,
+            fitted.base,
+            fitted.effects,
+            self.tested,
+            self.contexts,
+            self.reading_cm,
+            self.unit,
+            self.information,
+        )
 
     def screen(self, fitted: Fitted, items: Sequence[Item]) -> Screen:
         """Every entry beside what is accepted."""
@@ -196,7 +209,7 @@ class Search:
         """A joint refit with one more effect, from the best of some starts and shapes."""
         best: tuple[float, Active] | None = None
         for shape in self._shapes(entry):
-            for part in (1.0, 0.25):
+            for part in (1.0, 0.25) if shape == entry.shape else (1.0,):
                 active = replace(entry, shape=shape).at(start * part)
                 value = float(self.prepared.log_prob(fitted.base, [*fitted.effects, active]).sum())
                 if best is None or value > best[0]:
@@ -211,8 +224,8 @@ class Search:
             if parameter.null is not None or len(parameter.tried) < 2:
                 continue
             low, high = min(parameter.tried), max(parameter.tried)
-            wide = [each for each in (low - (high - low) / 2, high + (high - low) / 2)]
-            places = np.linspace(max(wide[0], parameter.low), min(wide[1], parameter.high), SHAPES)
+            beside = (high - low) / 2.0
+            places = np.linspace(max(low - beside, parameter.low), min(high + beside, parameter.high), SHAPES)
             shapes += [
                 tuple((name, float(f"{place:.4g}") if name == parameter.name else value) for name, value in entry.shape)
                 for place in places
@@ -227,11 +240,6 @@ class Search:
     def loss(self, less: Fitted, fitted: Fitted) -> float:
         """Nats that the smaller of two fits loses, corrected for dependence as a whole."""
         return (fitted.log_likelihood - less.log_likelihood) * self.scale / self.common_inflation
-
-    @property
-    def common_inflation(self) -> float:
-        """Of likelihoods, where the unit is the run."""
-        return getattr(self, "_inflation", 1.0)
 
     def free_forms(
         self, fitted: Fitted, channels: Sequence[str] = ("bias", "spread", "short", "missed", "random")
@@ -248,7 +256,7 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
     first = search.screen(fitted, items)
     needed = 0.5 * first.critical**2
     if search.by_run:
-        search._inflation = float(np.median(first.inflation))  # type: ignore[attr-defined]
+        search.common_inflation = float(np.median(first.inflation))
     seen = first
     for turn in range(2):
         fitted, items = _forward(search, fitted, items, seen, needed, max_effects, path, say)
@@ -256,10 +264,29 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
         if not changed or len(items) >= max_effects or turn:
             break
         seen = search.screen(fitted, items)
-    fitted, items, rivals = _swaps(search, fitted, items, needed, say)
+    fitted, items, of_item = _swaps(search, fitted, items, needed, say)
     fitted, items = _eliminate(search, fitted, items, needed)
-    rivals = [rivals.get(item.key, ()) for item in items]  # type: ignore[assignment]
-    return Chosen(tuple(items), tuple(rivals), fitted, first, tuple(path), search.depends(fitted))  # type: ignore[arg-type]
+    rivals = tuple(of_item.get(item.key, ()) for item in items)
+    left = search.depends(fitted)
+    offset_cm = _run_offset_cm(search, fitted, left) if "run" in search.some else 0.0
+    return Chosen(tuple(items), rivals, fitted, first, tuple(path), left, (), offset_cm)
+
+
+def _run_offset_cm(search: Search, fitted: Fitted, left: Dependence) -> float:
+    """Deviation of offsets between runs that the model lacks [cm]; 0 where there is none, or its spread has it already.
+
+    A base that was fitted to readings of many runs takes their offsets for spread: then the whole spread is as it says.
+    Where they are missing, the spread within runs is as it says, and the whole is larger.
+    """
+    if left.p_between > 1e-4 or left.lag_z > 3.0:
+        return 0.0
+    share = min(left.between_run_share, 0.95)
+    whole = float(fitted.base[1])
+    within = whole + 0.5 * float(np.log1p(-share))
+    if abs(whole) < abs(within):
+        return 0.0
+    sigma_cm = float(np.median(search.prepared.rows.sigma_cm)) * float(np.exp(whole))
+    return sigma_cm * float(np.sqrt(share))
 
 
 def _forward(
@@ -318,7 +345,7 @@ def _update_unit(search: Search, fitted: Fitted) -> None:
     """An effect that changes slowly looks like dependence until it is named."""
     search.by_run = search.depends(fitted).dependent
     if not search.by_run:
-        search._inflation = 1.0  # type: ignore[attr-defined]
+        search.common_inflation = 1.0
 
 
 def _eliminate(search: Search, fitted: Fitted, items: list[Item], needed: float) -> tuple[Fitted, list[Item]]:
@@ -351,9 +378,14 @@ def _curves(
     say("asking for what no name explains", 0.5)
     for _ in range(3):
         forms = search.free_forms(fitted)
-        if not forms or not _unlikely(forms[0], sum(len(each.variables) == 1 for each in forms)):
-            break
-        fitted, items = _with_curve(search, fitted, items, forms[0])
+        singles = sum(len(each.variables) == 1 for each in forms)
+        if forms and _unlikely(forms[0], singles):
+            fitted, items = _with_curve(search, fitted, items, forms[0])
+        else:
+            between = _curve_between_runs(search, fitted, items, singles) if search.by_run else None
+            if between is None:
+                break
+            fitted, items = between
         fitted, items = _eliminate(search, fitted, items, needed)
         changed = True
     for channel in ("bias", "spread", "short", "missed", "random"):
@@ -367,12 +399,32 @@ def _curves(
             continue
         there, others = _with_curve(search, less, rest, forms[0])
         more = search.loss(fitted, there)
-        spare = max(forms[0].degrees - sum(1 + len(items[k].entry.shape) for k in named), 1)  # type: ignore[union-attr]
-        if more > 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0):
+        spare = max(forms[0].degrees - sum(1 + len(_shape(items[k])) for k in named), 1)
+        cost = adequacy.PAIR_COST if len(forms[0].variables) > 1 else 0.0
+        if more > cost + 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0):
             fitted, items, changed = there, others, True
     if changed:
         path.append(("curve", fitted.base, fitted.effects))
     return fitted, items, changed
+
+
+def _curve_between_runs(
+    search: Search, fitted: Fitted, items: list[Item], singles: int
+) -> tuple[Fitted, list[Item]] | None:
+    """A curve that differs from run to run, with which readings are independent: see `_between_runs`."""
+    runs = int(np.unique(search.some_unit).size)
+    forms = adequacy.scan(search.curves, fitted.scores, None, ("bias", "spread"))
+    for form in forms[:4]:
+        left = max(runs - 2 - form.degrees, 1)
+        if form.degrees >= runs // 3 or not _unlikely(form, singles):
+            continue
+        there, added = _with_curve(search, fitted, items, form)
+        rest = search.depends(there)
+        gained = 2.0 * (there.log_likelihood - fitted.log_likelihood) * search.scale / form.degrees
+        if rest.p_between > 0.02 and rest.lag_z < 2.5 and fisher.sf(gained, form.degrees, left) < UNKNOWN_P / singles:
+            search.by_run, search.common_inflation = False, 1.0
+            return there, added
+    return None
 
 
 def _unlikely(form: FreeForm, asked: int) -> bool:
@@ -441,6 +493,3 @@ def _swaps(
 
 def _shape(item: Item) -> tuple[tuple[str, float], ...]:
     return item.entry.shape if item.entry is not None else ()
-
-
-__all__ = ["BASE", "Channels", "Chosen", "Item", "RivalOf", "Search", "name"]

@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
-from msp_sim.effects.base import Parameter
-from msp_sim.effects.curve import CURVE, FIELDS
-from msp_sim.gap.tangent import BASE, CHANNELS, Channels, Prepared, channels, floored, shifted
-from msp_sim.model.model import Active, Model, acts, changed
+from msp_sim.effects.base import Parameter, Scene
+from msp_sim.effects.curve import FIELDS, hats
+from msp_sim.gap.tangent import BASE, CHANNELS, Channels, Prepared, channels, floored
+from msp_sim.model.model import Active, Model, acts
 
 _Array = NDArray[np.float64]
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
+BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2])
+"""How far a characterised base is off, about: what the readings alone cannot tell from an effect stays near the file."""
 ROUNDS = 12
-ENOUGH_NATS = 0.01
+ENOUGH_NATS = 0.03
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Fitted:
     effects
         With their values.
     log_likelihood
-        Sum over the readings [nat].
+        Sum over the readings, less what the priors take [nat].
     names
         Of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect.
     information
@@ -116,7 +118,7 @@ def refit(
     saturated = prepared.rows.saturated_fraction
     low[6], high[6] = min(1e-4 - saturated, 0.0), max(1.0 - 1e-4 - saturated, 0.0)
     scale = np.concatenate([np.zeros(nb), [ridge if effects[k].shape is not None else 0.0 for k, _ in numbers]])
-    scale[:nb] = 1e-6
+    scale[:nb] = 1.0 / BASE_DEVIATION**2
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
     def placed(at: _Array) -> tuple[Active, ...]:
@@ -166,7 +168,7 @@ def refit(
     information = scores.T @ scores + np.diag(scale)
     held = ((theta <= low) & (gradient < 0.0)) | ((theta >= high) & (gradient > 0.0)) | (np.diag(information) < 1e-9)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
-    return Fitted(theta[:nb], placed(theta), float(here.log_p.sum()), names, theta, information, scores, held, here)
+    return Fitted(theta[:nb], placed(theta), best, names, theta, information, scores, held, here)
 
 
 def _off_null(each: Active) -> Active:
@@ -203,6 +205,10 @@ def _slope(
     known = acts(prepared.scene, each)
     if known is False:
         return np.zeros(len(prepared))
+    if each.shape is not None:
+        # Linear in its values: the weights of this knot.
+        weights = hats_of(prepared.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
+        return np.where(known, weights, 0.0) * here.by[:, CHANNELS.index(each.shape[0])]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         one = each.effect.act(prepared.scene, each.values)
         other = each.effect.act(prepared.scene, there.values)
@@ -215,16 +221,23 @@ def _slope(
     return slope
 
 
+def hats_of(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]]) -> _Array:
+    """Weights of a curve's knots, worked out once for a scene."""
+    key = shape[1:]
+    if key not in scene.kept:
+        scene.kept[key] = hats(scene, shape[1], shape[2])
+    weights: _Array = scene.kept[key]
+    return weights
+
+
 def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
     """The model with its base changed by this much, and with these effects beside its own."""
     sensor = model.sensor
     mixture = sensor.reading_model
     weights = mixture.weights
     factors = {"hit": 1.0, "unexpected": np.exp(base[2]), "max": np.exp(base[3]), "random": np.exp(base[4])}
-    odds = {
-        name: max(getattr(weights, name), 1e-6 if base_moves else 0.0) * float(factor)
-        for (name, factor), base_moves in zip(factors.items(), (False, *(base[2:5] != 0.0)), strict=True)
-    }
+    least = dict(zip(factors, (0.0, *np.where(base[2:5] != 0.0, 1e-6, 0.0)), strict=True))
+    odds = {name: max(getattr(weights, name), least[name]) * float(factor) for name, factor in factors.items()}
     total = sum(odds.values())
     knots = sensor.calibration
     if base[0] != 0.0:
@@ -268,6 +281,3 @@ def to_sensor(model: Model, evidence: Mapping[int, Mapping[str, Any]] | None = N
             entry["evidence"] = dict(evidence[k])
         listed.append(entry)
     return SensorModel.model_validate({**model.sensor.model_dump(), "effects": listed})
-
-
-__all__ = ["CURVE", "Fitted", "changed", "extended", "free_numbers", "refit", "shifted", "sums_by", "to_sensor"]

@@ -23,6 +23,8 @@ _Array = NDArray[np.float64]
 TWIN_ROWS = 6_000
 GRID = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """Of what is mixed into the probability, in units of its number."""
+TANGENT = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
+"""Of the way along an efficient score, in its standard deviations."""
 STEPS = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Of log odds where an effect acts most."""
 DRAWS = 2_000
@@ -61,13 +63,22 @@ def sums(
     contexts: Mapping[str, Any],
     reading_cm: _Array,
     unit: NDArray[np.intp],
+    information: _Array,
 ) -> Sums:
     """Sums of scores by unit, in chunks."""
     units = int(unit.max()) + 1
     total = np.zeros((units, len(BASE) + len(tested)))
     linear = np.array([entry.linear for entry in tested], dtype=bool)
-    sizes = _sizes(model, effects, tested, contexts)
-    gains = np.zeros((len(tested), max(GRID.size, 2 * STEPS.size)))
+    rare = np.array([entry.linear or entry.odds is not None for entry in tested], dtype=bool)
+    classes = np.array([2, 3, 4])
+    own = len(BASE) + np.flatnonzero(rare)
+    inner = np.linalg.pinv(information[np.ix_(classes, classes)], rcond=1e-8, hermitian=True)
+    cross = information[np.ix_(own, classes)] @ inner
+    left = np.diag(information)[own] - np.einsum("ij,ij->i", cross, information[np.ix_(own, classes)])
+    steps = TANGENT[:, None] / np.sqrt(np.maximum(left, 1e-12))
+    sizes, means = _sizes(model, tested, contexts)
+    gains = np.zeros((len(tested), 2 * STEPS.size))
+    along = np.zeros((2 * TANGENT.size, own.size))
     for part, columns, reading in chunks(contexts, reading_cm):
         prepared = Prepared.of(model, columns, reading)
         rows = prepared.at(base, effects)
@@ -75,23 +86,25 @@ def sums(
         scores = _matrix(rows, prepared.scene, reading, here, tested)
         place = csr_matrix((np.ones(reading.size), (unit[part], np.arange(reading.size))), (units, reading.size))
         total += place @ scores
+        efficient = scores[:, own] - scores[:, classes] @ cross.T
+        for i, step in enumerate(steps):
+            along[i] += np.log1p(np.maximum(efficient * step, -0.9)).sum(axis=0)
+            along[TANGENT.size + i] += np.log1p(np.maximum(-efficient * step, -0.9)).sum(axis=0)
         for j, entry in enumerate(tested):
             if entry.linear:
                 slope = np.maximum(scores[:, len(BASE) + j], -1.0 / 0.31)
                 gains[j, : GRID.size] += np.log1p(GRID[:, None] * slope[None, :]).sum(axis=1)
             elif entry.odds is not None:
-                gains[j, : 2 * STEPS.size] += _odds_gains(entry, rows, prepared.scene, here, sizes[j])
-    numbers = np.zeros_like(gains)
-    numbers[:, : 2 * STEPS.size] = np.concatenate([STEPS, -STEPS]) * sizes[:, None]
+                gains[j] += _odds_gains(entry, rows, prepared.scene, here, sizes[j], means[j])
+    numbers = np.concatenate([STEPS, -STEPS]) * sizes[:, None]
     numbers[linear] = 0.0
     numbers[linear, : GRID.size] = GRID
     low = np.array([entry.parameter.low for entry in tested])
     high = np.array([entry.parameter.high for entry in tested])
     gains = np.where((numbers < low[:, None]) | (numbers > high[:, None]) | (numbers == 0.0), 0.0, gains)
-    profiled = linear | np.array([entry.odds is not None for entry in tested], dtype=bool)
-    at = gains.argmax(axis=1)
-    best = np.where(profiled, numbers[np.arange(len(tested)), at], np.nan)
-    profile = np.where(profiled, 2.0 * np.maximum(gains.max(axis=1, initial=0.0), 0.0), np.inf)
+    best = np.where(rare, numbers[np.arange(len(tested)), gains.argmax(axis=1)], np.nan)
+    profile = np.full(len(tested), np.inf)
+    profile[rare] = 2.0 * np.maximum(along.max(axis=0, initial=0.0), gains.max(axis=1)[rare])
     return Sums(total, profile, best, reading_cm.size)
 
 
@@ -108,29 +121,30 @@ def _template(entry: Entry, scene: Scene) -> _Array:
     return np.broadcast_to(np.nan_to_num(np.where(known, moved, 0.0)) / entry.parameter.step, (n,))
 
 
-def _sizes(model: Model, effects: Sequence[Active], tested: Sequence[Entry], contexts: Mapping[str, Any]) -> _Array:
-    """For odds, the number that changes them by one where it acts most, as of some of the rows."""
+def _sizes(model: Model, tested: Sequence[Entry], contexts: Mapping[str, Any]) -> tuple[_Array, _Array]:
+    """For odds, the number that changes them by one where it acts most, and its mean template, as of some rows."""
     n = np.shape(contexts["true_range_cm"])[0]
     some = {name: np.asarray(column)[:: max(1, n // 5000)] for name, column in contexts.items()}
     scene = Scene(model.sensor, some)
-    sizes = np.ones(len(tested))
+    sizes, means = np.ones(len(tested)), np.zeros(len(tested))
     for j, entry in enumerate(tested):
         if entry.odds is not None:
-            largest = float(np.abs(_template(entry, scene)).max(initial=0.0))
+            template = _template(entry, scene)
+            largest = float(np.abs(template).max(initial=0.0))
             sizes[j] = 1.0 / largest if largest > 0.0 else 1.0
-    return sizes
+            means[j] = float(template.mean())
+    return sizes, means
 
 
-def _odds_gains(entry: Entry, rows: Rows, scene: Scene, here: Channels, size: float) -> _Array:
-    """Gain of changed odds, all else held: exact in the posterior share of the class."""
+def _odds_gains(entry: Entry, rows: Rows, scene: Scene, here: Channels, size: float, mean: float) -> _Array:
+    """Gain of changed odds beside their mean, all else held: exact in the posterior share of the class."""
     which = entry.odds or 1
-    template = _template(entry, scene)
-    some = np.flatnonzero(template)
-    weights = [np.broadcast_to(np.exp(each), template.shape)[some] for each in rows.log_weights]
-    share = weights[which] / sum(weights)
-    posterior = np.clip(here.by[some, 1 + which] + share, 0.0, 1.0)
+    template = _template(entry, scene) - mean
+    weights = [np.exp(each) for each in rows.log_weights]
+    share = np.broadcast_to(weights[which] / sum(weights), template.shape)
+    posterior = np.clip(here.by[:, 1 + which] + share, 0.0, 1.0)
     steps = np.concatenate([STEPS, -STEPS])
-    factor = np.expm1(np.clip(steps[:, None] * size * template[some], -30.0, 30.0))
+    factor = np.expm1(np.clip(steps[:, None] * size * template, -30.0, 30.0))
     gains: _Array = (np.log1p(posterior * factor) - np.log1p(share * factor)).sum(axis=1)
     return gains
 
@@ -160,10 +174,7 @@ def twin(
 ) -> Prepared:
     """Readings simulated by the present fit at the measured contexts, the contexts repeated or thinned."""
     n = np.shape(contexts["true_range_cm"])[0]
-    if n >= rows:
-        at = np.linspace(0, n - 1, rows).astype(np.intp)
-    else:
-        at = np.tile(np.arange(n), -(-rows // n))
+    at = np.linspace(0, n - 1, rows).astype(np.intp) if n >= rows else np.tile(np.arange(n), -(-rows // n))
     drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
     prepared = Prepared.of(model, drawn, np.zeros(at.size))
     reading_cm = prepared.at(base, effects).sample(Streams(rng))
@@ -262,7 +273,6 @@ def screen(
     largest = float(np.abs(z).max(initial=0.0))
     if by_run:
         signs = rng.choice((-1.0, 1.0), (DRAWS, by_unit.shape[0]))
-        null = signs @ by_unit / np.sqrt(variance * inflation)
         # A flip keeps the sum of squares, so the spread is that of the flipped sums about their own mean.
         units = by_unit.shape[0]
         squares = np.maximum((by_unit**2).sum(axis=0) - (signs @ by_unit) ** 2 / units, 1e-300)

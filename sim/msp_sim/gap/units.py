@@ -66,8 +66,8 @@ def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Genera
     if names.size < FEW_RUNS:
         runs = _blocks(contexts, unit, names, n)
         messages.append(
-            f"There {'is' if names.size == 1 else 'are'} {names.size} run{'' if names.size == 1 else 's'}: readings are "
-            "parted by blocks in time, so what is constant within a run cannot be judged. Record four runs or more."
+            f"Of runs there {'is' if names.size == 1 else 'are'} only {names.size}: readings are parted by blocks in "
+            "time, so what is constant within a run cannot be judged. Record four runs or more."
         )
         names, unit = np.unique(runs, return_inverse=True)
     counts = np.bincount(unit, minlength=names.size)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from msp_sim.effects import CATALOGUE
 from msp_sim.gap import adequacy, experiment
 from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name
 from msp_sim.gap.prove import Gain, gain
@@ -26,6 +27,8 @@ Progress = Callable[[str, float], None]
 POWER_Z = 0.84
 KEPT_Z = 0.5
 """Standard errors by which an item's gain on the confirming runs has to be above nothing."""
+KEPT_NATS = 2.0
+"""And by so much in total."""
 SURE_Z = 4.0
 """Standard errors by which a base parameter has to move to be told as calibration."""
 MOST_CONFIRM = 60_000
@@ -191,11 +194,18 @@ def explain(
     rivals = dict(zip((item.key for item in chosen.items), chosen.rivals, strict=True))
     named, unknown, as_base = _told(search, kept, rivals, gains, quoted, deviation * width, confirming)
     null_base = search.null.base
-    after_base = quoted.base
+    after_base, quoted_effects, last_base, last_effects = quoted.base, quoted.effects, last.base, last.effects
+    if chosen.run_offset_cm > 0.0:
+        offsets = _run_offsets(search, chosen.run_offset_cm, quoted, confirming, confirm_unit)
+        if offsets is not None:
+            told, own = offsets
+            named.append(told)
+            last_base, last_effects = _with_offsets(last, own, confirming)
+            after_base, quoted_effects = _with_offsets(quoted, own, confirming)
     whole = gain(confirming.log_prob(last.base, last.effects), confirming.log_prob(null_base, []), confirm_unit)
     return Explanation(
-        extended(model, after_base, quoted.effects),
-        extended(model, last.base, last.effects),
+        extended(model, after_base, quoted_effects),
+        extended(model, last_base, last_effects),
         extended(model, null_base, []),
         tuple(named),
         tuple(unknown),
@@ -210,6 +220,53 @@ def explain(
         tuple(dropped),
         tuple(_messages(search, parts)),
     )
+
+
+def _run_offsets(
+    search: Search, deviation_cm: float, quoted: Fitted, confirming: Prepared, unit: NDArray[np.intp]
+) -> tuple[Named, Active] | None:
+    """Offsets between runs, if the confirming runs' sums say so too: a run's offset is integrated out."""
+    slope = quoted.here.by[:, 0] - quoted.here.by[:, 0].mean()
+    sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
+
+    def of_runs(deviation: float) -> _Array:
+        told = information * deviation**2
+        each: _Array = -0.5 * np.log1p(told) + 0.5 * sums**2 * deviation**2 / (1.0 + told)
+        return each
+
+    gains = of_runs(deviation_cm)
+    runs = gains.size
+    se = float(np.std(gains, ddof=1) * np.sqrt(runs)) if runs > 1 else 0.0
+    if gains.sum() < KEPT_NATS:
+        return None
+    grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
+    height = np.array([of_runs(each).sum() for each in grid])
+    inside = grid[height > height.max() - 1.92]
+    effect = CATALOGUE["run_offsets"]
+    value = float(grid[height.argmax()])
+    n = len(confirming)
+    named = Named(
+        effect.name,
+        None,
+        "named",
+        {"deviation_cm": Estimate(value, float(inside[0]), float(inside[-1]), "cm")},
+        float(gains.sum()),
+        float(gains.sum()) / n,
+        se / n,
+        float(np.sqrt(2.0 * max(gains.sum(), 0.0))),
+        (),
+        effect.experiment,
+    )
+    return named, Active(effect, {"deviation_cm": deviation_cm})
+
+
+def _with_offsets(fitted: Fitted, own: Active, prepared: Prepared) -> tuple[_Array, tuple[Active, ...]]:
+    """What lies between runs is taken from the spread within them."""
+    sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fitted.base[1]))
+    share = min((own.values["deviation_cm"] / sigma_cm) ** 2, 0.95)
+    base = fitted.base.copy()
+    base[1] += 0.5 * np.log1p(-share)
+    return base, (*fitted.effects, own)
 
 
 def _taken(columns: Mapping[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
@@ -240,7 +297,7 @@ def _prove(
             gains[item.key] = gain(after, confirming.log_prob(less[k].base, less[k].effects), unit)
         worst = min(range(len(items)), key=lambda k: gains[items[k].key].z)
         proof = gains[items[worst].key]
-        if proof.nats_per_reading > 0.0 and proof.z >= KEPT_Z:
+        if proof.nats >= KEPT_NATS and proof.z >= KEPT_Z:
             break
         dropped.append(
             (
@@ -354,7 +411,7 @@ def _calibrated(
 
 def _times(start: float) -> Callable[[float], float]:
     def times(log_factor: float) -> float:
-        return max(start, 1e-6) * float(np.exp(log_factor))
+        return max(start, 1e-6) * float(np.exp(min(log_factor, 30.0)))
 
     return times
 
@@ -393,11 +450,12 @@ def _messages(search: Search, parts: Split) -> list[str]:
     if search.by_run:
         measured = search.depends(search.null)
         found.append(
-            f"Readings depend on each other inside runs (correlation with the one before {measured.lag_correlation:.2f}, "
-            f"as much as {measured.effective_readings:.0f} independent readings tell of a constant): the unit is the run."
+            f"Readings depend on each other inside runs (correlation with the one before "
+            f"{measured.lag_correlation:.2f}; of a constant they tell as much as "
+            f"{measured.effective_readings:.0f} independent ones): the unit is the run."
         )
         if len(parts.fit_runs) < 8:
             found.append(
-                f"With {len(parts.fit_runs)} runs for choosing, contexts that are constant within a run cannot be judged."
+                f"With {len(parts.fit_runs)} runs for choosing, what is constant within a run cannot be judged."
             )
     return found

@@ -182,7 +182,11 @@ def name(compared: Compared, say: Say) -> tuple[GapFindings, Explanation]:
     count = max(int(compared.parts.confirm.sum()), 1)
     effects = tuple(_effect(each) for each in explained.effects)
     unknown = tuple(_unknown(each, count) for each in explained.unknown)
-    calibration = (*compared.findings.calibration, *(_calibration(each) for each in explained.calibration))
+    calibration = (
+        *compared.findings.calibration,
+        # What the confirming runs leave open is not said.
+        *(_calibration(each) for each in explained.calibration if not each.low <= each.before <= each.high),
+    )
     could_see = "; ".join(
         f"{effect} above {smallest:.2g} {'' if unit == '1' else unit}".rstrip()
         for effect, _, smallest, unit in explained.detectable

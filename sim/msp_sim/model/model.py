@@ -346,7 +346,9 @@ def _entry(entry: Mapping[str, Any], place: str) -> Active:
         for key in entry:
             if key not in keys:
                 raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
-        return active_curve(*(entry.get(key) for key in keys[1:5]), place)
+        return active_curve(
+            entry.get("channel"), entry.get("variables"), entry.get("knots"), entry.get("values"), place
+        )
     keys = ("name", "of", "parameters", "evidence")
     for key in entry:
         if key not in keys:

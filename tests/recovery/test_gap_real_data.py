@@ -1,0 +1,83 @@
+"""What the gap workflow finds in other people's measurements; what is asserted can be seen in the pictures."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_range.characterise.column_map import load_map
+from msp_range.recording.csv_form import MeasuredData
+from msp_sim.gap import workflow
+from msp_sim.gap.findings import GapFindings, Settings
+from msp_sim.gap.intake import read_readings
+from msp_sim.model.model import load_model
+from tests.support.data import measured_data
+from tests.support.measured import ROOT
+
+
+def found(sensor: str, mapping: str, *files: str) -> tuple[GapFindings, MeasuredData]:
+    paths = tuple(measured_data(file) for file in files)
+    return _found(sensor, mapping, paths)
+
+
+@cache
+def _found(sensor: str, mapping: str, paths: tuple[Path, ...]) -> tuple[GapFindings, MeasuredData]:
+    file = ROOT / "configs" / "sensors" / f"{sensor}.yaml"
+    model = load_model(file)
+    readings = read_readings(paths, model, load_map([str(ROOT / "configs" / "maps" / f"{mapping}.yaml")]))
+
+    def quiet(what: str, share: float) -> None:
+        pass
+
+    compared = workflow.compare(readings, model, Settings(str(file)), "2026-11-21", quiet)
+    findings, explained = workflow.name(compared, quiet)
+    return workflow.add(compared, findings, explained, quiet).findings, readings.data
+
+
+def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
+    findings, data = found("mb1433", "enmt482-sonar2", "enmt482/training1.csv")
+    latency = {each.name: each for each in findings.effects}["latency"]
+    # By another way: the delay at which the readings scatter least about the true range at that time.
+    time_s, true_cm, reading_cm = data["time_s"], data["true_range_cm"], data["reading_cm"]
+    near = (np.abs(reading_cm - true_cm) < 25.0) & (true_cm > 35.0)
+    delays_s = np.arange(0.2, 0.6, 0.01)
+    scatter = [np.std((reading_cm - np.interp(time_s - each, time_s, true_cm))[near]) for each in delays_s]
+    assert latency.parameters["delay_ms"].value == pytest.approx(1000.0 * delays_s[np.argmin(scatter)], abs=60.0)
+    gap = findings.gap
+    assert gap is not None
+    assert gap.bias_cm.after < 0.25 * gap.bias_cm.before  # type: ignore[operator]
+    # Wheel noise, held readings and the dead zone are left: it says so.
+    assert findings.verdict == "partly explained"
+
+
+def test_the_tilted_ranger_reads_the_slant_range() -> None:
+    findings, data = found("tof_ranger", "util-uwb", "util-uwb/0607__tdoa2-obs-log1.csv")
+    named = {each.name: each for each in findings.effects}
+    rivals = {rival.name for each in findings.effects for rival in each.rivals}
+    assert "slant_range" in named or "slant_range" in rivals
+    if "slant_range" in named:
+        # 1: as the cosine has it.
+        share = named["slant_range"].parameters["share"]
+        assert share.low is not None
+        assert share.high is not None
+        assert share.low < 1.05
+        assert share.high > 0.95
+    assert findings.gap is not None
+    assert findings.gap.bias_cm.after < 0.6 * findings.gap.bias_cm.before  # type: ignore[operator]
+    assert findings.rows == len(data)
+
+
+def test_millimetres_are_calibration_and_no_effect() -> None:
+    findings, _ = found("mb1433", "enmt482-sonar2", "enmt482/training1.csv")
+    resolution = {each.name: each for each in findings.calibration}["resolution"]
+    assert resolution.after == 0.1
+    assert any("1 run" in each for each in findings.messages)
+
+
+def test_the_hcsr04_at_a_ruler_is_said_to_miss_something() -> None:
+    findings, _ = found("hcsr04", "hcsr04-ccu", "hcsr04-ccu/readings.csv")
+    assert findings.verdict in ("partly explained", "explained")
+    assert findings.runs == 22
+    assert findings.gap is not None
+    assert findings.gap.nats_per_reading.after < 0.5 * findings.gap.nats_per_reading.before  # type: ignore[operator]

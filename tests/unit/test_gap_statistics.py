@@ -1,0 +1,250 @@
+"""The gap workflow's statistics on readings from a plain sampler that shares no code with the model."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.yaml_file import ConfigError
+from msp_sim.gap import units
+from msp_sim.gap.adequacy import formula
+from msp_sim.gap.prove import gain
+from msp_sim.gap.refit import refit, to_sensor
+from msp_sim.gap.screen import score_matrix
+from msp_sim.gap.tangent import BASE, Prepared, entries
+from msp_sim.gap.workbench import Explanation, explain
+from msp_sim.model.model import Model, active_curve
+
+Array = NDArray[np.float64]
+SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
+MODEL = Model.of(SENSOR)
+RUNS, ROWS = 20, 100
+
+
+def flown(seed: int) -> dict[str, NDArray[np.generic]]:
+    """Contexts of flights."""
+    rng = np.random.default_rng(seed)
+    n = RUNS * ROWS
+    run = np.repeat(np.arange(RUNS), ROWS)
+    return {
+        "time_s": 0.1 * np.arange(n),
+        "sensor": np.full(n, "front"),
+        "run": np.array([f"run{k:02d}" for k in run]),
+        "true_range_cm": rng.uniform(60.0, 350.0, n),
+        "air_temperature_c": rng.uniform(0.0, 35.0, RUNS)[run],
+        "range_rate_cm_s": 60.0 * rng.standard_normal(n),
+        "throttle": rng.uniform(0.2, 0.9, n),
+    }
+
+
+def read(
+    contexts: dict[str, NDArray[np.generic]], seed: int, bias_cm: Array | float = 0.0, wider: Array | float = 1.0
+) -> Array:
+    """Plain draws of the base: hits, misses, short and random readings, in whole centimetres."""
+    rng = np.random.default_rng([seed, 7])
+    true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
+    n, mixture = true_cm.size, SENSOR.reading_model
+    shares = np.array([mixture.weights.hit, mixture.weights.unexpected, mixture.weights.max, mixture.weights.random])
+    kind = rng.choice(4, n, p=shares / shares.sum())
+    reading_cm = np.round(true_cm + bias_cm + mixture.sigma_cm * wider * rng.standard_normal(n))
+    rate, length = mixture.unexpected_rate_per_m / 100.0, true_cm - SENSOR.minimum_cm
+    short = SENSOR.minimum_cm - np.log(1.0 - rng.random(n) * (1.0 - np.exp(-rate * length))) / rate
+    reading_cm = np.where(kind == 1, np.round(short), reading_cm)
+    reading_cm = np.where(kind == 2, SENSOR.maximum_cm, reading_cm)
+    reading_cm = np.where(kind == 3, rng.integers(SENSOR.minimum_cm, SENSOR.maximum_cm + 1, n), reading_cm)
+    saturated = (reading_cm == SENSOR.maximum_cm) & (rng.random(n) < mixture.saturated_fraction)
+    return np.clip(np.where(saturated, 255.0, reading_cm), SENSOR.minimum_cm, SENSOR.maximum_cm)
+
+
+def explained(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, seed: int = 1) -> Explanation:
+    rng = np.random.default_rng(seed)
+    return explain(MODEL, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+
+
+def test_runs_are_parted_whole_and_evenly() -> None:
+    contexts = flown(1)
+    parts = units.split(contexts, read(contexts, 1), np.random.default_rng(1))
+    assert len(parts.fit_runs) == len(parts.confirm_runs) == RUNS // 2
+    assert not set(parts.runs[parts.fit]) & set(parts.runs[parts.confirm])
+
+
+def test_few_runs_are_parted_by_blocks_and_said_so() -> None:
+    contexts = flown(1)
+    contexts["run"] = np.full(RUNS * ROWS, "one")
+    parts = units.split(contexts, read(contexts, 1), np.random.default_rng(1))
+    assert "blocks in time" in parts.messages[0]
+    assert 0.4 < parts.fit.mean() < 0.6
+
+
+def test_dependence_is_seen_and_is_not_seen_where_there_is_none() -> None:
+    rng = np.random.default_rng(2)
+    unit = np.repeat(np.arange(20), 100)
+    plain = rng.standard_normal(2000)
+    slow = np.zeros(2000)
+    for i in range(1, 2000):
+        slow[i] = 0.9 * slow[i - 1] + plain[i]
+    assert not units.dependence(plain, unit).dependent
+    assert units.dependence(slow, unit).dependent
+    assert units.dependence(plain + 0.5 * rng.standard_normal(20)[unit], unit).between_run_share > 0.1
+
+
+def test_previous_reading_is_of_the_same_run() -> None:
+    contexts = {"run": np.array(["a", "a", "b", "b"]), "time_s": np.array([1.0, 0.0, 0.0, 1.0])}
+    before = units.previous(contexts, np.array([10.0, 11.0, 12.0, 13.0]))
+    np.testing.assert_array_equal(before, [11.0, np.nan, np.nan, 12.0])
+
+
+def test_scores_are_derivatives_of_the_log_probability() -> None:
+    contexts = flown(3)
+    reading_cm = read(contexts, 3)
+    tested, missing = entries(MODEL, contexts)
+    assert ("humidity", ("humidity_pct",)) in missing
+    prepared = Prepared.of(MODEL, contexts, reading_cm)
+    scores = score_matrix(prepared, np.zeros(len(BASE)), [], tested)
+    here = prepared.log_prob(np.zeros(len(BASE)), [])
+    for j, entry in enumerate(tested):
+        if entry.parameter.power != 1 or "code" in entry.effect.channels:
+            continue
+        step = 1e-5 * max(min(entry.parameter.high, 1.0), 1e-3)
+        there = prepared.log_prob(np.zeros(len(BASE)), [entry.at((entry.parameter.null or 0.0) + step)])
+        slope = (there - here) / step
+        usual = np.abs(slope) < 50.0
+        np.testing.assert_allclose(
+            scores[usual, len(BASE) + j],
+            slope[usual],
+            atol=0.02 + 0.02 * np.abs(slope[usual]).max(),
+            err_msg=str(entry.key),
+        )
+
+
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    named = 0
+    for seed in range(3):
+        contexts = flown(seed)
+        found = explained(contexts, read(contexts, seed))
+        named += bool(found.effects or found.unknown)
+    assert named == 0
+
+
+def test_latency_is_named_with_its_size() -> None:
+    contexts = flown(4)
+    rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
+    found = explained(contexts, read(contexts, 4, bias_cm=-0.012 * rate))
+    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    assert "latency" in names
+    assert len(found.effects) == 1
+    assert not found.unknown
+    assert found.confirm.nats_per_reading > 2.0 * found.confirm.se
+    if found.effects[0].name == "latency":
+        value = found.effects[0].parameters["delay_ms"]
+        assert value.low < 12.0 < value.high
+
+
+def test_spread_with_throttle_is_named() -> None:
+    contexts = flown(5)
+    throttle = np.asarray(contexts["throttle"], dtype=float)
+    found = explained(contexts, read(contexts, 5, wider=1.0 + 1.5 * throttle))
+    assert [each.name for each in found.effects] == ["rotor_noise"]
+    assert "sigma_cm" not in [each.name for each in found.calibration] or found.effects[0].z > 4.0
+
+
+def test_what_is_in_no_catalogue_is_a_curve_and_flies() -> None:
+    contexts = flown(6)
+    throttle = np.asarray(contexts["throttle"], dtype=float)
+    found = explained(contexts, read(contexts, 6, bias_cm=1.5 * np.sin(7.0 * throttle)))
+    assert not found.effects
+    assert [(each.channel, each.variables) for each in found.unknown] == [("bias", ("throttle",))]
+    again = Model.of(to_sensor(found.model))
+    reading_cm = read(contexts, 6)
+    np.testing.assert_allclose(again.log_prob(reading_cm, contexts), found.model.log_prob(reading_cm, contexts))
+
+
+def test_scale_and_thermometer_are_indistinguishable_in_air_of_one_temperature() -> None:
+    contexts = flown(7)
+    contexts["air_temperature_c"] = np.full(RUNS * ROWS, 15.0)
+    range_cm = np.asarray(contexts["true_range_cm"], dtype=float)
+    found = explained(contexts, read(contexts, 7, bias_cm=0.008 * range_cm))
+    assert len(found.effects) == 1
+    effect = found.effects[0]
+    assert effect.verdict == "indistinguishable"
+    assert "to tell" in effect.experiment
+    assert {"range_scale", "air_temperature"} <= {effect.name, *(rival.name for rival in effect.rivals)}
+
+
+def test_a_shuffled_cause_has_no_name() -> None:
+    contexts = flown(4)
+    rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
+    reading_cm = read(contexts, 4, bias_cm=-0.012 * rate)
+    contexts["range_rate_cm_s"] = np.random.default_rng(1).permutation(rate)
+    assert "latency" not in [each.name for each in explained(contexts, reading_cm).effects]
+
+
+def test_dependent_readings_have_the_run_for_unit() -> None:
+    contexts = flown(8)
+    rng = np.random.default_rng(8)
+    drift = np.zeros(RUNS * ROWS)
+    for i in range(1, drift.size):
+        drift[i] = (0.9 * drift[i - 1] if i % ROWS else 0.0) + 0.6 * rng.standard_normal()
+    found = explained(contexts, read(contexts, 8, bias_cm=drift))
+    assert found.unit == "run"
+    assert not found.effects
+
+
+def test_offsets_between_runs_are_named() -> None:
+    contexts = flown(9)
+    offset_cm = 1.5 * np.random.default_rng(9).standard_normal(RUNS)
+    found = explained(contexts, read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS)))
+    assert "run_offsets" in [each.name for each in found.effects]
+
+
+def test_a_refit_finds_the_base_and_stays_within_bounds() -> None:
+    contexts = flown(10)
+    prepared = Prepared.of(MODEL, contexts, read(contexts, 10, bias_cm=0.7, wider=1.2))
+    fitted = refit(prepared, [])
+    error = np.sqrt(np.diag(fitted.covariance()))
+    assert abs(fitted.base[0] - 0.7) < 4.0 * error[0]
+    assert abs(fitted.base[1] - np.log(1.2)) < 4.0 * error[1]
+
+
+def test_gain_has_the_error_of_whole_runs() -> None:
+    rng = np.random.default_rng(1)
+    unit = np.repeat(np.arange(50), 40)
+    per_run = rng.standard_normal(50)[unit]
+    found = gain(per_run, np.zeros(2000), unit)
+    assert found.se == pytest.approx(1.0 / np.sqrt(50), rel=0.3)
+
+
+def test_formula_is_the_shortest() -> None:
+    at = np.linspace(0.0, 1.0, 6)
+    error = np.full(6, 0.01)
+    assert formula("throttle", at, np.full(6, 2.0), error) == "2"
+    assert formula("throttle", at, 1.0 + 3.0 * at, error) == "1 + 3 throttle"
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"channel": "colour"}, "channel"),
+        ({"variables": []}, "variables"),
+        ({"knots": [[1.0, 0.0]]}, "knots"),
+        ({"values": [1.0]}, "values"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(change: dict[str, object], key: str) -> None:
+    right: dict[str, object] = {
+        "channel": "bias",
+        "variables": ["throttle"],
+        "knots": [[0.0, 1.0]],
+        "values": [0.0, 1.0],
+    }
+    wrong = right | change
+    with pytest.raises(ConfigError, match=key):
+        active_curve(wrong["channel"], wrong["variables"], wrong["knots"], wrong["values"])
+
+
+def test_a_curve_draws_what_it_scores() -> None:
+    model = MODEL.adding_curve("bias", ["throttle"], [[0.0, 1.0]], [0.0, 40.0])
+    contexts = {"true_range_cm": np.full(2000, 200.0), "throttle": np.full(2000, 0.5)}
+    drawn = model.sample(contexts, np.random.default_rng(1))
+    assert abs(np.median(drawn) - 220.0) <= 1.0
+    assert model.log_prob([220.0], {"true_range_cm": [200.0], "throttle": [0.5]})[0] > -3.0
