@@ -1,7 +1,8 @@
 """The verdict on a gap, and the sentence that a person reads first.
 
 Findings enter, words leave. The bound within which a gap counts as closed is that of equivalence: a bias of a tenth of
-a standard deviation, a spread within 5 %, 0.005 nats a reading; or 1.3 times what simulated twins show. To the nats comes what fitting costs.
+a standard deviation, a spread within 5 %, 0.005 nats a reading; or 1.3 times what simulated twins show. To the nats
+comes what fitting costs.
 """
 
 from collections.abc import Iterator
