@@ -48,12 +48,21 @@ class Library:
         Of the entries; one that is tried in several shapes, or for several words, is there several times.
     one_sided
         Entries whose number cannot be negative.
+    moves
+        Entries that move or widen the hits, and so are no mixture.
+    log_p
+        log probability of each reading under the base, (n,).
     """
 
     base: Array
     scores: Array
     names: tuple[str, ...]
     one_sided: NDArray[np.bool_]
+    moves: NDArray[np.bool_]
+    log_p: Array
+
+
+BASE_MOVES = np.array([True, True, False, False, False, False])
 
 
 def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Library:
@@ -72,7 +81,7 @@ def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Lib
     model = fitted(model, contexts, reading_cm)
     base = _base_scores(model, contexts, reading_cm)
     here = _log_prob(model, contexts, reading_cm)
-    columns, names, one_sided = [], [], []
+    columns, names, one_sided, moves = [], [], [], []
     for effect, of, values, parameter in _entries(contexts):
         start = parameter.null or 0.0
         changed = model.adding(effect.name, of, **{**values, parameter.name: start + parameter.step})
@@ -82,7 +91,8 @@ def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Lib
             columns.append(score / size)
             names.append(effect.name)
             one_sided.append(parameter.low >= 0.0)
-    return Library(base[:, :6], np.column_stack(columns), tuple(names), np.array(one_sided))
+            moves.append({"bias", "spread"} >= set(effect.channels))
+    return Library(base[:, :6], np.column_stack(columns), tuple(names), np.array(one_sided), np.array(moves), here)
 
 
 def previous(contexts: Mapping[str, Any], reading_cm: Array) -> Array:
@@ -148,7 +158,7 @@ def _changed(model: Model, by: Array) -> Model:
         "weights": _sum_to_one(mixture, shares),
         "sigma_cm": mixture.sigma_cm * np.exp(by[1]),
         "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * np.exp(by[1]),
-        "unexpected_rate_per_m": mixture.unexpected_rate_per_m * np.exp(by[5]),
+        "unexpected_rate_per_m": min(max(mixture.unexpected_rate_per_m * np.exp(by[5]), 1e-4), 1000.0),
         "saturated_fraction": min(max(saturated, LEAST_SATURATED), 1.0 - LEAST_SATURATED),
     }
     knots = [(knot.true_cm, knot.reading_cm) for knot in sensor.calibration] or [(100.0, 100.0), (200.0, 200.0)]

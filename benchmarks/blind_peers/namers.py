@@ -1,8 +1,9 @@
 """Usual ways to pick effects from a library: a set of names leaves.
 
-All of them choose by the same gain in log likelihood, the sum of log(1 + S theta) over the readings with S the scores:
-exact for whatever adds readings of its own, right to second order for what shifts, widens or reweights. The base's
-parameters are free beside every choice. What differs is what counts as enough.
+All of them choose by the same gain in log likelihood, worked out from the scores alone. Entries that add readings of
+their own or change odds are mixtures: with S their scores, u = 1 + S theta is how much likelier a reading becomes. What
+moves or widens the hits is taken to second order beside it: y - y^2 / 2 with y = S theta / u. The base's parameters are
+free beside every choice. What differs is what counts as enough.
 """
 
 import warnings
@@ -13,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind_peers.library import Array, Library
+from benchmarks.blind_peers.library import BASE_MOVES, Array, Library
 
 LEAST = 0.1
 """Below this the logarithm goes on as a parabola (Owen, Empirical Likelihood, 2001, 12.4)."""
@@ -115,17 +116,29 @@ class _Search:
     scores: Array
     names: Sequence[str]
     one_sided: NDArray[np.bool_]
-    alone: float
+    moves: NDArray[np.bool_]
+    base_moves: NDArray[np.bool_]
+    most: Array
+    """How much likelier each reading can become: its probability is at most 1."""
+    alone: float = 0.0
 
     @classmethod
     def of(cls, library: Library) -> "_Search":
-        base = library.base[:, (library.base**2).sum(axis=0) > 0.0]
-        base = base / np.sqrt((base**2).sum(axis=0))
+        sizes = np.sqrt((library.base**2).sum(axis=0))
+        there = sizes > 0.0
+        base = library.base[:, there] / sizes[there]
         across, _ = np.linalg.qr(base)
         left = library.scores - across @ (across.T @ library.scores)
         new = np.flatnonzero((left**2).sum(axis=0) > SAME**2)
-        names = [library.names[k] for k in new]
-        search = cls(base, library.scores[:, new], names, library.one_sided[new], 0.0)
+        search = cls(
+            base,
+            library.scores[:, new],
+            [library.names[k] for k in new],
+            library.one_sided[new],
+            library.moves[new],
+            BASE_MOVES[: sizes.size][there],
+            np.exp(-library.log_p),
+        )
         search.alone = search.fit(())[1]
         return search
 
@@ -141,37 +154,37 @@ class _Search:
         """Coefficients of the base and of these terms, and the log likelihood that they reach."""
         columns = np.column_stack([self.base, self.scores[:, terms]])
         bound = np.concatenate([np.zeros(self.base.shape[1], dtype=bool), self.one_sided[list(terms)]])
-        at = np.zeros(columns.shape[1])
-        inside = np.ones(len(columns))
-        value = 0.0
+        moves = np.concatenate([self.base_moves, self.moves[list(terms)]])
+        at, value = np.zeros(columns.shape[1]), 0.0
         for _ in range(50):
-            uphill = columns.T @ _slope(inside)
+            likelier = 1.0 + columns[:, ~moves] @ at[~moves]
+            inside = np.maximum(likelier, LEAST)
+            moved = columns[:, moves] @ at[moves] / inside
+            uphill = np.zeros(at.size)
+            uphill[~moves] = columns[:, ~moves].T @ (self._slope(likelier) - (1.0 - moved) * moved / inside)
+            uphill[moves] = columns[:, moves].T @ ((1.0 - moved) / inside)
             free = ~(bound & (at <= 0.0) & (uphill <= 0.0))
-            curved = (columns[:, free].T * -_curvature(inside)) @ columns[:, free]
+            curved = columns[:, free] / inside[:, None]
             step = np.zeros(at.size)
-            step[free] = np.linalg.solve(curved + 1e-6 * np.eye(len(curved)), uphill[free])
+            step[free] = np.linalg.solve(curved.T @ curved + 1e-6 * np.eye(curved.shape[1]), uphill[free])
             for _ in range(20):
                 there = np.where(bound, np.maximum(at + step, 0.0), at + step)
-                reached = float(_log(1.0 + columns @ there).sum())
+                reached = self._value(columns[:, ~moves] @ there[~moves], columns[:, moves] @ there[moves])
                 if reached > value:
                     break
                 step = 0.3 * step
             if reached <= value + 1e-4:
                 break
             at, value = there, reached
-            inside = 1.0 + columns @ at
         return at, value
 
+    def _value(self, mixed: Array, moved: Array) -> float:
+        likelier = 1.0 + mixed
+        inside = np.maximum(likelier, LEAST)
+        below = np.minimum(likelier - LEAST, 0.0) / LEAST
+        y = moved / inside
+        return float((np.log(np.minimum(inside, self.most)) + below - 0.5 * below**2 + y - 0.5 * y**2).sum())
 
-def _log(x: Array) -> Array:
-    near = np.maximum(x, LEAST)
-    below = np.minimum(x - LEAST, 0.0) / LEAST
-    return np.asarray(np.log(near) + below - 0.5 * below**2)
-
-
-def _slope(x: Array) -> Array:
-    return np.asarray(np.where(x > LEAST, 1.0 / np.maximum(x, LEAST), (2.0 - x / LEAST) / LEAST))
-
-
-def _curvature(x: Array) -> Array:
-    return np.asarray(-1.0 / np.maximum(x, LEAST) ** 2)
+    def _slope(self, likelier: Array) -> Array:
+        inside = np.where(likelier < self.most, 1.0 / np.maximum(likelier, LEAST), 0.0)
+        return np.asarray(np.where(likelier > LEAST, inside, (2.0 - likelier / LEAST) / LEAST))

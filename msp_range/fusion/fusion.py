@@ -18,7 +18,7 @@ from msp_range.fusion.stuck import StuckWatch
 from msp_range.geometry import Matrix
 from msp_range.reading import Reading, Status
 
-OTHER_PER_M = 0.001
+OTHER_PER_M = 0.002
 """Probability density of readings that are not of the ground: some percent, spread over some metres [1/m]. A reading
 that the ground explains less well than this is not taken for the ground."""
 GATE_M = 0.25
@@ -207,6 +207,13 @@ class Fusion:
         sight.repeated = self._stuck[reading.sensor].repeated
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, GATE_M)
+        if sight.repeated and self._others_tell_more():
+            # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
+            if abs(innovation_m) <= most_m:
+                self._seen(sight, view)
+            else:
+                sight.nothing(time_s)
+            return
         square = None
         if abs(innovation_m) <= most_m:
             square = known.update(view, innovation_m, variance_m2, other_per_m)
@@ -221,6 +228,16 @@ class Fusion:
             self._set_aside(known, reading.sensor, off_m, view)
             if time_s - self._seen_s > LOST_S:
                 self._start(reading, range_m, sensor, rotation)
+
+    def _others_tell_more(self) -> bool:
+        """Whether sensors enough see the ground that do not repeat themselves."""
+        time_s = self._time_s
+        fresh = [
+            sight
+            for sight in self._sights.values()
+            if sight.off_m is None and not sight.repeated and time_s - sight.seen_s <= WINDOW_S
+        ]
+        return len(fresh) >= SENSORS_WITHOUT_A_READING
 
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""

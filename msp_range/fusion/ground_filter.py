@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 from msp_range.fusion.mounting import View
 
-CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 1e-4, 1e-2, 1.0
+CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 3e-5, 1e-2, 0.8
 """Spectral density of the vehicle's acceleration [m^2/s^3]: at a steady rate; bobbing; changing its speed by a metre a
 second within a second."""
 WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
 """How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
-SPURS_PER_S, EASES_PER_S = 0.2, 1.0
+SPURS_PER_S, EASES_PER_S = 0.2, 0.7
 """How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
 """Of the three ways at the beginning."""

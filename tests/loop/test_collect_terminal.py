@@ -142,6 +142,13 @@ def test_a_wrong_set_up_is_doubted(tmp_path: Path) -> None:
     assert "one reads 95 cm, and the reference says 120 cm" in bench.screen.getvalue()
 
 
+@pytest.mark.parametrize("reads_cm", [200, 261])
+def test_at_an_angle_both_the_nearest_point_and_the_slant_range_are_expected(reads_cm: int, tmp_path: Path) -> None:
+    bench = Bench(tmp_path, condition(ranges_cm=[200], angles_deg=[40]), draw=lambda columns: reads_cm)
+    bench.go()
+    assert "is the target" not in bench.screen.getvalue()
+
+
 def test_the_point_before_can_be_read_again(tmp_path: Path) -> None:
     bench = Bench(tmp_path, answers=["", "", "r"])
     rows = bench.go()

@@ -1,6 +1,7 @@
 """Peers of the gap workflow (`benchmarks.blind_peers`) do what their names say; some skip without the extra `bench`."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,7 +57,8 @@ def toy(errors, n=4000):
     scores = np.linalg.qr(scores - scores.mean(axis=0))[0]
     # A score's sum over its root sum of squares is z, so ones are added along it.
     scores[:, 1:] += np.asarray(errors) / n
-    return Library(scores[:, :1], scores[:, 1:], tuple(map(str, range(len(errors)))), np.zeros(len(errors), dtype=bool))
+    names, none = tuple(map(str, range(len(errors)))), np.zeros(len(errors), dtype=bool)
+    return Library(scores[:, :1], scores[:, 1:], names, none, none, np.full(n, np.log(0.1)))
 
 
 def test_stepwise_takes_what_its_price_lets_it():
@@ -70,7 +72,8 @@ def test_stepwise_takes_what_its_price_lets_it():
 
 def test_stepwise_does_not_name_both_of_two_that_are_alike():
     one = toy([6.0])
-    twice = Library(one.base, np.repeat(one.scores, 2, axis=1), ("0", "1"), np.repeat(one.one_sided, 2))
+    no = np.zeros(2, dtype=bool)
+    twice = Library(one.base, np.repeat(one.scores, 2, axis=1), ("0", "1"), no, no, one.log_p)
     assert len(bic_stepwise(twice)) == 1
     assert every_two_sigma(twice) == {"0", "1"}
 
@@ -78,7 +81,20 @@ def test_stepwise_does_not_name_both_of_two_that_are_alike():
 def test_what_cannot_be_negative_is_not_named_for_being_so():
     one = toy([-6.0])
     assert bic_stepwise(one) == {"0"}
-    assert bic_stepwise(Library(one.base, one.scores, one.names, np.array([True]))) == set()
+    assert bic_stepwise(replace(one, one_sided=np.array([True]))) == set()
+
+
+def test_what_acts_on_two_readings_gains_no_more_than_they_can():
+    n = 1000
+    scores = np.zeros((n, 1))
+    scores[:2] = np.sqrt(0.5)
+    base = np.linalg.qr(np.random.default_rng(1).standard_normal((n, 1)))[0]
+    no = np.array([False])
+    few = Library(base, scores, ("few",), no, ~no, np.full(n, np.log(0.5)))
+    # A shift of two readings: half a nat each; a mixture: log 2 each. Half log 1000 is 3.5.
+    assert bic_stepwise(few) == set()
+    assert bic_stepwise(replace(few, moves=no)) == set()
+    assert bic_stepwise(replace(few, moves=no, log_p=np.full(n, np.log(0.01)))) == {"few"}
 
 
 def test_one_number_says_what_any_share_of_added_readings_gains(model):

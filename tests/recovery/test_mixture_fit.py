@@ -83,6 +83,20 @@ def test_growth_with_range_comes_back_and_is_kept() -> None:
     assert result.parameters.max_growth_per_m == result.estimates["max_growth_per_m"]
 
 
+def test_the_error_of_growth_is_what_it_scatters_by() -> None:
+    rng = np.random.default_rng(31)
+    grid, expected_cm = ReadingGrid(20, 765), np.linspace(100.0, 600.0, 600)
+    found, errors = [], []
+    for _ in range(60):
+        sigma_cm = np.hypot(1.0, 0.01 * expected_cm)
+        result = fit(np.rint(expected_cm + sigma_cm * rng.standard_normal(600)), expected_cm, grid, growth=True)
+        found.append(result.estimates["sigma_growth_cm_per_m"])
+        errors.append(result.standard_errors["sigma_growth_cm_per_m"])
+    # A standard deviation of 60 is known to 9 %.
+    assert np.median(errors) == pytest.approx(np.std(found, ddof=1), rel=0.3)
+    assert np.mean(found) == pytest.approx(1.0, abs=0.05)
+
+
 def test_growth_that_is_not_there_is_left_out() -> None:
     result = fit(*drawn(ROUGH, 20_000, 5), MB1242, growth=True)
     assert [trial.kept for trial in result.growth_trials] == [False, False]
@@ -151,6 +165,13 @@ def test_pit_is_uniform_for_the_right_model_and_not_for_a_wrong_one() -> None:
     same = goodness_of_fit(fitted, reading_cm, true_cm, rng)
     assert same.chi_square_p_value > 0.01
     assert "fitted to the same readings" in same.note
+    here, elsewhere = (
+        goodness_of_fit(fitted, reading_cm, true_cm, np.random.default_rng(14), fitted_here=each)
+        for each in (True, False)
+    )
+    assert here.chi_square == elsewhere.chi_square
+    # Parameters that were fitted to these readings take degrees of freedom.
+    assert here.chi_square_p_value < elsewhere.chi_square_p_value
     wider = drawn(PlainSensor(**{**vars(ROUGH), "sigma_cm": 1.8}), 20_000, 13)
     assert goodness_of_fit(fitted, *wider, rng, fitted_here=False).ks_p_value < 1e-3
     assert np.isnan(pit(fitted, [300.5], [300.0], rng)).all()

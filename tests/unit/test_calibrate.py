@@ -106,11 +106,18 @@ def test_runs_that_disagree_keep_a_calibration_out() -> None:
     assert found.form == "none"
 
 
-def test_what_the_reference_may_err_by_widens_the_bias() -> None:
+@pytest.mark.parametrize("name", ["bias", "offset"])
+def test_what_the_reference_may_err_by_widens_bias_and_offset(name: str) -> None:
     data = bench(6, lambda z: 0.0)
-    narrow, wide = calibrated(data).bias, calibrated(data, reference_std_cm=0.5).bias
+    narrow, wide = (getattr(calibrated(data, std), name) for std in (None, 0.5))
     assert wide.value == narrow.value
     assert wide.high - wide.low == pytest.approx(np.hypot(narrow.high - narrow.low, 2 * 1.96 * 0.5), rel=1e-3)
+
+
+def test_the_spread_is_that_of_all_readings_and_not_of_the_points() -> None:
+    rng = np.random.default_rng(11)
+    found = calibrated(table(point(rng, 100.0, n=2000, sigma_cm=2.0), point(rng, 200.0, n=50, sigma_cm=0.6)))
+    assert found.spread.value == pytest.approx(np.sqrt((1999 * 2.0**2 + 49 * 0.6**2) / 2048), abs=0.08)
 
 
 def test_few_ranges_are_said_to_be_too_few() -> None:

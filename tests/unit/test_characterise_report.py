@@ -252,3 +252,14 @@ def test_panels_share_an_axis_of_ranges_where_some_lack_one():
         low, high = figure.axes[0].get_xlim()
         assert low < 40.0
         assert high > 260.0
+
+
+def test_a_stray_reading_hides_neither_the_others_nor_their_mean():
+    errors = np.repeat([0.0, 1.0], [300, 300])
+    errors[0] = -80.0
+    figure = draw_errors([Errors("one", np.repeat([100.0, 200.0], 300), errors, np.zeros(600, dtype=bool))])
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "linear"
+    assert axes.get_ylim()[0] > -5.0
+    means = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
+    assert means.lines[0].get_ydata().tolist() == [0.0, 1.0]

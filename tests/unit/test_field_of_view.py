@@ -105,6 +105,20 @@ def test_no_angles_no_field_of_view() -> None:
     assert field_of_view(sort_into_points(parts, SENSOR), IDENTITY) is None
 
 
+def test_an_edge_that_eight_readings_leave_open_is_said_to_be_open() -> None:
+    """4 of 8 at 9 deg: not reliable, though by chance it may be: its likelihood is 1.8 in the logarithm lower."""
+    rng = np.random.default_rng(10)
+    parts = []
+    for angle_deg, of_wall in ((-9.0, 4), (-4.5, 8), (0.0, 8), (4.5, 8), (9.0, 4), (13.5, 0), (-13.5, 0)):
+        part = point(rng, 100, n=8, condition="field_of_view", incidence_deg=angle_deg)
+        part["reading_cm"][of_wall:] = 765.0
+        parts.append(part)
+    found = field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY)
+    assert found is not None
+    half = found.angles[0].half_angle
+    assert (half.low, half.value, half.high) == (4.5, 4.5, 13.5)
+
+
 def test_the_rows_for_the_file_never_grow_and_leave_out_silence() -> None:
     found = swept(9, {50: (12.6, 12.6), 100: (18.0, 18.0), 150: (-1.0, -1.0), 200: (9.0, 9.0)})
     assert breakaway_rows(found.angles) == [(50.0, 12.6), (100.0, 12.6), (200.0, 9.0)]
@@ -120,3 +134,9 @@ def test_the_sonar_equation_goes_through_the_reports_angles() -> None:
     assert [r for r, _ in found.beyond] == [250.0, 300.0, 400.0, 500.0, 600.0, 765.0]
     assert "3 parameters for 4 angles" in found.note
     assert sonar_through([(50.0, 20.0), (100.0, 15.0)], SENSOR, None) is None
+
+
+def test_angles_that_no_piston_has_are_said_to_be_missed() -> None:
+    found = sonar_through([(50.0, 40.0), (100.0, 39.0), (150.0, 10.0), (200.0, 9.0)], SENSOR, 500.0)
+    assert found is not None
+    assert not found.within_a_step

@@ -42,3 +42,18 @@ def test_set_ups_of_few_readings_stay_where_the_reference_puts_them() -> None:
     # Their own means would take 1/40 off the variance, and hide what the set-ups differ by.
     assert sigma.value == pytest.approx(0.7, abs=0.05)
     assert not any("set-ups" in note for note in found.notes)
+
+
+def test_255_is_a_reading_like_others_of_a_sensor_that_has_no_such_code() -> None:
+    rng = np.random.default_rng(3)
+    parts = [point(rng, z, n=300, saturated=0.05) for z in range(100, 501, 100)]
+    points = sort_into_points(table(*parts), SENSOR)
+    weights = {}
+    for share in (0.25, 0.0):
+        parameters = SENSOR.reading_model.model_copy(update={"saturated_fraction": share})
+        sensor = SENSOR.model_copy(update={"reading_model": parameters})
+        found = fit_mixture(points, IDENTITY, sensor, np.random.default_rng(3))
+        assert not isinstance(found, str)
+        weights[share] = found.parameters.weights
+    assert weights[0.25].max == pytest.approx(0.05, abs=0.015)
+    assert weights[0.0].max < 0.005

@@ -92,6 +92,26 @@ def test_data_that_could_show_nothing_name_no_size() -> None:
     assert "could show nothing" in asked(*parts)["vibration 60 Hz"].answer
 
 
+def test_points_that_happen_to_agree_are_no_proof_without_end() -> None:
+    """The same readings at three ranges, a centimetre apart: set-ups scatter, though these did not."""
+    rng = np.random.default_rng(13)
+    baseline = bench(rng, "baseline", ranges=(100, 160, 200))
+    varied = [part | {"condition": np.full(100, "vibration"), "vibration_hz": np.full(100, 60.0)} for part in baseline]
+    varied = [part | {"reading_cm": part["reading_cm"] + 1.0} for part in varied]
+    bias = effect(asked(*baseline, *varied)["vibration 60 Hz"], "bias")
+    assert bias.estimate is not None
+    assert bias.estimate.value == pytest.approx(1.0)
+    assert bias.p_value > 1e-5
+
+
+def test_nothing_missed_in_few_readings_is_no_proof_that_nothing_is() -> None:
+    rng = np.random.default_rng(14)
+    few = [*bench(rng, "baseline", n=5), *bench(rng, "vibration", n=5, vibration_hz=60)]
+    many = [*bench(rng, "baseline", n=100), *bench(rng, "vibration", n=100, vibration_hz=60)]
+    assert effect(asked(*few)["vibration 60 Hz"], "missed").verdict == "cannot tell"
+    assert effect(asked(*many)["vibration 60 Hz"], "missed").verdict == "does not matter"
+
+
 def test_one_point_is_no_comparison() -> None:
     rng = np.random.default_rng(4)
     found = asked(point(rng, 100), point(rng, 100, condition="vibration", vibration_hz=60, error_cm=4.0))

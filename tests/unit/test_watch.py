@@ -31,6 +31,13 @@ def test_noise_is_not_called_outliers() -> None:
     assert watch.median_cm == pytest.approx(300, abs=1)
 
 
+def test_what_is_far_beyond_the_noise_is_an_outlier() -> None:
+    noise = np.rint(np.random.default_rng(3).normal(300.0, 2.0, 200)).astype(int).tolist()
+    _, found = watched(*noise, 318, 282)
+    # 6 standard deviations of 2 cm.
+    assert [each.reading_cm for each in found] == [318, 282]
+
+
 def test_an_outlier_is_flagged_as_it_comes() -> None:
     _, found = watched(*[120] * FIRST_LOOK, 187, 64, 255)
     assert [(each.number, each.reading_cm) for each in found] == [(9, 187), (10, 64), (11, 255)]

@@ -20,7 +20,7 @@ from msp_sim.model.model import Active, Model, acts
 _Array = NDArray[np.float64]
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
 BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2])
-"""How far a characterised base is off, about: what the readings alone cannot tell from an effect stays near the file."""
+"""About how far a characterised base is off: what readings cannot tell from an effect stays near the file."""
 ROUNDS = 12
 ENOUGH_NATS = 0.03
 

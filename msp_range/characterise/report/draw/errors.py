@@ -118,8 +118,8 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
     errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
     low, high = -3.2, 3.2
     if errors.size:
-        # One reading in 2000 at either end may fall outside, where it is counted and not drawn.
-        shown = np.quantile(errors, [0.0005, 0.9995])
+        # One reading in 400 at either end may fall outside, where it is marked: a stray or two would hide the rest.
+        shown = np.quantile(errors, [0.0025, 0.9975])
         low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
     for line in (*axes.lines, *axes.points) if axes else ():
         low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
@@ -177,8 +177,10 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             _count_above(row, range_cm, beyond, int(np.count_nonzero(here)), ranges_cm.size, 1)
         if not errors.size:
             continue
-        spread = 0.0 if compressed else 1.96 * float(np.std(errors)) / np.sqrt(errors.size)
-        middles.append((range_cm, float(np.median(errors) if compressed else np.mean(errors)), spread))
+        near = errors if compressed else errors[(errors > low) & (errors < high)]
+        if near.size:
+            spread = 0.0 if compressed else 1.96 * float(np.std(near)) / np.sqrt(near.size)
+            middles.append((range_cm, float(np.median(near) if compressed else np.mean(near)), spread))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
         centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
         steps, counts = np.unique(np.rint(errors - centre_cm), return_counts=True)
@@ -231,7 +233,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             elinewidth=1.1,
             capsize=2,
             zorder=5,
-            label="median" if compressed else "mean and its 95 % interval",
+            label="median" if compressed else "mean of those not outside, 95 % interval",
         )
     for line, text in enumerate(("missed ", f"over ±{LINEAR_CM:g} cm ") if compressed else ("missed ",)):
         row.annotate(
