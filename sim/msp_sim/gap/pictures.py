@@ -314,7 +314,7 @@ def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array,
 def _centre(model: Model, table: Table) -> _Array:
     """Where the model has each reading's hit [cm]: what is nearer than the shortest reading reads that."""
     centre_cm = np.concatenate([rows.centre_cm for _, rows in model.chunks(table.contexts)])
-    return np.clip(centre_cm, model.sensor.minimum_cm, model.sensor.maximum_cm)
+    return np.asarray(np.clip(centre_cm, model.sensor.minimum_cm, model.sensor.maximum_cm), dtype=np.float64)
 
 
 def _places(table: Table, part: Partition, column: str) -> _Array:
