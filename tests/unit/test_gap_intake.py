@@ -56,6 +56,18 @@ def test_files_without_runs_are_runs(tmp_path: Path) -> None:
     assert any("Found 2 runs" in each for each in found.messages)
 
 
+def test_files_of_one_name_in_several_folders_are_several_runs(tmp_path: Path) -> None:
+    paths = []
+    for flight in ("one", "two"):
+        columns = readings(200)
+        columns["reading_cm"] = columns["reading_cm"] + (flight == "two")
+        del columns["run"]
+        (tmp_path / flight).mkdir()
+        paths.append(tmp_path / flight / "flight.csv")
+        write_csv(paths[-1], columns)
+    assert set(read_readings(paths, MODEL_GIVEN).data["run"]) == {"one/flight", "two/flight"}
+
+
 def test_a_column_may_tell_the_runs(tmp_path: Path) -> None:
     columns = readings(100)
     columns["battery"] = np.repeat(np.arange(5.0), 20)

@@ -85,7 +85,11 @@ def _knots(values: _Array, count: int) -> tuple[float, ...]:
     if not high > low:
         return ()
     middle = 0.5 * np.quantile(known, 0.01 + 0.98 * share) + 0.5 * (low + (high - low) * share)
-    return tuple(float(f"{each:.4g}") for each in np.unique(middle)) if np.all(np.diff(middle) > 0) else ()
+    if not np.all(np.diff(middle) > 0):
+        return ()
+    # Four digits of the span, not of the value: knots of a column that hardly varies stay apart.
+    digits = 3 - int(np.floor(np.log10(high - low)))
+    return tuple(round(float(each), digits) for each in middle)
 
 
 @dataclass(frozen=True)

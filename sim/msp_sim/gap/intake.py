@@ -87,13 +87,13 @@ def read_readings(
     """
     tables: list[MeasuredData] = []
     sources: list[Source] = []
-    for path in paths:
+    for path, name in zip(paths, _names(paths), strict=True):
         table = read_table(path, model.sensor, column_map)
         digest = _sha256(path)
         same = next((each.path for each in sources if each.sha256 == digest), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
-        tables.append(_with_run(table, path, run_column))
+        tables.append(_with_run(table, path, name, run_column))
         sources.append(Source(str(path), digest, len(table)))
     data = joined(tables)
     del tables
@@ -112,7 +112,17 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _with_run(table: MeasuredData, path: Path, run_column: str | None) -> MeasuredData:
+def _names(paths: Sequence[Path]) -> list[str]:
+    """A name for each file: its own, with as many of its folders before it as tell it from the others."""
+    parts = [(*path.resolve().parts[1:-1], path.name.split(".")[0]) for path in paths]
+    for depth in range(1, max((len(each) for each in parts), default=0) + 1):
+        names = ["/".join(each[-depth:]) for each in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [path.name for path in paths]
+
+
+def _with_run(table: MeasuredData, path: Path, name: str, run_column: str | None) -> MeasuredData:
     columns = dict(table.columns)
     if run_column is not None:
         if run_column not in table:
@@ -121,9 +131,11 @@ def _with_run(table: MeasuredData, path: Path, run_column: str | None) -> Measur
         numbers = named.dtype.kind in "fiub"
         columns["run"] = np.array([f"{each:g}" for each in named.tolist()]) if numbers else named
     elif "run" not in table:
-        columns["run"] = np.full(len(table), path.name.split(".")[0])
+        columns["run"] = np.full(len(table), name)
     else:
-        columns["run"] = np.where(table["run"] == "", path.name.split(".")[0], table["run"])
+        # A recording calls its run by its file's name.
+        of_file = (table["run"] == "") | (table["run"] == path.name.split(".")[0])
+        columns["run"] = np.where(of_file, name, table["run"])
     return MeasuredData(columns)
 
 
