@@ -203,6 +203,7 @@ class Fusion:
             sight.nothing(time_s)
             return
         innovation_m = range_m - view.expected_m
+        off_m = innovation_m / view.by_height
         variance_m2 = _variance_m2(reading) + self._rough_m2
         sight.repeated = self._stuck[reading.sensor].repeated
         doubtful = reading.suspect or sight.repeated
@@ -211,6 +212,8 @@ class Fusion:
             # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
             if abs(innovation_m) <= most_m:
                 self._seen(sight, view)
+            elif sight.is_object(off_m):
+                sight.aside(time_s, off_m, told=True)
             else:
                 sight.nothing(time_s)
             return
@@ -221,7 +224,6 @@ class Fusion:
             self._scatter(square, variance_m2)
             self._seen(sight, view)
             return
-        off_m = innovation_m / view.by_height
         if doubtful and not sight.is_object(off_m):
             sight.nothing(time_s)
         else:

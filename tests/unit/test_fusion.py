@@ -280,6 +280,18 @@ def test_a_fault_code_that_is_a_range_passes_only_for_ground_that_is_there() -> 
     assert fused.range_m == pytest.approx(2.55, abs=0.03)
 
 
+def test_an_object_whose_distance_does_not_vary_stays_known() -> None:
+    fusion = four()
+    draw = np.random.default_rng(3)
+    for i in range(120):
+        name = NAMES[i % 4]
+        beside = name == "b" and i >= 40
+        range_m = 2.5 if beside else 3.0 + draw.normal(scale=SIGMA_M)
+        take(fusion, reading(name, i * SLOT_S, range_m, raw=250 if beside else None))
+        if i > 52:
+            assert fusion.object_m("b") == pytest.approx(0.5, abs=0.06)
+
+
 # What is stuck.
 
 
