@@ -257,7 +257,7 @@ class Bridge:
             stages["filtered_m"], stages["variance_m2"] = estimate
         self._recorder.write(topic, now_s, stages)
         if fused is not None:
-            self._recorder.write("/fused", now_s, {"time_s": reading.time_s, **fused._asdict()})
+            self._recorder.write("/fused", now_s, fused.record(reading.time_s))
 
     def _count(self, channel: _Channel, filtered: Filtered) -> None:
         channel.readings += 1

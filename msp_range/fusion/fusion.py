@@ -66,6 +66,19 @@ class Fused(NamedTuple):
     rise_north: float
     rise_east: float
 
+    def record(self, time_s: float) -> dict[str, float]:
+        """The message of a recording's ``/fused``."""
+        range_m, variance_m2, height_m, climb_m_s, rise_north, rise_east = self
+        return {
+            "time_s": time_s,
+            "range_m": range_m,
+            "variance_m2": variance_m2,
+            "height_m": height_m,
+            "climb_m_s": climb_m_s,
+            "rise_north": rise_north,
+            "rise_east": rise_east,
+        }
+
 
 class Fusion:
     """The downward sensors as one.

@@ -23,6 +23,8 @@ WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
 """How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
 SPURS_PER_S, EASES_PER_S = 0.2, 0.7
 """How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
+LONGEST_S = 1.0
+"""Longer than this without a reading changes no more of how the vehicle moves [s]."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
 """Of the three ways at the beginning."""
 SHORTEST_BASE_S, START_SLOPE_M = 0.08, 0.05
@@ -101,8 +103,9 @@ class GroundFilter:
             return
         calm, moving, wild = self._filters
         of_calm, of_moving, of_wild = self._weights
-        wakes, calms = of_calm * min(WAKES_PER_S * t, 0.5), of_moving * min(CALMS_PER_S * t, 0.4)
-        spurs, eases = of_moving * min(SPURS_PER_S * t, 0.4), of_wild * min(EASES_PER_S * t, 0.5)
+        change_s = t if t < LONGEST_S else LONGEST_S
+        wakes, calms = of_calm * WAKES_PER_S * change_s, of_moving * CALMS_PER_S * change_s
+        spurs, eases = of_moving * SPURS_PER_S * change_s, of_wild * EASES_PER_S * change_s
         of_calm += calms - wakes
         of_moving += wakes + eases - calms - spurs
         of_wild += spurs - eases
@@ -159,7 +162,8 @@ class GroundFilter:
             total_m2 += weight * own_m2
         if total < other_per_m * SQRT_TWO_PI:
             return None
-        self._weights = tuple([max(each / total, LEAST_WEIGHT) for each in likelihoods])
+        least = LEAST_WEIGHT * total
+        self._weights = tuple([each / total if each > least else LEAST_WEIGHT for each in likelihoods])
         k_north, k_east = x_north / total_m2, x_east / total_m2
         to_north, to_east = k_north * innovation_m, k_east * innovation_m
         self.rise_north += to_north
