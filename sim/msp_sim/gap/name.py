@@ -130,9 +130,13 @@ class Search:
         self.scale = n / len(self.prepared)
         self.curves = adequacy.curves_of(self.some)
         self.null = fit_base(self.prepared)
-        drawn = twin(self.model, self.null.base, [], self.contexts, self.rng)
-        self.information = information_of(drawn, self.null.base, [], self.tested)
+        self.inform(self.null)
         self.by_run = self.depends(self.null).dependent
+
+    def inform(self, fitted: Fitted) -> None:
+        """Information at a fit: what a large effect hid before it was named, it hides no more."""
+        drawn = twin(self.model, fitted.base, fitted.effects, self.contexts, self.rng)
+        self.information = information_of(drawn, fitted.base, fitted.effects, self.tested)
 
     def depends(self, fitted: Fitted) -> Dependence:
         """Dependence inside runs at a fit."""
@@ -263,6 +267,7 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
         fitted, items, changed = _curves(search, fitted, items, needed, path, say)
         if not changed or len(items) >= max_effects or turn:
             break
+        search.inform(fitted)
         seen = search.screen(fitted, items)
     fitted, items, of_item = _swaps(search, fitted, items, needed, say)
     fitted, items = _eliminate(search, fitted, items, needed)
@@ -312,6 +317,7 @@ def _forward(
         fitted, items = _eliminate(search, fitted, items, needed)
         path.append((item.key[0], fitted.base, fitted.effects))
         _update_unit(search, fitted)
+        search.inform(fitted)
         seen = search.screen(fitted, items)
     return fitted, items
 
