@@ -38,7 +38,8 @@ NEAR_NATS = 3.0
 SEPARABLE = 3.0
 """Standard errors that tell two effects apart."""
 SHAPE_NATS = 0.7
-"""What a parameter of a shape gains by chance."""
+PLACE_NATS = 2.0
+"""What a number of a shape gains by chance, and what a place that readings gather at does."""
 KEEP = 0.6
 """Share of the gain needed to come in that an effect needs to stay."""
 UNKNOWN_P = 0.02
@@ -130,9 +131,13 @@ class Search:
         self.scale = n / len(self.prepared)
         self.curves = adequacy.curves_of(self.some)
         self.null = fit_base(self.prepared)
-        drawn = twin(self.model, self.null.base, [], self.contexts, self.rng)
-        self.information = information_of(drawn, self.null.base, [], self.tested)
+        self.inform(self.null)
         self.by_run = self.depends(self.null).dependent
+
+    def inform(self, fitted: Fitted) -> None:
+        """Information at a fit: what a large effect hid before it was named, it hides no more."""
+        drawn = twin(self.model, fitted.base, fitted.effects, self.contexts, self.rng)
+        self.information = information_of(drawn, fitted.base, fitted.effects, self.tested)
 
     def depends(self, fitted: Fitted) -> Dependence:
         """Dependence inside runs at a fit."""
@@ -191,7 +196,7 @@ class Search:
                 break
             there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
-            gained -= SHAPE_NATS * len(self.tested[j].shape)
+            gained -= _price(self.tested[j])
             top = max(top, gained)
             refits.append((gained, Item(there.effects[-1], self.tested[j], float(seen.z[j]), gained), there))
         return sorted(refits, key=lambda each: -each[0])
@@ -263,6 +268,7 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
         fitted, items, changed = _curves(search, fitted, items, needed, path, say)
         if not changed or len(items) >= max_effects or turn:
             break
+        search.inform(fitted)
         seen = search.screen(fitted, items)
     fitted, items, of_item = _swaps(search, fitted, items, needed, say)
     fitted, items = _eliminate(search, fitted, items, needed)
@@ -312,6 +318,7 @@ def _forward(
         fitted, items = _eliminate(search, fitted, items, needed)
         path.append((item.key[0], fitted.base, fitted.effects))
         _update_unit(search, fitted)
+        search.inform(fitted)
         seen = search.screen(fitted, items)
     return fitted, items
 
@@ -466,9 +473,9 @@ def _swaps(
             if same and same[0][0] > own:
                 own = same[0][0]
             others = [each for each in scaled if each[1].key != item.key]
-            priced = own - SHAPE_NATS * len(item.entry.shape)
-            better = max(others, key=lambda each: each[0] - SHAPE_NATS * len(_shape(each[1])), default=None)
-            if better is not None and better[0] - SHAPE_NATS * len(_shape(better[1])) > priced + 0.3:
+            priced = own - _price(item.entry)
+            better = max(others, key=lambda each: each[0] - _price(each[1].entry), default=None)
+            if better is not None and better[0] - _price(better[1].entry) > priced + 0.3:
                 order = [*rest, better[1]]
                 say(f"{better[1].key[0]} in place of {item.key[0]}", 0.65)
                 fitted = better[2]
@@ -489,6 +496,14 @@ def _swaps(
         if not swapped:
             break
     return fitted, items, rivals
+
+
+def _price(entry: Entry | None) -> float:
+    """What the search over an entry's shapes gains by chance [nat]."""
+    if entry is None:
+        return 0.0
+    searched = sum(len(parameter.tried) > 1 for parameter in entry.effect.parameters)
+    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS)
 
 
 def _shape(item: Item) -> tuple[tuple[str, float], ...]:
