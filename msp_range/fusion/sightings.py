@@ -6,12 +6,15 @@ the same thing beside the ground of the others, that is an object below it, or a
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection
 from statistics import median
 
 WINDOW_S = 0.65
 """What a sensor saw longer ago than this has no vote [s]: a round of four sensors at ten readings a second, and half
 of one."""
+HELD_S = 1.1
+"""A sensor that saw the ground keeps its vote for it this long [s], unless it agrees with the others: a round more, so
+that one wild or missed reading of it does not make a box below two others the ground."""
 AGREE_M = 0.12
 """Readings of different sensors that are this close, moved to one time and place, see the same ground [m]."""
 LEAVING_M_S = 2.0
@@ -36,6 +39,8 @@ class Sight:
     ----------
     seen_s
         Time of its last reading with a range [s].
+    ground_s
+        Time at which it last saw the ground [s].
     off_m
         How much farther than the ground that was [m]; None where it was the ground.
     repeated
@@ -44,10 +49,10 @@ class Sight:
         Height of what it sees above the ground, negative for a hole [m]; None: it sees the ground, or nothing.
     """
 
-    __slots__ = ("_aside", "_on_ground", "object_m", "off_m", "repeated", "seen_s")
+    __slots__ = ("_aside", "_on_ground", "ground_s", "object_m", "off_m", "repeated", "seen_s")
 
     def __init__(self) -> None:
-        self.seen_s = float("-inf")
+        self.seen_s = self.ground_s = float("-inf")
         self.off_m: float | None = None
         self.repeated = False
         self.object_m: float | None = None
@@ -56,7 +61,7 @@ class Sight:
 
     def ground(self, time_s: float) -> None:
         """It saw the ground."""
-        self.seen_s, self.off_m = time_s, None
+        self.seen_s, self.ground_s, self.off_m = time_s, time_s, None
         self._aside.clear()
         self._on_ground += 1
         if self._on_ground >= READINGS_TO_LOSE_IT:
@@ -94,13 +99,14 @@ class Sight:
         self._aside.clear()
         if self.off_m is not None:
             self.off_m -= by_m
+            self.ground_s = float("-inf")
             if abs(self.off_m) < AGREE_M:
-                self.off_m, self.object_m = None, None
+                self.ground_s, self.off_m, self.object_m = self.seen_s, None, None
         else:
-            self.off_m = -by_m
+            self.ground_s, self.off_m = float("-inf"), -by_m
 
 
-def step_m(newest: Sight, sights: Iterable[Sight], time_s: float) -> float | None:
+def step_m(newest: Sight, sights: Collection[Sight], time_s: float) -> float | None:
     """How much lower the ground is by the sensors that agree with the newest reading; None where they are too few.
 
     More sensors must see it than still see the old ground, and two at least. Sensors that repeat themselves are not
@@ -110,14 +116,17 @@ def step_m(newest: Sight, sights: Iterable[Sight], time_s: float) -> float | Non
         return None
     recent = [sight for sight in sights if time_s - sight.seen_s <= WINDOW_S]
     held = [sight for sight in recent if sight.off_m is None]
-    old = [sight for sight in held if not sight.repeated]
-    moving = bool(held) and not old and abs(newest.off_m) < LEAVING_M
+    moving = bool(held) and all(sight.repeated for sight in held) and abs(newest.off_m) < LEAVING_M
     speed_m_s = LEAVING_M_S if moving else 0.0
-    agree = [
-        sight.off_m
+    agreeing = [
+        sight
         for sight in recent
         if sight.off_m is not None
         and abs(sight.off_m - newest.off_m) < AGREE_M + speed_m_s * (newest.seen_s - sight.seen_s)
+    ]
+    agree = [sight.off_m for sight in agreeing if sight.off_m is not None]
+    old = [
+        sight for sight in sights if time_s - sight.ground_s <= HELD_S and not sight.repeated and sight not in agreeing
     ]
     if len(agree) < 2 or len(agree) <= len(old):
         return None
