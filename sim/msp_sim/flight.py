@@ -215,7 +215,7 @@ class FlightLog:
         self._recorder = recorder
         self._truths: dict[str, Ping] = {}
         self._steps_m: dict[str, float] = {}
-        self._below_m: float | None = None
+        self._ground_m: float | None = None
         self._edge_s = float("-inf")
 
     def keep_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
@@ -245,9 +245,10 @@ class FlightLog:
         if reading.sensor not in self._downward:
             track.below_m.append(None)
             return
-        below_m = self._world.height_above_ground(self._pose(time_s)).down_axis_m
+        pose = self._pose(time_s)
+        below_m = self._world.height_above_ground(pose).down_axis_m
         truth_m = None if below_m is None else below_m - self._reference_down_m
-        is_edge = below_m is None or self._is_edge(time_s, below_m)
+        is_edge = below_m is None or self._is_edge(time_s, pose, below_m)
         track.below_m.append(None if is_edge else truth_m)
         if step.fused is not None:
             fused = self.flight.fused
@@ -257,10 +258,12 @@ class FlightLog:
             fused.why.append("edge" if is_edge else None)
             fused.below_m.append(None if is_edge else truth_m)
 
-    def _is_edge(self, time_s: float, below_m: float) -> bool:
-        if self._below_m is not None and abs(below_m - self._below_m) > LEVEL_M:
+    def _is_edge(self, time_s: float, pose: Pose, below_m: float) -> bool:
+        # Where the down axis meets the ground: what the vehicle does up and down is no edge.
+        ground_m = pose.position_ned_m[2] + below_m * math.cos(pose.pitch_rad) * math.cos(pose.roll_rad)
+        if self._ground_m is not None and abs(ground_m - self._ground_m) > LEVEL_M:
             self._edge_s = time_s
-        self._below_m = below_m
+        self._ground_m = ground_m
         return time_s - self._edge_s < EDGE_S or any(abs(step_m) > LEVEL_M for step_m in self._steps_m.values())
 
     def note(self, time_s: float, severity: Severity, text: str) -> None:
