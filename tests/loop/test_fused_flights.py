@@ -115,3 +115,12 @@ def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, accelerat
         times_s = np.array(flight.fused.time_s)
         assert np.diff(times_s).max() < 0.35
         assert np.percentile(np.abs(error_m(flight.fused, flight.fused.filtered_m)), 95) < 0.05
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_box_below_two_of_four_does_not_become_the_ground(seed: int) -> None:
+    """Not even when one of the two that see the ground gives a wild reading, or none."""
+    fused = fly(load_scenario(SCENARIOS / "boxes.yaml"), seed).fused
+    pairs = [(said, true) for said, true in zip(fused.filtered_m, fused.truth_m, strict=True) if said and true]
+    assert len(pairs) > 500
+    assert sum(abs(said - true) > 0.15 for said, true in pairs) <= 0.005 * len(pairs)
