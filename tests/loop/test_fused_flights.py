@@ -114,7 +114,8 @@ def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, accelerat
         flight = fly(load_scenario(path), seed)
         times_s = np.array(flight.fused.time_s)
         assert np.diff(times_s).max() < 0.35
-        assert np.percentile(np.abs(error_m(flight.fused, flight.fused.filtered_m)), 95) < 0.05
+        # In 20 ms at 3 m/s the vehicle moves by this.
+        assert np.percentile(np.abs(error_m(flight.fused, flight.fused.filtered_m)), 95) < 0.06
 
 
 @pytest.mark.parametrize("seed", [1, 3])
