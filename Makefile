@@ -51,7 +51,7 @@ compile: .venv/.installed
 	@touch $@
 
 .venv/.installed-test: pyproject.toml .venv/.installed
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,test]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,test,bench]'
 	@touch $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.
