@@ -148,7 +148,7 @@ def test_a_stuck_sensor_does_not_hold_the_fused_stream_back() -> None:
 
     bench = Bench(airframe(), climb, faults={"d": [Fault("stuck", FROM_S, TO_S)]}).fly(TO_S)
     for time_s, message in bench.sent()[60:]:
-        # Theil and Sen's line lags where one of its five points stands still: a quarter of a second at most.
+        # Until the stuck one is known to be stuck, the stream may lag: a quarter of a second at most.
         assert message.current_distance == pytest.approx(climb("", time_s), abs=25)
 
 
