@@ -431,6 +431,14 @@ def characterise(
     reference_std_cm: Annotated[
         float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
     ] = None,
+    set_up_std_cm: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="what each set-up's true range is off by on its own, as a standard deviation [cm]; what they "
+            "differ by beyond it is then the sensor's, and goes into the model",
+        ),
+    ] = None,
     date: Annotated[str | None, typer.Option(help="for the record, instead of today (YYYY-MM-DD)")] = None,
     seed: Annotated[int, typer.Option(min=0, help="of the randomised goodness of fit")] = 1,
 ) -> None:
@@ -463,6 +471,7 @@ def characterise(
             date=date or date_of(SystemClock().utc()),
             rng=default_rng(seed),
             reference_std_cm=reference_std_cm,
+            set_up_std_cm=set_up_std_cm,
             say=status.update,
         )
         model = changed(started, findings, changes)

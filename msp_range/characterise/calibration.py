@@ -14,15 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from msp_range.characterise.estimates import CONFIDENCE, PointsFit, fit_points, mean_of_points, standard_error
+from msp_range.characterise.estimates import (
+    CONFIDENCE,
+    PointsFit,
+    between_points,
+    dependence_factor,
+    fit_points,
+    mean_of_points,
+    standard_error,
+)
 from msp_range.characterise.findings import Calibration, Estimate, Form, HeldOut, Knot
 from msp_range.characterise.points import PointReadings
+from msp_range.correction.calibration import IDENTITY
 from msp_range.correction.calibration import Calibration as Curve
 from msp_range.reading_model.sensor_model import SensorModel
 
 LEAST_RANGES = 4
 """A straight line that is to predict a range which it has not seen needs three others."""
 LEAST_RUNS = 3
+LEAST_SET_UPS = 8
+"""Of which a variance between them can be known within a factor of 4."""
 RANGES_A_PIECE = 3
 MOST_PIECES = 4
 
@@ -43,7 +54,10 @@ class _Points(NamedTuple):
 
 
 def calibrate(
-    points: Sequence[PointReadings], sensor: SensorModel, reference_std_cm: float | None = None
+    points: Sequence[PointReadings],
+    sensor: SensorModel,
+    reference_std_cm: float | None = None,
+    set_up_std_cm: float | None = None,
 ) -> Calibration | None:
     """Calibration of a sensor.
 
@@ -56,6 +70,9 @@ def calibrate(
     reference_std_cm
         Standard deviation of an error that the reference may have at all ranges alike [cm], as its owner states it;
         it widens the bias's interval, for readings cannot tell it from the sensor's own.
+    set_up_std_cm
+        Standard deviation of what each set-up's true range is off by on its own [cm]; None: not stated, and all that
+        lies between set-ups is taken for it.
 
     Returns
     -------
@@ -98,12 +115,25 @@ def calibrate(
         linearity=linearity,
         linearity_by_chance_cm=by_chance,
         reference_std_cm=reference_std_cm,
+        set_up_offset=_set_up_offset(used, data, knots, set_up_std_cm),
         held_out=held_out,
         held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
         reading_cm=tuple(data.reading_cm.tolist()),
         reading_std_cm=tuple(np.sqrt(data.variance_cm2).tolist()),
     )
+
+
+def _set_up_offset(
+    used: Sequence[PointReadings], data: _Points, knots: Sequence[Knot], set_up_std_cm: float | None
+) -> Estimate | None:
+    if set_up_std_cm is None or len(used) < LEAST_SET_UPS:
+        return None
+    curve = (
+        Curve(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots)) if knots else IDENTITY
+    )
+    factor = dependence_factor([point.error_cm[point.is_hit] for point in used])
+    return between_points(data.reading_cm - curve.forward(data.true_cm), data.variance_cm2 * factor, set_up_std_cm**2)
 
 
 def line_design(x: _Array) -> _Array:

@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from msp_range.recording.error import RecordingError
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments whose readings are of the sensor alone: what calibration and mixture are fitted to."""
 COMPENSATION = "temperature_compensation"
+SESSION_EFFECT = "run_offsets"
+"""Of the simulator: the name of an offset that differs from session to session."""
 NOT_ASKED = "no readings of this condition, or none at ranges to compare with"
 KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
@@ -45,6 +47,7 @@ class Changes:
     oblique_reading: str | None = None
     heard_on_axis_cm: float | None = None
     reading_model: MixtureParameters | None = None
+    effects: tuple[dict[str, Any], ...] | None = None
 
 
 class Characterised(NamedTuple):
@@ -61,6 +64,7 @@ def characterise(
     date: str,
     rng: np.random.Generator,
     reference_std_cm: float | None = None,
+    set_up_std_cm: float | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Characterised:
     """Characterise a sensor.
@@ -77,6 +81,8 @@ def characterise(
         For the randomised goodness of fit.
     reference_std_cm
         Standard deviation of an error that the reference may have at all ranges alike [cm]; None: not stated.
+    set_up_std_cm
+        Standard deviation of what each set-up's true range is off by on its own [cm]; None: not stated.
     say
         Called with what is being done.
 
@@ -96,7 +102,7 @@ def characterise(
 
     say("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
-    calibration = calibrate(undisturbed, sensor, reference_std_cm)
+    calibration = calibrate(undisturbed, sensor, reference_std_cm, set_up_std_cm)
     curve = _curve(calibration)
     if found_base is None:
         absent["baseline"] = "no readings of the surface with nothing varied"
@@ -163,6 +169,7 @@ def characterise(
         oblique_reading=None if view is None or view.oblique.verdict == "unknown" else view.oblique.verdict,
         heard_on_axis_cm=heard_cm,
         reading_model=fitted.parameters if isinstance(fitted, Fitted) else None,
+        effects=_with_set_up_offset(sensor, calibration),
     )
     if not asked and not table and all(value is None for value in vars(changes).values()):
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
@@ -217,6 +224,18 @@ def _knots(calibration: Calibration | None) -> tuple[CalibrationKnot, ...] | Non
     if calibration is None or not calibration.held_out:
         return None
     return tuple(CalibrationKnot(true_cm=knot.true_cm, reading_cm=knot.reading_cm) for knot in calibration.knots)
+
+
+def _with_set_up_offset(sensor: SensorModel, calibration: Calibration | None) -> tuple[dict[str, Any], ...] | None:
+    """Effects with the offset of each session, where one is sure."""
+    found = None if calibration is None else calibration.set_up_offset
+    if found is None or not found.low:
+        return None
+    others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
+    own = {
+        key: round(value, 3) for key, value in (("value", found.value), ("low", found.low), ("high", found.high or 0))
+    }
+    return (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": {**own, "unit": "cm"}}})
 
 
 def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:

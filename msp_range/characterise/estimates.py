@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.optimize import brentq
 from scipy.special import log_ndtr, ndtri
 
 from msp_range.characterise.findings import Estimate
@@ -22,6 +23,8 @@ _LIKELIHOOD_DROP = Z**2 / 2
 DITHERED = 0.6
 """Readings that scatter by more than this many of their steps lose nothing by rounding: the average's bias is then
 under exp(-2 pi^2 0.36) / pi = 0.0003 steps."""
+BATCH = 15
+"""Readings in a batch, at least: those a batch apart are taken to be independent."""
 _Array = NDArray[np.float64]
 
 
@@ -109,6 +112,73 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
             low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
     coefficients, covariance, _ = fit(low)
     return PointsFit(coefficients, covariance, low, freedom)
+
+
+def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> Estimate:
+    """Standard deviation between points beyond what chance and a known variance make of it [cm].
+
+    Parameters
+    ----------
+    residual, variance
+        A point each: its distance from what is expected, and the variance that its readings give it.
+    known
+        Variance between points that has another cause.
+
+    Notes
+    -----
+    The interval is that of the Q profile (Viechtbauer 2007, Statistics in Medicine 26, 37): the variances at which the
+    weighted sum of squared residuals is at the 2.5 and 97.5 % points of chi squared.
+
+    Examples
+    --------
+    >>> between_points(np.array([0.31, -0.28, 0.02, -0.4, 0.35]), np.full(5, 0.01)).low > 0.05
+    True
+    """
+    freedom = residual.size - 1
+
+    def beyond(wanted: float) -> float:
+        def less(between: float) -> float:
+            weight = 1.0 / (variance + known + between + 1e-12)
+            return float(weight @ (residual - weight @ residual / weight.sum()) ** 2) - wanted
+
+        if less(0.0) <= 0.0:
+            return 0.0
+        high = 1.0
+        while less(high) > 0.0:
+            high *= 4.0
+        return math.sqrt(float(brentq(less, 0.0, high)))
+
+    least, most = (float(stats.chi2.isf(each, freedom)) for each in (0.025, 0.975))
+    return Estimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
+
+
+def dependence_factor(series: Sequence[_Array]) -> float:
+    """By how much readings that depend on the ones before widen the variance of their mean; 1 where they do not.
+
+    Parameters
+    ----------
+    series
+        Of each point, its readings in order.
+
+    Notes
+    -----
+    Batch means: the variance of the means of consecutive batches, times their length, over that of single readings,
+    pooled over the points.
+    """
+    means, singles, freedom = 0.0, 0.0, 0
+    for values in series:
+        batches = min(10, values.size // BATCH)
+        if batches < 2:
+            continue
+        length = values.size // batches
+        cut = values[: batches * length].reshape(batches, length)
+        means += length * float(cut.mean(axis=1).var(ddof=1)) * (batches - 1)
+        singles += float(cut.var(ddof=1)) * (batches - 1)
+        freedom += batches - 1
+    # By chance the ratio is above 1 in half of all cases: it counts from where it is sure.
+    if singles == 0.0 or means / singles < float(stats.chi2.isf(0.01, freedom)) / freedom:
+        return 1.0
+    return means / singles
 
 
 class MeanAndSpread(NamedTuple):

@@ -186,6 +186,9 @@ class Calibration:
         95 % of cases in `linearity_by_chance_cm`.
     reference_std_cm
         Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
+    set_up_offset
+        Standard deviation between set-ups about the calibration, beyond chance and what their true ranges are stated
+        to be off by [cm]: an offset of the sensor that differs from one session to the next. None: not stated.
     held_out
         The forms tried and how each did on ranges that it had not seen.
     held_out_unit
@@ -211,6 +214,7 @@ class Calibration:
     true_cm: tuple[float, ...]
     reading_cm: tuple[float, ...]
     reading_std_cm: tuple[float, ...]
+    set_up_offset: Estimate | None = None
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
         (_on_axis_comment(findings, changes, kept), ("heard_on_axis_cm",)),
         (_calibration_comment(findings, changes, kept), ("calibration",)),
         (_mixture_comment(findings, changes, kept), ("reading_model",)),
-        ([f"{kept}: added to another base than this one." if sensor.effects else kept + "."], ("effects",)),
+        (_effects_comment(sensor, findings, changes, kept), ("effects",)),
         (["What this file was made from, the newest last."], ("evidence",)),
     ]
     told = {name for _, names in sections for name in names}
@@ -129,6 +129,16 @@ def _calibration_comment(findings: Findings, changes: Changes, kept: str) -> lis
     stated = "is not stated" if found.reference_std_cm is None else f"of {found.reference_std_cm:g} cm is in it"
     bias = f"Mean error {_interval(found.bias, 2)} cm over {found.bias.n} points; the reference's own {stated}."
     return [f"Fitted: {found.form}. {found.reason[0].upper()}{found.reason[1:]}. {bias}"]
+
+
+def _effects_comment(sensor: SensorModel, findings: Findings, changes: Changes, kept: str) -> list[str]:
+    told = [f"{kept}: added to another base than this one." if sensor.effects else kept + "."]
+    if changes.effects is None or findings.calibration is None or findings.calibration.set_up_offset is None:
+        return told
+    between = _interval(findings.calibration.set_up_offset, 2)
+    return [
+        f"Fitted: an offset that differs from set-up to set-up, {between} cm, beyond what their true ranges are off by."
+    ]
 
 
 def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:

@@ -43,6 +43,8 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str, str]]:
         yield "spread of hits", told(calibration.spread, 2), ""
         if calibration.scale is not None and calibration.offset is not None:
             yield "offset, scale", f"{told(calibration.offset, 2)}, {told(calibration.scale, 4)}", ""
+        if calibration.set_up_offset is not None:
+            yield "between set-ups", told(calibration.set_up_offset, 2), ""
         yield "calibration", f"{calibration.form}: {calibration.reason}", ""
     longest = findings.maximum_range
     if longest is not None:

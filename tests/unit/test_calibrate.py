@@ -46,6 +46,40 @@ def bench(
     )
 
 
+@pytest.mark.parametrize(("stated_cm", "low", "high"), [(0.0, 0.3, 0.55), (0.3, 0.1, 0.45)])
+def test_what_set_ups_differ_by_is_the_sensors_where_the_tape_is_better(
+    stated_cm: float, low: float, high: float
+) -> None:
+    data = bench(3, lambda z: 0.0 * z, setup_cm=0.4)
+    found = calibrate(sort_into_points(data, SENSOR), SENSOR, set_up_std_cm=stated_cm)
+    assert found is not None
+    assert found.set_up_offset is not None
+    assert low < found.set_up_offset.value < high
+    assert found.set_up_offset.low is not None
+    assert found.set_up_offset.high is not None
+    assert found.set_up_offset.low < np.sqrt(0.4**2 - stated_cm**2) < found.set_up_offset.high
+
+
+def test_readings_that_depend_on_each_other_are_no_offsets_of_set_ups() -> None:
+    rng = np.random.default_rng(6)
+    parts = []
+    for range_cm in np.arange(50.0, 350.0, 7.3):
+        noise = rng.normal(0.0, 0.8, 400)
+        for i in range(1, 400):
+            noise[i] = 0.9 * noise[i - 1] + np.sqrt(1 - 0.81) * noise[i]
+        made = point(rng, range_cm, n=400)
+        made["reading_cm"] = np.rint(range_cm + noise)
+        parts.append(made)
+    found = calibrate(sort_into_points(table(*parts), SENSOR), SENSOR, set_up_std_cm=0.0)
+    assert found is not None
+    assert found.set_up_offset is not None
+    assert found.set_up_offset.low == pytest.approx(0.0, abs=0.02)
+
+
+def test_what_is_between_set_ups_is_the_tapes_where_nothing_is_stated() -> None:
+    assert calibrated(bench(3, lambda z: 0.0 * z, setup_cm=0.4)).set_up_offset is None
+
+
 def test_offset_and_scale_are_found_in_air_that_is_not_the_calibrations() -> None:
     found = calibrated(bench(1, lambda z: 2.0 + 0.01 * z, air_c=10.0))
     assert found.form == "offset and scale"
