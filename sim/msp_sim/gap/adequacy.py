@@ -24,6 +24,7 @@ KNOTS = (2, 3, 6, 12)
 """How fine curves are: from a straight line on."""
 PAIR_KNOTS = (2, 3)
 MOST_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
+RARE = ("short", "missed", "random")
 LEAST_EVENTS = 5.0
 """Information that a curve needs for each of its knots, in events."""
 PAIR_COST = 4.0
@@ -129,8 +130,9 @@ def curves_of(contexts: Mapping[str, Any]) -> Asked:
 def scan(
     asked: Asked,
     nuisance: _Array,
+    shares: _Array,
     unit: NDArray[np.intp] | None,
-    channels_asked: Sequence[str] = CHANNELS,
+    channels_asked: Sequence[CurveChannel] = CHANNELS,
 ) -> list[FreeForm]:
     """Curves by their chance, the least first.
 
@@ -140,6 +142,8 @@ def scan(
         Curves, on n readings.
     nuisance
         Scores of all that is fitted, (n, numbers), the channels first as in `BASE`.
+    shares
+        Of short, missed and random readings as the fit has them, (n, 3).
     unit
         Runs, where they are the unit.
     channels_asked
@@ -154,10 +158,17 @@ def scan(
         if not np.any(slope):
             continue
         told = float(slope @ slope)
+        expected = slope**2
+        if channel in RARE:
+            share = shares[:, RARE.index(channel)]
+            expected = share * (1.0 - share) * told / float((share * (1.0 - share)).sum())
         for (variables, knots), weight in zip(asked.curves, asked.weights, strict=True):
             if weight.shape[1] > MOST_KNOTS[channel] or told < LEAST_EVENTS * weight.shape[1]:
                 continue
-            found.append(_judged(channel, variables, knots, slope[:, None] * weight, own, inner, unit))  # type: ignore[arg-type]
+            scores = slope[:, None] * weight
+            # What is rare varies as the fit says where it never came, and as it came where it came more often.
+            squares = 0.5 * (scores.T @ scores + (weight * expected[:, None]).T @ weight)
+            found.append(_judged(channel, variables, knots, scores, squares, own, inner, unit))
     return sorted(found, key=lambda each: each.log_p + (PAIR_COST if len(each.variables) > 1 else 0.0))
 
 
@@ -166,12 +177,12 @@ def _judged(
     variables: tuple[str, ...],
     knots: tuple[tuple[Any, ...], ...],
     scores: _Array,
+    squares: _Array,
     own: _Array,
     inner: _Array,
     unit: NDArray[np.intp] | None,
 ) -> FreeForm:
     cross = own.T @ scores
-    squares = scores.T @ scores
     efficient = squares - cross.T @ inner @ cross
     total = scores.sum(axis=0) - cross.T @ (inner @ own.sum(axis=0))
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
@@ -192,10 +203,10 @@ def _judged(
         z = z / np.sqrt(np.maximum(np.maximum(variance, variance.mean()), 1.0))
         z = z * np.sqrt(max(units - 1 - degrees, 1) / units)
     statistic = float(z @ z)
-    return FreeForm(channel, variables, knots, 0.5 * statistic, degrees, _log_chance(statistic, degrees))
+    return FreeForm(channel, variables, knots, 0.5 * statistic, degrees, log_chance(statistic, degrees))
 
 
-def _log_chance(statistic: float, degrees: int) -> float:
+def log_chance(statistic: float, degrees: int) -> float:
     """log of the chance that a chi-squared number is larger."""
     half, shape = 0.5 * statistic, 0.5 * degrees
     chance = float(gammaincc(shape, half))

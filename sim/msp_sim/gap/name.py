@@ -15,12 +15,13 @@ from scipy.stats import chi2, norm
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
+from msp_sim.effects.curve import CurveChannel
 from msp_sim.gap import adequacy
 from msp_sim.gap.adequacy import FreeForm
 from msp_sim.gap.beginning import fit_base
 from msp_sim.gap.refit import Fitted, refit
 from msp_sim.gap.screen import Screen, Sums, information_of, screen, sums, twin
-from msp_sim.gap.tangent import BASE, Entry, Prepared, entries
+from msp_sim.gap.tangent import BASE, CHANNELS, Entry, Prepared, entries
 from msp_sim.gap.units import Dependence, dependence
 from msp_sim.model.model import Active, Model, active_curve
 
@@ -44,6 +45,7 @@ KEEP = 0.6
 """Share of the gain needed to come in that an effect needs to stay."""
 UNKNOWN_P = 0.02
 """Chance of a curve, of all that are asked for, where nothing is there."""
+CURVES_TRIED = 6
 RIDGE = 0.05
 SPECIAL = frozenset({"run_offsets"})
 """Seen between runs, and not in single readings."""
@@ -247,10 +249,11 @@ class Search:
         return (fitted.log_likelihood - less.log_likelihood) * self.scale / self.common_inflation
 
     def free_forms(
-        self, fitted: Fitted, channels: Sequence[str] = ("bias", "spread", "short", "missed", "random")
+        self, fitted: Fitted, channels: Sequence[CurveChannel] = CHANNELS, by_run: bool | None = None
     ) -> list[FreeForm]:
         """Curves that explain what is left."""
-        return adequacy.scan(self.curves, fitted.scores, self.some_unit if self.by_run else None, channels)
+        unit = self.some_unit if (self.by_run if by_run is None else by_run) else None
+        return adequacy.scan(self.curves, fitted.scores, fitted.here.shares, unit, channels)
 
 
 def name(search: Search, max_effects: int, say: Say) -> Chosen:
@@ -386,16 +389,15 @@ def _curves(
     for _ in range(3):
         forms = search.free_forms(fitted)
         singles = sum(len(each.variables) == 1 for each in forms)
-        if forms and _unlikely(forms[0], singles):
-            fitted, items = _with_curve(search, fitted, items, forms[0])
-        else:
-            between = _curve_between_runs(search, fitted, items, singles) if search.by_run else None
-            if between is None:
-                break
-            fitted, items = between
+        found = _likeliest_curve(search, fitted, items, forms, singles)
+        if found is None and search.by_run:
+            found = _curve_between_runs(search, fitted, items, singles)
+        if found is None:
+            break
+        fitted, items = found
         fitted, items = _eliminate(search, fitted, items, needed)
         changed = True
-    for channel in ("bias", "spread", "short", "missed", "random"):
+    for channel in CHANNELS:
         named = [k for k, item in enumerate(items) if item.entry is not None and channel in item.active.effect.channels]
         if not named:
             continue
@@ -415,12 +417,26 @@ def _curves(
     return fitted, items, changed
 
 
+def _likeliest_curve(
+    search: Search, fitted: Fitted, items: list[Item], forms: Sequence[FreeForm], asked: int
+) -> tuple[Fitted, list[Item]] | None:
+    """The first of the likeliest curves that gains after a refit what its score promises."""
+    for form in forms[:CURVES_TRIED]:
+        if not _unlikely(form, asked):
+            return None
+        there, added = _with_curve(search, fitted, items, form)
+        statistic = 2.0 * max(search.loss(fitted, there), 0.0)
+        if _unlikely(replace(form, log_p=adequacy.log_chance(statistic, form.degrees)), asked):
+            return there, added
+    return None
+
+
 def _curve_between_runs(
     search: Search, fitted: Fitted, items: list[Item], singles: int
 ) -> tuple[Fitted, list[Item]] | None:
     """A curve that differs from run to run, with which readings are independent: see `_between_runs`."""
     runs = int(np.unique(search.some_unit).size)
-    forms = adequacy.scan(search.curves, fitted.scores, None, ("bias", "spread"))
+    forms = search.free_forms(fitted, ("bias", "spread"), by_run=False)
     for form in forms[:4]:
         left = max(runs - 2 - form.degrees, 1)
         if form.degrees >= runs // 3 or not _unlikely(form, singles):

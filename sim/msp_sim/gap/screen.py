@@ -88,14 +88,14 @@ def sums(
         total += place @ scores
         efficient = scores[:, own] - scores[:, classes] @ cross.T
         for i, step in enumerate(steps):
-            along[i] += np.log1p(np.maximum(efficient * step, -0.9)).sum(axis=0)
-            along[TANGENT.size + i] += np.log1p(np.maximum(-efficient * step, -0.9)).sum(axis=0)
+            along[i] += _log_gain(efficient * step).sum(axis=0)
+            along[TANGENT.size + i] += _log_gain(-efficient * step).sum(axis=0)
         for j, entry in enumerate(tested):
             if entry.linear:
                 slope = np.maximum(scores[:, len(BASE) + j], -1.0 / 0.31)
                 gains[j, : GRID.size] += np.log1p(GRID[:, None] * slope[None, :]).sum(axis=1)
             elif entry.odds is not None:
-                gains[j] += _odds_gains(entry, rows, prepared.scene, here, sizes[j], means[j])
+                gains[j] += _odds_gains(entry, prepared.scene, here, sizes[j], means[j])
     numbers = np.concatenate([STEPS, -STEPS]) * sizes[:, None]
     numbers[linear] = 0.0
     numbers[linear, : GRID.size] = GRID
@@ -106,6 +106,12 @@ def sums(
     profile = np.full(len(tested), np.inf)
     profile[rare] = 2.0 * np.maximum(along.max(axis=0, initial=0.0), gains.max(axis=1)[rare])
     return Sums(total, profile, best, reading_cm.size)
+
+
+def _log_gain(change: _Array) -> _Array:
+    """log(1 + change), and below -0.9 its tangent: what makes a reading impossible gains nothing by being cut off."""
+    gain: _Array = np.log1p(np.maximum(change, -0.9)) + 10.0 * np.minimum(change + 0.9, 0.0)
+    return gain
 
 
 def _template(entry: Entry, scene: Scene) -> _Array:
@@ -136,12 +142,11 @@ def _sizes(model: Model, tested: Sequence[Entry], contexts: Mapping[str, Any]) -
     return sizes, means
 
 
-def _odds_gains(entry: Entry, rows: Rows, scene: Scene, here: Channels, size: float, mean: float) -> _Array:
+def _odds_gains(entry: Entry, scene: Scene, here: Channels, size: float, mean: float) -> _Array:
     """Gain of changed odds beside their mean, all else held: exact in the posterior share of the class."""
     which = entry.odds or 1
     template = _template(entry, scene) - mean
-    weights = [np.exp(each) for each in rows.log_weights]
-    share = np.broadcast_to(weights[which] / sum(weights), template.shape)
+    share = here.shares[:, which - 1]
     posterior = np.clip(here.by[:, 1 + which] + share, 0.0, 1.0)
     steps = np.concatenate([STEPS, -STEPS])
     factor = np.expm1(np.clip(steps[:, None] * size * template, -30.0, 30.0))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
-from msp_sim.effects.curve import FIELDS
+from msp_sim.effects.curve import FIELDS, CurveChannel
 from msp_sim.model.model import CHUNK, LARGEST_SHARE, Active, Model, acts, base_rows, changed
 from msp_sim.model.rows import Added, Faulty, Rows
 
@@ -25,7 +25,7 @@ LOG_LEAST = float(np.log(1e-12))
 """Of a reading that the model cannot give: it counts as this improbable, and not as ever so improbable."""
 BASE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
 """What of the base is free beside every effect: nuisance."""
-CHANNELS = ("bias", "spread", "short", "missed", "random")
+CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
 SHARE = 0.5
 
 
@@ -191,10 +191,13 @@ class Channels:
         (n,).
     by
         (n, 7) in the order of `BASE`: the first five are the channels.
+    shares
+        (n, 3): of short, missed and random readings, before what codes and components change.
     """
 
     log_p: _Array
     by: _Array
+    shares: _Array
 
 
 def channels(rows: Rows, reading_cm: _Array) -> Channels:
@@ -221,7 +224,8 @@ def channels(rows: Rows, reading_cm: _Array) -> Channels:
     step = 0.05 if saturated < 0.5 else -0.05
     more = floored(replace(rows, saturated_fraction=saturated + step), reading_cm)
     by[:, 6] = np.expm1(np.minimum(more - log_p, 50.0)) / step
-    return Channels(log_p, by)
+    weights = np.stack([np.broadcast_to(np.exp(each), reading_cm.shape) for each in rows.log_weights], axis=1)
+    return Channels(log_p, by, weights[:, 1:] / weights.sum(axis=1, keepdims=True))
 
 
 def of_entry(entry: Entry, rows: Rows, scene: Scene, reading_cm: _Array, here: Channels) -> _Array:
