@@ -13,6 +13,7 @@ from msp_sim.effects.dead_zone_maximum import DEAD_ZONE_MAXIMUM
 from msp_sim.effects.dead_zone_minimum import DEAD_ZONE_MINIMUM
 from msp_sim.effects.external_source import EXTERNAL_SOURCE
 from msp_sim.effects.flooring import FLOORING
+from msp_sim.effects.heavy_tails import HEAVY_TAILS
 from msp_sim.effects.hot_box import HOT_BOX
 from msp_sim.effects.humidity import HUMIDITY
 from msp_sim.effects.latency import LATENCY
@@ -61,6 +62,7 @@ CATALOGUE: dict[str, Effect] = {
         NEAREST_POINT,
         THRESHOLD_WALK,
         CYCLE_SLIP,
+        HEAVY_TAILS,
         WARM_UP,
         BEND,
         FLOORING,

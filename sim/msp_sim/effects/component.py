@@ -54,12 +54,13 @@ class Normal:
     location_cm
         The place [cm], or its distance from the hit where ``from_hit``.
     sigma_cm
-        Standard deviation [cm]; None: that of the hits.
+        Standard deviation [cm]; None: that of the hits, times ``wider``.
     """
 
     location_cm: Any
     sigma_cm: float | None = None
     from_hit: bool = False
+    wider: float = 1.0
 
     def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         centre_cm, sigma_cm = self._place(hits)
@@ -71,12 +72,12 @@ class Normal:
         return np.maximum(np.fmin(reading_cm, hits.maximum_cm), hits.minimum_cm)
 
     def take(self, rows: Any) -> "Normal":
-        return Normal(take(self.location_cm, rows), self.sigma_cm, self.from_hit)
+        return Normal(take(self.location_cm, rows), self.sigma_cm, self.from_hit, self.wider)
 
     def _place(self, hits: Hits) -> tuple[_Array, float | _Array]:
         origin_cm = hits.centre_cm if self.from_hit else 0.0
         centre_cm = np.broadcast_to(np.asarray(origin_cm + self.location_cm, dtype=float), hits.centre_cm.shape)
-        return centre_cm, hits.sigma_cm if self.sigma_cm is None else self.sigma_cm
+        return centre_cm, hits.sigma_cm * self.wider if self.sigma_cm is None else self.sigma_cm
 
 
 @dataclass(frozen=True)

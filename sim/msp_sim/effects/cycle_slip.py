@@ -19,7 +19,7 @@ CYCLE_SLIP = Effect(
     source="zero-crossing and threshold detectors on tone bursts",
     parameters=(
         Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
-        Parameter("cycles", "1", "periods that are missed", -40.0, 40.0, None, 6.0, (4.0, 8.0, 16.0)),
+        Parameter("cycles", "1", "periods that are missed", -40.0, 40.0, None, 6.0, (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)),
     ),
     needs=("true_range_cm",),
     channels=("component",),

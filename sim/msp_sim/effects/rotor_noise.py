@@ -8,15 +8,18 @@ from msp_sim.effects.base import Change, Effect, Parameter, Scene
 
 
 def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(log_spread=np.log1p(values["growth"] * scene["throttle"]))
+    return Change(log_spread=np.log1p(values["growth"] * scene["throttle"] ** values["exponent"]))
 
 
 ROTOR_NOISE = Effect(
     name="rotor_noise",
     sentence="With more throttle the rotors are louder, and the readings scatter more.",
-    physics="sigma (1 + growth throttle): noise on the envelope moves the time at which it crosses the threshold",
-    source="MaxBotix: mount out of the prop wash, away from rotors; the linear form is a choice",
-    parameters=(Parameter("growth", "1", "growth of sigma from no to full throttle", 0.0, 20.0),),
+    physics="sigma (1 + growth throttle^exponent): noise on the envelope moves its crossing of the threshold",
+    source="MaxBotix: mount out of the prop wash, away from rotors; the power is a choice",
+    parameters=(
+        Parameter("growth", "1", "growth of sigma from no to full throttle", 0.0, 20.0),
+        Parameter("exponent", "1", "1: as the throttle, 2: as the thrust", 0.5, 6.0, None, 1.0, (1.0, 3.0)),
+    ),
     needs=("true_range_cm", "throttle"),
     channels=("spread",),
     experiment="the vehicle tied down over a floor, throttle in steps",

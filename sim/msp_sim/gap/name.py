@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.gap import adequacy
@@ -21,7 +20,7 @@ from msp_sim.gap.adequacy import FreeForm
 from msp_sim.gap.beginning import fit_base
 from msp_sim.gap.refit import Fitted, refit
 from msp_sim.gap.screen import Screen, Sums, information_of, screen, sums, twin
-from msp_sim.gap.tangent import BASE, CHANNELS, Entry, Prepared, entries
+from msp_sim.gap.tangent import CHANNELS, Entry, Prepared, entries
 from msp_sim.gap.units import Dependence, dependence
 from msp_sim.model.model import Active, Model, active_curve
 
@@ -46,6 +45,8 @@ KEEP = 0.6
 UNKNOWN_P = 0.02
 """Chance of a curve, of all that are asked for, where nothing is there."""
 CURVES_TRIED = 6
+FORM_SHARE = 0.85
+"""Of what a free curve gains: a name that gains so much is the effect, though its form may not be exact."""
 RIDGE = 0.05
 SPECIAL = frozenset({"run_offsets"})
 """Seen between runs, and not in single readings."""
@@ -164,10 +165,10 @@ class Search:
 
     def screen(self, fitted: Fitted, items: Sequence[Item]) -> Screen:
         """Every entry beside what is accepted."""
-        accepted = [self._nearest(item) for item in items if item.entry is not None]
+        accepted = [self.nearest(item) for item in items if item.entry is not None]
         return screen(self.sums(fitted), self.information, self.tested, accepted, self.by_run, self.alpha, self.rng)
 
-    def _nearest(self, item: Item) -> int:
+    def nearest(self, item: Item) -> int:
         """The entry whose shape is nearest to an item's."""
         same = [j for j, entry in enumerate(self.tested) if entry.key == item.key]
         return min(
@@ -198,7 +199,7 @@ class Search:
                 break
             there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
-            gained -= _price(self.tested[j])
+            gained -= max(_price(self.tested[j]), 0.0)
             top = max(top, gained)
             refits.append((gained, Item(there.effects[-1], self.tested[j], float(seen.z[j]), gained), there))
         return sorted(refits, key=lambda each: -each[0])
@@ -273,12 +274,23 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
             break
         search.inform(fitted)
         seen = search.screen(fitted, items)
-    fitted, items, of_item = _swaps(search, fitted, items, needed, say)
+    return settle(search, Chosen(tuple(items), (), fitted, first, tuple(path), search.depends(fitted)), say)
+
+
+def settle(search: Search, chosen: Chosen, say: Say) -> Chosen:
+    """Each name against all others in its place, needless ones taken out, and what runs differ by beside them."""
+    needed = 0.5 * chosen.first.critical**2
+    fitted, items, of_item = _swaps(search, chosen.fitted, list(chosen.items), needed, say)
     fitted, items = _eliminate(search, fitted, items, needed)
-    rivals = tuple(of_item.get(item.key, ()) for item in items)
     left = search.depends(fitted)
-    offset_cm = _run_offset_cm(search, fitted, left) if "run" in search.some else 0.0
-    return Chosen(tuple(items), rivals, fitted, first, tuple(path), left, (), offset_cm)
+    return replace(
+        chosen,
+        items=tuple(items),
+        rivals=tuple(of_item.get(item.key, ()) for item in items),
+        fitted=fitted,
+        dependence=left,
+        run_offset_cm=_run_offset_cm(search, fitted, left) if "run" in search.some else 0.0,
+    )
 
 
 def _run_offset_cm(search: Search, fitted: Fitted, left: Dependence) -> float:
@@ -309,13 +321,10 @@ def _forward(
     say: Say,
 ) -> tuple[Fitted, list[Item]]:
     while len(items) < max_effects:
-        found = search.candidates(fitted, items, seen, 6.0, 0.6 * needed) if seen.largest >= seen.critical else []
-        if not found or found[0][0] < needed:
-            between = _between_runs(search, fitted, items, seen, needed) if search.by_run else None
-            if between is None:
-                break
-            found = [between]
-        _, item, fitted = found[0]
+        found = _next(search, fitted, items, seen, needed)
+        if found is None:
+            break
+        item, fitted = found
         items = [*items, item]
         say(f"found {item.key[0]}", 0.1 + 0.1 * len(items))
         fitted, items = _eliminate(search, fitted, items, needed)
@@ -326,28 +335,29 @@ def _forward(
     return fitted, items
 
 
-def _between_runs(
-    search: Search, fitted: Fitted, items: list[Item], seen: Screen, needed: float
-) -> tuple[float, Item, Fitted] | None:
-    """An effect that differs from run to run looks like dependence until it is named: with it, the dependence is gone.
+def _next(search: Search, fitted: Fitted, items: list[Item], seen: Screen, needed: float) -> tuple[Item, Fitted] | None:
+    """The name that gains most after its refit, if it gains enough.
 
-    Its number over its error by whole runs has to be beyond chance by as many runs as there are, and readings have to
-    be independent beside it.
+    What differs from run to run looks like dependence until it is named: where readings are independent beside a name,
+    its gain counts as it is, against chance by as many runs as there are. Otherwise it counts by whole runs.
     """
+    if not search.by_run:
+        if seen.largest < seen.critical:
+            return None
+        found = search.candidates(fitted, items, seen, 6.0, 0.6 * needed)
+        return (found[0][1], found[0][2]) if found and found[0][0] >= needed else None
     free = replace(seen, gain=seen.gain * seen.inflation, inflation=np.ones_like(seen.inflation))
     runs = int(np.unique(search.some_unit).size)
+    names = len({entry.key for entry in search.tested})
     for gained, item, there in search.candidates(fitted, items, free, 6.0, needed):
+        if gained < needed:
+            break
         left = search.depends(there)
-        if left.p_between < 0.02 or left.lag_z > 2.5 or gained < needed:
-            continue
-        at = len(BASE) + sum(len(each.values) for each in there.effects[:-1])
-        error = float(np.sqrt(there.covariance(search.some_unit)[at, at]))
-        value = there.values[at]
-        if error <= 0.0:
-            continue
-        chance = 2.0 * float(student.sf(abs(value / error), max(runs - 2, 1)))
-        if chance < 2.0 * float(norm.sf(seen.critical)):
-            return gained, replace(item, z=float(value / error)), there
+        if left.p_between > 0.02 and left.lag_z < 2.5:
+            if float(fisher.sf(2.0 * gained, 1, max(runs - 2, 1))) < search.alpha / names:
+                return item, there
+        elif seen.largest >= seen.critical and gained / seen.inflation[search.nearest(item)] >= needed:
+            return item, there
     return None
 
 
@@ -410,7 +420,10 @@ def _curves(
         more = search.loss(fitted, there)
         spare = max(forms[0].degrees - sum(1 + len(_shape(items[k])) for k in named), 1)
         cost = adequacy.PAIR_COST if len(forms[0].variables) > 1 else 0.0
-        if more > cost + 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0):
+        if search.loss(less, fitted) > FORM_SHARE * search.loss(less, there):
+            continue
+        least = 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0)
+        if more > cost + least:
             fitted, items, changed = there, others, True
     if changed:
         path.append(("curve", fitted.base, fitted.effects))
@@ -489,25 +502,25 @@ def _swaps(
             if same and same[0][0] > own:
                 own = same[0][0]
             others = [each for each in scaled if each[1].key != item.key]
-            priced = own - _price(item.entry)
+            worth = own - _price(item.entry)
             better = max(others, key=lambda each: each[0] - _price(each[1].entry), default=None)
-            if better is not None and better[0] - _price(better[1].entry) > priced + 0.3:
+            if better is not None and better[0] - _price(better[1].entry) > worth + 0.3:
                 order = [*rest, better[1]]
                 say(f"{better[1].key[0]} in place of {item.key[0]}", 0.65)
                 fitted = better[2]
                 items = [replace(old, active=each) for old, each in zip(order, fitted.effects, strict=True)]
                 swapped = True
                 break
-            mine = search._nearest(item)
+            mine = search.nearest(item)
             near = []
             for gained, other, _ in others:
                 if own - gained > NEAR_NATS or other.active.effect.name == item.active.effect.name:
                     continue
-                correlation = float(seen.correlation[mine, search._nearest(other)])
+                correlation = float(seen.correlation[mine, search.nearest(other)])
                 separation = float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - correlation**2, 0.0)))
                 if separation < SEPARABLE:
                     near.append(RivalOf(other.active, float(own - gained), correlation, separation))
-            rivals[item.key] = tuple(near)
+            rivals[item.key] = () if _of_base(item.entry) else tuple(near)
             items[k] = replace(item, z=float(seen.z[mine]), gain=own)
         if not swapped:
             break
@@ -515,11 +528,15 @@ def _swaps(
 
 
 def _price(entry: Entry | None) -> float:
-    """What the search over an entry's shapes gains by chance [nat]."""
+    """What the search over an entry's shapes gains by chance [nat]; a number of the base comes before an effect."""
     if entry is None:
         return 0.0
     searched = sum(len(parameter.tried) > 1 for parameter in entry.effect.parameters)
-    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS)
+    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS) - (NEAR_NATS if _of_base(entry) else 0.0)
+
+
+def _of_base(entry: Entry | None) -> bool:
+    return entry is not None and entry.effect.base is not None
 
 
 def _shape(item: Item) -> tuple[tuple[str, float], ...]:

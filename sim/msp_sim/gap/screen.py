@@ -40,6 +40,8 @@ class Sums:
     ----------
     by_unit
         (units, 7 + entries).
+    products
+        (7 + entries, 7 + entries): of the scores with each other, over single readings.
     profile
         (entries,): for what mixes into the probability, and for odds, twice the largest gain with all else held [nat];
         infinite for the others.
@@ -50,6 +52,7 @@ class Sums:
     """
 
     by_unit: _Array
+    products: _Array
     profile: _Array
     best: _Array
     rows: int
@@ -68,6 +71,7 @@ def sums(
     """Sums of scores by unit, in chunks."""
     units = int(unit.max()) + 1
     total = np.zeros((units, len(BASE) + len(tested)))
+    products = np.zeros((total.shape[1], total.shape[1]))
     linear = np.array([entry.linear for entry in tested], dtype=bool)
     rare = np.array([entry.linear or entry.odds is not None for entry in tested], dtype=bool)
     classes = np.array([2, 3, 4])
@@ -86,6 +90,7 @@ def sums(
         scores = _matrix(rows, prepared.scene, reading, here, tested)
         place = csr_matrix((np.ones(reading.size), (unit[part], np.arange(reading.size))), (units, reading.size))
         total += place @ scores
+        products += scores.T @ scores
         efficient = scores[:, own] - scores[:, classes] @ cross.T
         for i, step in enumerate(steps):
             along[i] += _log_gain(efficient * step).sum(axis=0)
@@ -105,7 +110,7 @@ def sums(
     best = np.where(rare, numbers[np.arange(len(tested)), gains.argmax(axis=1)], np.nan)
     profile = np.full(len(tested), np.inf)
     profile[rare] = 2.0 * np.maximum(along.max(axis=0, initial=0.0), gains.max(axis=1)[rare])
-    return Sums(total, profile, best, reading_cm.size)
+    return Sums(total, products, profile, best, reading_cm.size)
 
 
 def _log_gain(change: _Array) -> _Array:
@@ -269,7 +274,11 @@ def screen(
         units = by_unit.shape[0]
         centred = by_unit - total / units
         of_runs = (centred**2).sum(axis=0) * units / max(units - 1, 1)
-        inflation = np.maximum(of_runs / variance, 1.0)
+        # Against single readings as they are, not as the model has them: what is large is not dependent for it.
+        turned = np.concatenate([-cross, np.eye(others.size)], axis=1)
+        some = np.concatenate([nuisance, others])
+        single = np.einsum("ij,jk,ik->i", turned, measured.products[np.ix_(some, some)], turned)
+        inflation = np.maximum(of_runs / np.maximum(variance, single), 1.0)
     z = np.where(testable, total / np.sqrt(variance * inflation), 0.0)
     one_sided = np.array([entry.one_sided for entry in tested], dtype=bool)
     z = np.where(one_sided & (z < 0.0), 0.0, z)

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from msp_sim.effects import CATALOGUE
 from msp_sim.gap import adequacy, experiment
-from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name
+from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name, settle
 from msp_sim.gap.prove import Gain, gain
 from msp_sim.gap.refit import Fitted, extended, refit
 from msp_sim.gap.screen import Screen
@@ -184,6 +184,11 @@ def explain(
     confirming = Prepared.of(model, _taken(columns, thin), reading_cm[thin])
     confirm_unit = _again(unit[thin])
     kept, gains, dropped = _prove(search, chosen, confirming, confirm_unit)
+    if kept and len(kept) < len(chosen.items):
+        # What was dropped stood beside the others: without it another name may be the better one.
+        less = _fitted(search, kept, chosen.fitted.base)
+        chosen = settle(search, replace(chosen, items=tuple(kept), fitted=less, dropped=tuple(dropped)), progress)
+        kept, gains, dropped = _prove(search, chosen, confirming, confirm_unit)
     last = _fitted(search, kept, chosen.fitted.base)
     progress("quoting from the runs that took no part", 0.92)
     quoted = refit(confirming, last.effects, last.base, ridge=RIDGE)

@@ -1,0 +1,27 @@
+"""Noise with more large errors than a normal distribution has."""
+
+from collections.abc import Mapping
+
+from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.component import Normal
+
+
+def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+    return Change(component=Normal(0.0, from_hit=True, wider=values["wider"]), share=values["share"])
+
+
+HEAVY_TAILS = Effect(
+    name="heavy_tails",
+    sentence="Most readings scatter little, and some a few times as much.",
+    physics="a share of the hits has a wider normal distribution about the same place",
+    source="contaminated normal of Tukey 1960; air and reference are not steady from ping to ping",
+    parameters=(
+        Parameter("share", "1", "share of the readings that scatter more", 0.0, 0.5),
+        Parameter("wider", "1", "times as wide", 1.5, 6.0, None, 2.5, (2.5,)),
+    ),
+    needs=("true_range_cm",),
+    channels=("component",),
+    experiment="a histogram of ten thousand readings of one target: tails on both sides alike",
+    act=_act,
+    base="effects.heavy_tails",
+)
