@@ -240,7 +240,7 @@ def formula(variable: str, at: _Array, values: _Array, deviation: _Array) -> str
 
 
 def _grammar(variable: str, at: _Array, span: float) -> list[tuple[str, list[_Array], int]]:
-    forms: list[tuple[str, list[_Array], int]] = [("{0}", [], 0), (f"{{0}} + {{1}} {variable}", [at], 0)]
+    forms: list[tuple[str, list[_Array], int]] = [(f"{{0}} + {{1}} {variable}", [at], 0)]
     forms.append((f"{{0}} + {{1}} {variable} + {{2}} {variable}^2", [at, at**2], 0))
     for cycles in (0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0):
         wave = 2.0 * np.pi * cycles / span

@@ -87,7 +87,7 @@ def sentence(findings: GapFindings) -> str:
         told += ": " + "; ".join(parts)
     gap = findings.gap
     if gap is not None:
-        told += ". " + "; ".join(_gap_words(gap.nats_per_reading, gap.bias_cm))
+        told += ". " + "; ".join(_gap_words(gap.nats_per_reading, gap.bias_cm, bool(parts)))
     numbers = [each for each in findings.calibration if each.name not in ("resolution", "code")]
     if numbers:
         told += f". Calibration: {'; '.join(each.finding for each in numbers)}"
@@ -111,8 +111,8 @@ def _unknown_words(each: Unknown) -> str:
     return f"an unknown effect: {each.channel} depends on {' and '.join(each.variables)} like {each.formula}"
 
 
-def _gap_words(nats: Measure, bias: Measure) -> Iterator[str]:
-    if nats.after is None or bias.after is None:
+def _gap_words(nats: Measure, bias: Measure, added: bool) -> Iterator[str]:
+    if nats.after is None or bias.after is None or not added:
         yield f"The gap is {_number(nats.before)} nats a reading (chance: {_number(nats.floor)})"
         yield f"bias {_number(bias.before)} cm (chance: {_number(bias.floor)})"
         return

@@ -68,6 +68,13 @@ class Item:
             return f"curve {self.active.shape[0]} {self.active.shape[1]}", None
         return self.active.effect.name, self.active.of
 
+    @property
+    def label(self) -> str:
+        """For a person."""
+        if self.active.shape is not None:
+            return f"{self.active.shape[0]} over {' and '.join(self.active.shape[1])}"
+        return self.active.effect.name
+
 
 @dataclass(frozen=True)
 class RivalOf:

@@ -16,7 +16,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.gap import adequacy, experiment
 from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name, settle
 from msp_sim.gap.prove import Gain, gain
-from msp_sim.gap.refit import Fitted, extended, refit
+from msp_sim.gap.refit import Fitted, extended, hats_of, refit
 from msp_sim.gap.screen import Screen
 from msp_sim.gap.tangent import BASE, Prepared
 from msp_sim.gap.units import Dependence, Split, numbered, previous
@@ -193,11 +193,12 @@ def explain(
     progress("quoting from the runs that took no part", 0.92)
     quoted = refit(confirming, last.effects, last.base, ridge=RIDGE)
     by_run = search.by_run
-    deviation = np.sqrt(np.maximum(np.diag(quoted.covariance(confirm_unit if by_run else None)), 0.0))
+    covariance = quoted.covariance(confirm_unit if by_run else None)
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     runs = int(np.unique(confirm_unit).size)
     width = float(student.isf(0.025, max(runs - 1, 1))) if by_run else 1.959964
     rivals = dict(zip((item.key for item in chosen.items), chosen.rivals, strict=True))
-    named, unknown, as_base = _told(search, kept, rivals, gains, quoted, deviation * width, confirming)
+    named, unknown, as_base = _told(search, kept, rivals, gains, quoted, covariance * width**2, confirming)
     null_base = search.null.base
     after_base, quoted_effects, last_base, last_effects = quoted.base, quoted.effects, last.base, last.effects
     if chosen.run_offset_cm > 0.0:
@@ -306,7 +307,7 @@ def _prove(
             break
         dropped.append(
             (
-                items[worst].key[0],
+                items[worst].label,
                 f"runs that took no part in choosing score {proof.nats_per_reading:+.2g} nats a reading "
                 f"(standard error {proof.se:.2g})",
             )
@@ -323,14 +324,20 @@ def _told(
     rivals: Mapping[tuple[str, str | None], tuple[RivalOf, ...]],
     gains: Mapping[tuple[str, str | None], Gain],
     quoted: Fitted,
-    half_width: _Array,
+    widened: _Array,
     confirming: Prepared,
 ) -> tuple[list[Named], list[Unknown], list[Calibrated]]:
     named: list[Named] = []
     unknown: list[Unknown] = []
     as_base: list[Calibrated] = []
     place = len(BASE)
+    half_width = np.sqrt(np.maximum(np.diag(widened), 0.0))
     for item, active in zip(items, quoted.effects, strict=True):
+        if active.shape is not None:
+            own = slice(place, place + len(active.values))
+            unknown.append(_unknown(active, widened[own, own], gains[item.key], confirming))
+            place = own.stop
+            continue
         parameters = {}
         for parameter in active.effect.parameters:
             value, width = active.values[parameter.name], float(half_width[place])
@@ -338,9 +345,6 @@ def _told(
             parameters[parameter.name] = Estimate(value, low, high, parameter.unit)
             place += 1
         proof = gains[item.key]
-        if active.shape is not None:
-            unknown.append(_unknown(active, parameters, proof))
-            continue
         base = active.effect.base
         if base is not None and not rivals.get(item.key):
             number = next(iter(parameters.values()))
@@ -367,15 +371,18 @@ def _told(
     return named, unknown, as_base
 
 
-def _unknown(active: Active, parameters: Mapping[str, Estimate], proof: Gain) -> Unknown:
+def _unknown(active: Active, widened: _Array, proof: Gain, confirming: Prepared) -> Unknown:
+    """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape
-    values = np.array([each.value for each in parameters.values()])
-    low = np.array([each.low for each in parameters.values()])
-    high = np.array([each.high for each in parameters.values()])
+    weights = hats_of(confirming.scene, active.shape).mean(axis=0)
+    about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
+    values = about_mean @ np.array(list(active.values.values()))
+    half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
+    low, high = values - half, values + half
     text = ""
-    if len(variables) == 1 and not isinstance(knots[0][0], str) and len(knots[0]) > 2:
-        text = adequacy.formula(variables[0], np.array(knots[0], dtype=float), values, (high - low) / 4.0)
+    if len(variables) == 1 and not isinstance(knots[0][0], str):
+        text = adequacy.formula(variables[0], np.array(knots[0], dtype=float), values, half / 2.0)
     elif len(variables) == 1:
         text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
     return Unknown(
@@ -428,12 +435,7 @@ def _path(model: Model, search: Search, chosen: Chosen, kept: Sequence[Item], la
     for k, item in enumerate(kept):
         there = last if k == len(kept) - 1 else _fitted(search, kept[: k + 1], before.base)
         gained = (there.log_likelihood - before.log_likelihood) * search.scale
-        label = (
-            item.key[0]
-            if item.active.shape is None
-            else f"{item.active.shape[0]} over {' and '.join(item.active.shape[1])}"
-        )
-        steps.append(Step(label, extended(model, there.base, there.effects), gained))
+        steps.append(Step(item.label, extended(model, there.base, there.effects), gained))
         before = there
     return tuple(steps)
 
