@@ -1,0 +1,159 @@
+"""Awkward tables by the command: each ends in a right answer, or in a line that says what is wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from msp_range.recording.csv_form import write_csv
+from msp_sim.cli import app
+from msp_sim.gap.findings import GapFindings, read_findings
+from msp_sim.model.model import load_model
+from tests.support.measured import MODEL, readings
+
+Columns = dict[str, Any]
+SIGMA_CM = 1.9445
+
+
+def gap(folder: Path, columns: Columns, *options: str, code: int = 0) -> str:
+    write_csv(folder / "flights.csv", columns)
+    given = ["gap", str(folder / "flights.csv"), "--model", str(MODEL), "--out", str(folder / "out"), *options]
+    result = CliRunner().invoke(app, given)
+    assert result.exit_code == code, result.output
+    return " ".join(result.output.split())
+
+
+def found(folder: Path, columns: Columns, *options: str) -> GapFindings:
+    gap(folder, columns, *options)
+    return read_findings(folder / "out")
+
+
+def told(findings: GapFindings, text: str) -> bool:
+    return any(text in each for each in findings.messages)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c | {"true_range_cm": c["true_range_cm"] / 100.0}, "Is true_range_cm in metres?"),
+        (lambda c: c | {"reading_cm": c["reading_cm"] / 100.0}, "Is reading_cm in metres?"),
+        (lambda c: c | {"true_range_cm": c["true_range_cm"] * 10.0}, "true_range_cm in millimetres?"),
+        (lambda c: {name: each[:10] for name, each in c.items()}, "found 10 readings with a true range"),
+        (lambda c: {name: each[:0] for name, each in c.items()}, "true_range_cm"),
+        (lambda c: c | {"true_range_cm": np.full(400, np.nan)}, "no true_range_cm"),
+        (lambda c: {name: each for name, each in c.items() if name != "true_range_cm"}, "true_range_cm"),
+        (lambda c: c | {"reading_cm": np.full(400, np.nan)}, "found 0 readings with a true range"),
+    ],
+    ids=["truth in m", "readings in m", "truth in mm", "ten", "none", "truth unknown", "no truth", "no reading"],
+)
+def test_what_cannot_be_compared_is_said_in_a_line(
+    tmp_path: Path, change: Callable[[Columns], Columns], message: str
+) -> None:
+    said = gap(tmp_path, change(readings(400)), code=3)
+    assert message in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "out" / "gap.json").exists()
+
+
+def test_odd_rows_are_counted_and_what_is_left_is_judged(tmp_path: Path) -> None:
+    """Rows without answer or truth, rows twice, equal times, an undeclared code, one air, unknown contexts."""
+    columns = readings(1600, seed=3)
+    n = 1600
+    columns["time_s"][800:] = np.floor(columns["time_s"][800:])
+    columns["air_temperature_c"] = np.full(n, 22.5)  # what the model is calibrated at
+    columns["throttle"][::9] = np.nan
+    columns["reading_cm"][15::40] = 511.0
+    columns["reading_cm"][:7] = np.nan
+    columns["true_range_cm"][10:15] = np.nan
+    columns = {name: np.concatenate([each, each[20:40]]) for name, each in columns.items()}
+    findings = found(tmp_path, columns)
+    assert findings.rows == n - 7 - 5 - 40
+    assert told(findings, "7 rows have no reading")
+    assert told(findings, "5 readings have no true range")
+    assert told(findings, "20 rows are there twice")
+    assert told(findings, "have the time of the one before")
+    assert told(findings, "air_temperature_c is 22.5 throughout")
+    assert [each.name for each in findings.calibration] == ["code"]
+    assert "511 cm" in findings.calibration[0].finding
+    assert (findings.effects, findings.unknown) == ((), ())
+    assert findings.verdict == "nothing missing"
+    missing = {each.name: each.columns for each in findings.not_testable}
+    assert missing["humidity"] == ("humidity_pct",)
+    assert missing["latency"] == ("range_rate_cm_s",)
+    assert "air_temperature" not in missing
+
+
+def test_readings_of_one_run_are_parted_in_time(tmp_path: Path) -> None:
+    columns = readings(1200, seed=4, runs=1)
+    findings = found(tmp_path, columns)
+    assert findings.runs == 1
+    assert told(findings, "Found 1 run")
+    assert told(findings, "parted by blocks in time")
+    assert findings.verdict == "nothing missing"
+
+
+def test_readings_that_depend_on_each_other_have_no_name(tmp_path: Path) -> None:
+    n, runs = 2000, 20
+    rng = np.random.default_rng(5)
+    drift = np.zeros(n)
+    for i in range(1, n):
+        drift[i] = (0.9 * drift[i - 1] if i * runs // n == (i - 1) * runs // n else 0.0) + 0.6 * rng.standard_normal()
+    findings = found(tmp_path, readings(n, seed=5, runs=runs, bias=lambda _: drift))
+    assert told(findings, "the unit is the run")
+    assert (findings.effects, findings.unknown) == ((), ())
+
+
+def test_offsets_between_runs_are_named_with_their_size(tmp_path: Path) -> None:
+    n, runs = 3000, 30
+    offset_cm = np.random.default_rng(6).permutation(np.linspace(-2.6, 2.6, runs))
+    findings = found(tmp_path, readings(n, seed=6, runs=runs, bias=lambda _: np.repeat(offset_cm, n // runs)))
+    assert [each.name for each in findings.effects] == ["run_offsets"]
+    deviation = findings.effects[0].parameters["deviation_cm"]
+    assert deviation.low is not None
+    assert deviation.high is not None
+    assert deviation.low < offset_cm.std() < deviation.high
+
+
+def test_another_spread_offset_and_share_are_calibration_and_nothing_is_missing(tmp_path: Path) -> None:
+    columns = readings(3000, seed=7, bias=lambda _: 0.8, sigma_cm=1.2 * SIGMA_CM, hit=0.91, max=0.07)
+    findings = found(tmp_path, columns)
+    assert (findings.effects, findings.unknown) == ((), ())
+    assert findings.verdict == "nothing missing"
+    numbers = {each.name: each for each in findings.calibration}
+    assert set(numbers) == {"offset_cm", "sigma_cm", "weights.max"}
+    for name, truth in (("offset_cm", 0.8), ("sigma_cm", 1.2 * SIGMA_CM), ("weights.max", 0.07)):
+        each = numbers[name]
+        assert each.low is not None
+        assert each.high is not None
+        # Odds of max are told as a share of the model's: 0.07 / 0.91 against 0.02 / 0.96.
+        assert each.low < (truth if name != "weights.max" else truth / 0.91 * 0.96) < each.high
+    # What flies is calibrated.
+    mixture = load_model(tmp_path / "out" / "model.yaml").sensor.reading_model
+    assert mixture.sigma_cm == pytest.approx(1.2 * SIGMA_CM, rel=0.06)
+    assert mixture.weights.max == pytest.approx(0.07, abs=0.02)
+
+
+def test_readings_off_the_grid_are_calibration_and_nothing_is_missing(tmp_path: Path) -> None:
+    columns = readings(1600, seed=8)
+    tenths = np.random.default_rng(8).integers(-4, 5, 1600) / 10.0
+    usual = (columns["reading_cm"] > 20.0) & (columns["reading_cm"] < 765.0) & (columns["reading_cm"] != 255.0)
+    columns["reading_cm"] = np.round(columns["reading_cm"] + np.where(usual, tenths, 0.0), 1)
+    findings = found(tmp_path, columns)
+    assert [each.name for each in findings.calibration] == ["resolution"]
+    assert findings.calibration[0].after == 0.1
+    assert findings.verdict == "nothing missing"
+
+
+def test_one_true_range_and_nothing_else_is_judged(tmp_path: Path) -> None:
+    """Nothing varies: there is nothing to slice by, and a scale is an offset."""
+    columns = readings(600, seed=9)
+    columns["reading_cm"] = columns["reading_cm"] - np.rint(columns["true_range_cm"]) + 200.0
+    columns["reading_cm"] = np.where(np.abs(columns["reading_cm"] - 200.0) > 15.0, 765.0, columns["reading_cm"])
+    columns["true_range_cm"] = np.full(600, 200.0)
+    columns["throttle"] = np.full(600, 0.5)
+    findings = found(tmp_path, columns)
+    assert told(findings, "All readings are at one true range (200 cm)")
+    assert findings.effects == ()
