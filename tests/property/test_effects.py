@@ -1,5 +1,6 @@
 """Every effect of the catalogue: it draws what it scores, at its null it is not there, and it keeps to itself."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +222,68 @@ def test_a_rare_outlier_changes_few_readings(name: str) -> None:
     readings_cm = strong("threshold_walk").sample(given, np.random.default_rng(9))
     rare = strong("threshold_walk").adding(name, **{**STRONG[name], "share": 0.01})
     assert (rare.sample(given, np.random.default_rng(9)) != readings_cm).mean() < 0.0125
+
+
+CURVES = {
+    "bias": ("bias", ["throttle"], [[0.0, 0.4, 1.0]], [-9.0, 0.0, 25.0]),
+    "spread": ("spread", ["target"], [["asphalt", "grass"]], [0.7, 1.5]),
+    "short": ("short", ["uptime_s"], [[0.0, 900.0]], [0.0, 3.0]),
+    "missed": ("missed", ["humidity_pct"], [[20.0, 50.0, 80.0]], [-1.0, 0.0, 3.0]),
+    "random": ("random", ["air_temperature_c"], [[0.0, 30.0]], [-2.0, 4.0]),
+    "pair": ("bias", ["throttle", "incidence_deg"], [[0.0, 1.0], [-20.0, 20.0]], [-8.0, 8.0, 8.0, -8.0]),
+}
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_a_curve_draws_what_it_scores_and_rests_where_its_context_is_not_known(name: str) -> None:
+    channel, variables, knots, values = CURVES[name]
+    base = strong("multipath")
+    model = base.adding_curve(channel, variables, knots, values)
+    given = contexts(20_000)
+    readings_cm = model.sample(given, np.random.default_rng(2))
+    rows = model.rows(given)
+    p = np.exp(rows.log_prob(readings_cm))
+    transformed = np.exp(rows.log_below(readings_cm)) + p * np.random.default_rng(3).random(p.size)
+    assert kstest(transformed, "uniform").pvalue > 1e-3
+    without = np.exp(base.log_prob(readings_cm, given))
+    with np.errstate(divide="ignore"):
+        assert np.log(p).mean() > np.log(without).mean() + 1e-3
+    each = {column: np.repeat(column_values[:24], CODES.size) for column, column_values in given.items()}
+    of_codes = np.exp(model.log_prob(np.tile(CODES, 24), each)).reshape(24, CODES.size)
+    assert of_codes.sum(axis=1) == pytest.approx(np.ones(24), abs=1e-9)
+    for variable in variables:
+        column = given[variable]
+        unknown = (column == "") if column.dtype.kind == "U" else np.isnan(column)
+        assert (p[unknown] == without[unknown]).all()
+
+
+SHUFFLED = [str(name) for name in np.random.default_rng(1).permutation(list(CATALOGUE))]
+
+
+@pytest.mark.parametrize(("one", "other"), [*pairwise(SHUFFLED), (SHUFFLED[-1], SHUFFLED[0])])
+def test_two_effects_at_once_draw_what_they_score(one: str, other: str) -> None:
+    model = strong(other, strong(one))
+    given = contexts(8000, seed=4)
+    given["run"] = np.arange(8000).astype(str)
+    readings_cm = model.sample(given, np.random.default_rng(2))
+    rows = model.rows(given)
+    p = np.exp(rows.log_prob(readings_cm))
+    assert (p > 0.0).all()
+    transformed = np.exp(rows.log_below(readings_cm)) + p * np.random.default_rng(3).random(p.size)
+    assert kstest(transformed, "uniform").pvalue > 1e-4
+
+
+def test_readings_of_a_run_share_its_offset_also_in_another_chunk() -> None:
+    n, runs = 140_000, 100
+    given = {
+        "true_range_cm": np.full(n, 200.0),
+        "run": np.tile(np.arange(runs).astype(str), n // runs),
+    }
+    readings_cm = Model.of(sensor()).adding("run_offsets", deviation_cm=3.0).sample(given, np.random.default_rng(1))
+    of_run = readings_cm.reshape(-1, runs)
+    first, second = np.median(of_run[:600], axis=0), np.median(of_run[800:], axis=0)
+    assert np.abs(first - second).max() <= 1.0
+    assert np.std(first) == pytest.approx(3.0, rel=0.25)
 
 
 def test_without_effects_it_is_the_base_model() -> None:
