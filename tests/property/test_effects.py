@@ -1,5 +1,6 @@
 """Every effect of the catalogue: it draws what it scores, at its null it is not there, and it keeps to itself."""
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
+from msp_sim.model.rows import Rows
+from msp_sim.model.slopes import FREE, LEAST, slopes
+from msp_sim.model.streams import Streams
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 CODES = np.concatenate([np.arange(766.0), 32768.0 + np.arange(766.0)])
@@ -119,6 +123,39 @@ def test_the_probabilities_of_all_codes_sum_to_one(name: str) -> None:
     each = {column: np.repeat(values, CODES.size) for column, values in contexts(rows, seed=5).items()}
     p = np.exp(model.log_prob(np.tile(CODES, rows), each)).reshape(rows, CODES.size)
     assert p.sum(axis=1) == pytest.approx(np.ones(rows), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_slopes_are_the_derivatives_of_log_prob(name: str) -> None:
+    given = contexts(2000, seed=4)
+    rows = strong(name).rows(given)
+    rng = np.random.default_rng(6)
+    reading_cm = np.where(rng.random(2000) < 0.7, rows.sample(Streams(rng)), rng.choice(CODES, 2000))
+    reading_cm[:10] += 0.5
+    log_p, by = slopes(rows, reading_cm)
+    assert log_p == pytest.approx(np.maximum(rows.log_prob(reading_cm), np.log(LEAST)), abs=1e-9)
+    hit, short, missed, random = rows.log_weights
+    centre_cm, sigma_cm, rate = rows.centre_cm, rows.sigma_cm, rows.rate_per_m
+
+    def moved(h: float) -> list[tuple[float, Rows]]:
+        return [
+            # Short readings end at the hit: across an end between two codes the slope is that of a step.
+            (0.03 / 1e-4, replace(rows, centre_cm=centre_cm + 0.03 / 1e-4 * h * sigma_cm)),
+            (1.0, replace(rows, sigma_cm=sigma_cm * np.exp(h))),
+            (1.0, replace(rows, log_weights=(hit, short + h, missed, random))),
+            (1.0, replace(rows, log_weights=(hit, short, missed + h, random))),
+            (1.0, replace(rows, log_weights=(hit, short, missed, random + h))),
+            (1.0, replace(rows, rate_per_m=rate * float(np.exp(h)))),
+            (1.0, replace(rows, saturated_fraction=rows.saturated_fraction + h)),
+        ]
+
+    can = log_p > np.log(1e-11)
+    assert (by[~can & (log_p <= np.log(LEAST))] == 0.0).all()
+    with np.errstate(invalid="ignore"):
+        for j, ((scale, more), (_, less)) in enumerate(zip(moved(1e-4), moved(-1e-4), strict=True)):
+            step = 2e-4 * scale * (sigma_cm if j == 0 else 1.0)
+            numeric = ((more.log_prob(reading_cm) - less.log_prob(reading_cm)) / step)[can]
+            assert by[can, j] == pytest.approx(numeric, rel=5e-3, abs=2e-2 if j == 0 else 5e-3), FREE[j]
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -3,15 +3,17 @@
 Each kind draws and scores one distribution, in whole centimetres clipped to the sensor's limits as hits are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from msp_range.reading_model.mixture import log_hit, log_unexpected
 
 _Array = NDArray[np.float64]
+ROOT_2_PI = float(np.sqrt(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,10 @@ class Component(Protocol):
         """log of the probability of the codes from first to last, for n readings."""
         ...
 
+    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        """That probability, and its derivatives by the hits' centre [1/cm] and the log of their spread, (3, n)."""
+        ...
+
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         """n readings [cm]."""
         ...
@@ -43,6 +49,29 @@ class Component(Protocol):
 def take(values: Any, rows: Any) -> Any:
     """Some rows of a column; a number stays."""
     return values[rows] if isinstance(values, np.ndarray) else values
+
+
+def hit_slopes(
+    first_cm: _Array, last_cm: _Array, centre_cm: _Array, sigma_cm: float | _Array, minimum_cm: int, maximum_cm: int
+) -> _Array:
+    """Probability of the codes from first to last of a normal, and its derivatives by centre and log spread, (3, n).
+
+    As `log_hit`, which is exact where the probability is too small for a float and this is 0.
+    """
+    unheard = ~(centre_cm < np.inf)
+    centre_cm = np.where(unheard, maximum_cm, centre_cm)
+    a = (np.where(first_cm == minimum_cm, -np.inf, first_cm - 0.5) - centre_cm) / sigma_cm
+    b = (np.where(last_cm == maximum_cm, np.inf, last_cm + 0.5) - centre_cm) / sigma_cm
+    # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): on the left side of the bell both terms are small, and nothing cancels.
+    right = a > 0.0
+    found = np.empty((3, first_cm.size))
+    found[0] = ndtr(np.where(right, -a, b)) - ndtr(np.where(right, -b, a))
+    at_a, at_b = np.exp(-0.5 * a**2) / ROOT_2_PI, np.exp(-0.5 * b**2) / ROOT_2_PI
+    found[1] = (at_a - at_b) / sigma_cm
+    found[2] = np.where(np.isinf(a), 0.0, a) * at_a - np.where(np.isinf(b), 0.0, b) * at_b
+    found[:, unheard] = 0.0
+    found[0, unheard] = last_cm[unheard] == maximum_cm
+    return found
 
 
 @dataclass(frozen=True)
@@ -65,6 +94,14 @@ class Normal:
     def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         centre_cm, sigma_cm = self._place(hits)
         return log_hit(first_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm, last_cm)
+
+    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        centre_cm, sigma_cm = self._place(hits)
+        found = hit_slopes(first_cm, last_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm)
+        # What does not move with the hits does not change with them.
+        found[1] *= self.from_hit
+        found[2] *= self.sigma_cm is None
+        return found
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         centre_cm, sigma_cm = self._place(hits)
@@ -96,6 +133,13 @@ class FirstBefore:
         rate = np.maximum(self.rate_per_m, 1e-12)
         return log_unexpected(first_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm, last_cm)
 
+    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        step_cm = 0.03 * hits.sigma_cm
+        further = np.exp(self.log_prob(first_cm, last_cm, replace(hits, centre_cm=hits.centre_cm + step_cm)))
+        nearer = np.exp(self.log_prob(first_cm, last_cm, replace(hits, centre_cm=hits.centre_cm - step_cm)))
+        here = np.exp(self.log_prob(first_cm, last_cm, hits))
+        return np.stack([here, (further - nearer) / (2.0 * step_cm), np.zeros_like(here)])
+
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         rate_per_cm = np.maximum(self.rate_per_m, 1e-12) / 100.0
         length_cm = np.maximum(np.fmin(hits.centre_cm, hits.maximum_cm) - hits.minimum_cm, 0.0)
@@ -116,6 +160,11 @@ class Code:
 
     def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         return np.where((self.code_cm >= first_cm) & (self.code_cm <= last_cm), 0.0, -np.inf)
+
+    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        found = np.zeros((3, first_cm.size))
+        found[0] = (self.code_cm >= first_cm) & (self.code_cm <= last_cm)
+        return found
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         return np.broadcast_to(np.asarray(self.code_cm, dtype=float), hits.centre_cm.shape)

@@ -5,12 +5,13 @@ context is unknown has a cell of its own.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from msp_range.recording.csv_form import WORD_COLUMNS
 
@@ -50,6 +51,55 @@ class Partition:
     def take(self, rows: NDArray[Any]) -> "Partition":
         """Of some of the readings."""
         return Partition(self.variables, self.labels, self.cell[rows], self.centres)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """The cells of several partitions of the same readings, one after another.
+
+    Attributes
+    ----------
+    parts
+        The partitions.
+    counts
+        Readings of each of all K cells, (K,).
+    members
+        (K, n): which readings are in which cell.
+    """
+
+    parts: tuple[Partition, ...]
+    counts: NDArray[np.intp]
+    members: csr_matrix
+
+    @classmethod
+    def of(cls, parts: Sequence[Partition]) -> "Stack":
+        """Put partitions together."""
+        counts = np.concatenate([each.counts for each in parts])
+        # Words of 16 bits are sorted by their digits, in linear time.
+        readings = np.concatenate([np.argsort(each.cell.astype(np.int16), kind="stable") for each in parts])
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        shape = counts.size, parts[0].cell.size
+        return cls(tuple(parts), counts, csr_matrix((np.ones(readings.size), readings, ends), shape))
+
+    def __len__(self) -> int:
+        return self.counts.size
+
+    @property
+    def readings(self) -> NDArray[np.intp]:
+        """Readings cell by cell, each as often as there are partitions."""
+        return np.asarray(self.members.indices, dtype=np.intp)
+
+    def sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums of the readings' values in each cell: (n,) or (n, m) become (K,) or (K, m)."""
+        return np.asarray(self.members @ values)
+
+    def each(self) -> Iterator[tuple[Partition, slice]]:
+        """Each partition with the place of its cells."""
+        start = 0
+        for part in self.parts:
+            end = start + len(part.labels)
+            yield part, slice(start, end)
+            start = end
 
 
 def partitions(

@@ -14,10 +14,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_sim.gap.cells import Partition
+from msp_sim.gap.cells import Partition, Stack
 from msp_sim.gap.findings import Slice
-from msp_sim.gap.measures import CHANNELS, FreeFit, Table, Twins, free_fit, one_step, scores_of, sigma_of, unit_sums
+from msp_sim.gap.free_fit import CHANNELS, FreeFit, one_step, scores_of
+from msp_sim.gap.measures import Table, Twins, free_fits
 from msp_sim.model.model import Model
+from msp_sim.model.rows import Rows
 
 _Array = NDArray[np.float64]
 
@@ -54,43 +56,34 @@ def ranked(
     shown
         At most so many slices.
     """
-    scores, sigma_cm = scores_of(model, table), sigma_of(model, table)
-    unit = _pooled(table.unit)
-    fits = {
-        each.variables: one_step(scores, table, each, sigma_cm, twins.information[each.variables]) for each in parts
-    }
-    z, null = [], []
-    for each in parts:
-        of_slice, shares = _contributions(scores.scores, unit, each, fits[each.variables], sigma_cm)
-        z.append(of_slice)
-        null.append(shares)
-    statistic = np.abs(np.concatenate([each.ravel() for each in z]))
-    shares = np.concatenate([each.reshape(-1, each.shape[-1]) for each in null])
-    p_value = _step_down(statistic, shares, rng)
-    places = [(i, k, j) for i, each in enumerate(z) for k in range(each.shape[0]) for j in range(each.shape[1])]
-    best: dict[tuple[int, int], int] = {}
-    for number in np.argsort(-statistic, kind="stable"):
-        i, k, _ = places[int(number)]
-        best.setdefault((i, k), int(number))
-    pairs: list[int] = []
-    first = [(0, 0)]
-    for i, k in sorted(best, key=lambda key: -statistic[best[key]]):
-        if len(parts[i].variables) > 1 and i not in pairs:
+    rows, stack = model.rows(table.contexts), Stack.of(parts)
+    _, scores = scores_of(rows, table.reading_cm)
+    step = one_step(stack.sums(scores), twins.information, stack, rows.sigma_cm)
+    z, shares = _contributions(scores, _pooled(table.unit), stack, step, rows.sigma_cm)
+    p_value = _step_down(np.abs(z).ravel(), shares.reshape(z.size, -1), rng).reshape(z.shape)
+    channel = np.abs(z).argmax(axis=1)
+    largest = np.abs(z).max(axis=1)
+    places = [(part, k) for part in parts for k in range(len(part.labels))]
+    pairs: list[tuple[str, ...]] = []
+    # The whole comes first.
+    first = [0]
+    for number in np.argsort(-largest, kind="stable").tolist():
+        variables = places[number][0].variables
+        if len(variables) > 1 and variables not in pairs:
             if len(pairs) == PAIRS_SHOWN:
                 continue
-            pairs.append(i)
-        if len(first) < shown and (i, k) != (0, 0):
-            first.append((i, k))
+            pairs.append(variables)
+        if len(first) < shown and number != 0:
+            first.append(number)
     # What is said of a slice is its own fit, not the one step that only ranks it.
-    fitted = {
-        i: known.get(parts[i].variables) or free_fit(model, table, parts[i], scores, sigma_cm)
-        for i in {i for i, _ in first}
-    }
+    wanted = {places[number][0].variables for number in first}
+    fits = _fits(rows, table, [part for part in parts if part.variables in wanted], known)
     found = []
-    for i, k in first:
-        number = best[(i, k)]
-        j = places[number][2]
-        found.append(_slice(parts[i], k, fitted[i], CHANNELS[j], float(z[i][k, j]), float(p_value[number])))
+    for number in first:
+        part, k = places[number]
+        j = int(channel[number])
+        fit = fits[part.variables]
+        found.append(_slice(part, k, fit, CHANNELS[j], float(z[number, j]), float(p_value[number, j])))
     return tuple(found)
 
 
@@ -98,33 +91,37 @@ def again(
     slices: Sequence[Slice], model: Model, table: Table, parts: Sequence[Partition], known: Fits
 ) -> tuple[Slice, ...]:
     """The same slices with what they show of another model beside it."""
-    scores, sigma_cm = scores_of(model, table), sigma_of(model, table)
     wanted = {each.variables for each in slices}
+    asked = [part for part in parts if part.variables in wanted]
+    fits = _fits(model.rows(table.contexts), table, asked, known)
     numbers: dict[str, dict[str, float | None]] = {}
-    for part in parts:
-        if part.variables in wanted:
-            fit = known.get(part.variables) or free_fit(model, table, part, scores, sigma_cm)
-            numbers |= {label: _numbers(fit, k) for k, label in enumerate(part.labels)}
+    for part in asked:
+        numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
     return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
 
 
+def _fits(rows: Rows, table: Table, parts: Sequence[Partition], known: Fits) -> Fits:
+    """Free fits of these partitions: those that are known, and the others."""
+    others = [part for part in parts if part.variables not in known]
+    return {**known, **(free_fits(rows, table, others) if others else {})}
+
+
 def _contributions(
-    scores: _Array, unit: NDArray[np.intp], partition: Partition, fit: FreeFit, sigma_cm: _Array
+    scores: _Array, unit: NDArray[np.intp], stack: Stack, fit: FreeFit, sigma_cm: _Array
 ) -> tuple[_Array, _Array]:
     """Of each slice and number the statistic (K, 5), and the units' shares in it (K, 5, U)."""
-    cells, units = len(partition.labels), int(unit.max()) + 1
-    of_cell, of_unit, sums = unit_sums(scores, unit, partition)
-    per_cell = np.zeros((cells, units, len(CHANNELS)))
-    per_cell[of_cell, of_unit] = sums
-    size = np.zeros((cells, units))
-    np.add.at(size, (partition.cell, unit), 1.0)
+    cells, units = len(stack), int(unit.max()) + 1
+    key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
+    sums = [np.bincount(key, column[stack.readings], cells * units) for column in scores.T]
+    per_cell = np.stack(sums, axis=1).reshape(cells, units, len(CHANNELS))
+    size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
     size /= np.maximum(size.sum(axis=1, keepdims=True), 1.0)
     # About their mean: a gap must not look like scatter.
     about_mean = per_cell - size[:, :, None] * per_cell.sum(axis=1)[:, None, :]
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
     deviation = np.sqrt((about_mean**2).sum(axis=1))
     scale = np.zeros((cells, len(CHANNELS)))
-    scale[:, 0] = np.bincount(partition.cell, sigma_cm, cells) / np.maximum(partition.counts, 1)
+    scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
     expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
     # Of a class of which nothing came the units show no spread, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
@@ -145,11 +142,12 @@ def _information(fit: FreeFit, scale: _Array) -> _Array:
 def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _Array:
     """Corrected p-values, (m,)."""
     order = np.argsort(-statistic, kind="stable")
+    shares = shares[order]
     above = np.zeros(statistic.size)
     block = 100
     for start in range(0, DRAWS, block):
         signs = rng.standard_normal((shares.shape[1], min(block, DRAWS - start)))
-        drawn = np.abs(shares[order] @ signs)
+        drawn = np.abs(shares @ signs)
         largest_below = np.maximum.accumulate(drawn[::-1], axis=0)[::-1]
         above += (largest_below >= statistic[order, None]).sum(axis=1)
     p_value = np.empty(statistic.size)

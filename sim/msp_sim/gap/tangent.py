@@ -18,12 +18,12 @@ from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Sc
 from msp_sim.effects.curve import FIELDS, CurveChannel
 from msp_sim.model.model import CHUNK, LARGEST_SHARE, Active, Model, acts, base_rows, changed
 from msp_sim.model.rows import Added, Faulty, Rows
+from msp_sim.model.slopes import FREE, LEAST, slopes
 
 _Array = NDArray[np.float64]
 
-LOG_LEAST = float(np.log(1e-12))
-"""Of a reading that the model cannot give: it counts as this improbable, and not as ever so improbable."""
-BASE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
+LOG_LEAST = float(np.log(LEAST))
+BASE = FREE
 """What of the base is free beside every effect: nuisance."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
 SHARE = 0.5
@@ -202,28 +202,9 @@ class Channels:
 
 def channels(rows: Rows, reading_cm: _Array) -> Channels:
     """Derivatives by the channels and by the base's other parameters."""
-    log_p = floored(rows, reading_cm)
-    by = np.zeros((reading_cm.size, len(BASE)))
-    step_cm = 0.03 * rows.sigma_cm
-    further = floored(replace(rows, centre_cm=rows.centre_cm + step_cm), reading_cm)
-    nearer = floored(replace(rows, centre_cm=rows.centre_cm - step_cm), reading_cm)
-    by[:, 0] = (further - nearer) / (2.0 * step_cm)
-    factor = np.exp(0.02)
-    wider = floored(replace(rows, sigma_cm=rows.sigma_cm * factor), reading_cm)
-    narrower = floored(replace(rows, sigma_cm=rows.sigma_cm / factor), reading_cm)
-    by[:, 1] = (wider - narrower) / 0.04
-    for i in (1, 2, 3):
-        logs = list(rows.log_weights)
-        logs[i] = logs[i] + 1e-3
-        more = floored(replace(rows, log_weights=(logs[0], logs[1], logs[2], logs[3])), reading_cm)
-        by[:, 1 + i] = (more - log_p) / 1e-3
-    if np.any(np.asarray(rows.log_weights[1]) > np.log(2e-6)):
-        faster = floored(replace(rows, rate_per_m=rows.rate_per_m * 1.01), reading_cm)
-        by[:, 5] = (faster - log_p) / np.log(1.01)
-    saturated = rows.saturated_fraction
-    step = 0.05 if saturated < 0.5 else -0.05
-    more = floored(replace(rows, saturated_fraction=saturated + step), reading_cm)
-    by[:, 6] = np.expm1(np.minimum(more - log_p, 50.0)) / step
+    log_p, by = slopes(rows, reading_cm)
+    if not np.any(np.asarray(rows.log_weights[1]) > np.log(2e-6)):
+        by[:, 5] = 0.0
     weights = np.stack([np.broadcast_to(np.exp(each), reading_cm.shape) for each in rows.log_weights], axis=1)
     return Channels(log_p, by, weights[:, 1:] / weights.sum(axis=1, keepdims=True))
 

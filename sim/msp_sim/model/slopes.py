@@ -1,0 +1,125 @@
+"""Derivatives of readings' log probabilities by what the mixture is made of, all of them in one pass.
+
+Rows and readings enter; log probabilities and their slopes leave, for fits and scores. Everything after the mixture
+(saturation, faults of the code) is linear in the probability, so what is derived once at the mixture is carried through
+as the probability itself is.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.reading_model.mixture import log_unexpected
+from msp_range.reading_model.sensor_model import SATURATED_CM
+from msp_sim.effects.component import Hits, hit_slopes
+from msp_sim.model.rows import Faulty, Rows
+
+_Array = NDArray[np.float64]
+
+FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
+"""By what is derived; the first five are the channels through which effects act."""
+LEAST = 1e-12
+"""A reading that the model cannot give counts as this improbable, and not as ever so improbable."""
+STEP_SIGMAS, STEP_LOG_RATE = 0.03, 0.01
+"""Of numeric derivatives of the short readings, whose end at the hit has no derivative in whole centimetres."""
+
+
+def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
+    """Log probabilities and their derivatives.
+
+    Parameters
+    ----------
+    rows
+        The distribution of n readings.
+    reading_cm
+        The readings [cm], (n,).
+
+    Returns
+    -------
+    log_p : ndarray, shape (n,)
+        Not below that of `LEAST`, where the derivatives are 0.
+    by : ndarray, shape (n, 7)
+        In the order of `FREE`: by the centre of the hits [1/cm], the logarithm of their spread, the log odds of short,
+        missed and random readings, the logarithm of the rate of the short ones, and the saturated share.
+    """
+    code = np.where(np.rint(reading_cm) == reading_cm, reading_cm, -1.0)
+    parts = _after(rows, rows.faults, code, code)
+    p = np.maximum(parts[0], LEAST)
+    by = np.where(parts[0] > LEAST, parts[1:] / p, 0.0)
+    return np.log(p), np.ascontiguousarray(by.T)
+
+
+def _after(rows: Rows, faults: Sequence[Faulty], first: _Array, last: _Array) -> _Array:
+    """Probability of the codes from first to last behind these faults, and its derivatives, (8, n)."""
+    if not faults:
+        return _saturated(rows, first, last)
+    share, fault, _ = faults[-1]
+    parts: _Array = (1.0 - share) * _after(rows, faults[:-1], first, last)
+    for origin_first, origin_last in fault.origins(first, last):
+        parts += share * _after(rows, faults[:-1], origin_first, origin_last)
+    return parts
+
+
+def _saturated(rows: Rows, first: _Array, last: _Array) -> _Array:
+    """The mixture, of whose no-echo readings some arrive as 255."""
+    first, last = np.maximum(first, rows.minimum_cm), np.minimum(last, rows.maximum_cm)
+    inside = np.flatnonzero(first <= last)
+    if inside.size < first.size:
+        parts = np.zeros((1 + len(FREE), first.size))
+        if inside.size:
+            parts[:, inside] = _saturated(rows.take(inside), first[inside], last[inside])
+        return parts
+    parts = _mixture(rows, first, last)
+    has_max = last == rows.maximum_cm
+    some = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
+    if some.size:
+        top = np.full(some.size, float(rows.maximum_cm))
+        moved = _mixture(rows.take(some), top, top) * np.where(has_max[some], -1.0, 1.0)
+        parts[:, some] += rows.saturated_fraction * moved
+        parts[-1, some] = moved[0]
+    return parts
+
+
+def _mixture(rows: Rows, first: _Array, last: _Array) -> _Array:
+    """The mixture of the codes from first to last, all within the limits, and its derivatives but the last."""
+    lowest, highest = rows.minimum_cm, rows.maximum_cm
+    hits = Hits(rows.centre_cm, rows.sigma_cm, lowest, highest)
+    hit, short, missed, random = (np.exp(each) for each in rows.log_weights)
+    total = hit + short + missed + random
+    of_hit = hit_slopes(first, last, hits.centre_cm, hits.sigma_cm, lowest, highest)
+    of_missed = (last == highest).astype(float)
+    of_random = (last - first + 1.0) / (highest - lowest + 1.0)
+    of_short, by_rate = np.zeros((3, first.size)), np.zeros(first.size)
+    if np.any(short > 0.0):
+        of_short, by_rate = _short(rows, first, last)
+    odds, added = np.zeros(first.size), np.zeros((3, first.size))
+    for each, component, _ in rows.added:
+        odds += each
+        with np.errstate(invalid="ignore"):
+            own = component.slopes(first, last, hits)
+        # Where it has no share, its parameters may be unknown.
+        added += np.where(each > 0.0, each * own, 0.0)
+    norm = total * (1.0 + odds)
+    parts = np.zeros((1 + len(FREE), first.size))
+    parts[:3] = (hit * of_hit + short * of_short + total * added) / norm
+    parts[0] += (missed * of_missed + random * of_random) / norm
+    for place, weight, own in ((3, short, of_short[0]), (4, missed, of_missed), (5, random, of_random)):
+        parts[place] = weight * ((own + added[0]) / norm - parts[0] / total)
+    parts[6] = short * by_rate / norm
+    return parts
+
+
+def _short(rows: Rows, first: _Array, last: _Array) -> tuple[_Array, _Array]:
+    """Short readings: their probability and its derivatives by centre and spread, (3, n); that by the log rate."""
+
+    def at(centre_cm: _Array, rate_per_m: float) -> _Array:
+        log_p = log_unexpected(first, centre_cm, rate_per_m, rows.minimum_cm, rows.maximum_cm, last)
+        return np.asarray(np.exp(log_p))
+
+    centre_cm, rate = rows.centre_cm, rows.rate_per_m
+    step_cm = STEP_SIGMAS * rows.sigma_cm
+    here = at(centre_cm, rate)
+    by_centre = (at(centre_cm + step_cm, rate) - at(centre_cm - step_cm, rate)) / (2.0 * step_cm)
+    by_rate = (at(centre_cm, rate * (1.0 + STEP_LOG_RATE)) - here) / np.log1p(STEP_LOG_RATE)
+    return np.stack([here, by_centre, np.zeros_like(here)]), by_rate
