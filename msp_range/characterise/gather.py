@@ -132,7 +132,8 @@ def joined(tables: Sequence[MeasuredData]) -> MeasuredData:
         is_word = name in WORD_COLUMNS or any(name in table and table[name].dtype.kind == "U" for table in tables)
         missing = "" if is_word else math.nan
         pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
-        columns[name] = np.concatenate([piece.astype(str) if is_word else piece for piece in pieces])
+        pieces = [piece.astype(str, copy=False) if is_word else piece for piece in pieces]
+        columns[name] = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
     return MeasuredData(columns)
 
 

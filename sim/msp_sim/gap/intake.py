@@ -6,7 +6,7 @@ the model's grid are rounded, point masses that the model does not declare are s
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from msp_range.characterise.column_map import ColumnMap
 from msp_range.characterise.gather import check_comparable, joined, read_table
 from msp_range.reading_model.sensor_model import SATURATED_CM
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 from msp_sim.gap.findings import Calibration, Source
+from msp_sim.gap.units import numbered
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
@@ -95,11 +96,13 @@ def read_readings(
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
         tables.append(_with_run(table, path, name, run_column))
         sources.append(Source(str(path), digest, len(table)))
-    data = joined(tables)
-    del tables
-    check_comparable(", ".join(str(path) for path in paths), _within(data), model.sensor)
+    columns = dict(joined(tables).columns)
+    del table, tables
+    check_comparable(", ".join(str(path) for path in paths), _within(columns), model.sensor)
     notes = [column_map.note] if column_map is not None and column_map.note else []
-    data, messages = _cleaned(_settled(data))
+    _settle(columns)
+    messages = _clean(columns)
+    data = MeasuredData(columns)
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
     constant = _constant(data)
@@ -139,59 +142,64 @@ def _with_run(table: MeasuredData, path: Path, name: str, run_column: str | None
     return MeasuredData(columns)
 
 
-def _within(data: MeasuredData) -> MeasuredData:
+def _within(columns: Mapping[str, Column]) -> MeasuredData:
     """Without codes that no distance can be, so that units are judged by distances."""
-    reading_cm = data["reading_cm"]
-    return MeasuredData({**data.columns, "reading_cm": np.where(reading_cm >= 32768.0, np.nan, reading_cm)})
+    reading_cm = columns["reading_cm"]
+    return MeasuredData({**columns, "reading_cm": np.where(reading_cm >= 32768.0, np.nan, reading_cm)})
 
 
-def _settled(data: MeasuredData) -> MeasuredData:
-    """Without what arithmetic adds to a number that never changes: 100.00000000000142 is 100."""
-    columns = dict(data.columns)
-    for name, column in data.columns.items():
+def _settle(columns: dict[str, Column]) -> None:
+    """Take off what arithmetic adds to a number that never changes: 100.00000000000142 is 100."""
+    for name, column in columns.items():
         if column.dtype.kind == "f" and np.isfinite(column).any():
             low, high = float(np.nanmin(column)), float(np.nanmax(column))
             if low < high <= low + RELATIVE * max(abs(low), abs(high)):
                 columns[name] = np.where(np.isnan(column), np.nan, float(f"{low:.9g}"))
-    return MeasuredData(columns)
 
 
-def _cleaned(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
-    """Rows that can be compared, in the order in which they were made, each with the reading before it."""
+def _keep(columns: dict[str, Column], rows: NDArray[Any]) -> None:
+    """Some of the rows, column by column: many readings are there once, and not twice."""
+    for name in columns:
+        columns[name] = columns[name][rows]
+
+
+def _clean(columns: dict[str, Column]) -> list[str]:
+    """Keep the rows that can be compared, in the order in which they were made, each with the reading before it."""
     messages = []
-    order = np.lexsort((data["time_s"], data["sensor"], data["run"]))
+    order = np.lexsort((columns["time_s"], numbered(columns["sensor"]), numbered(columns["run"])))
     if (order[1:] < order[:-1]).any():
-        data = data.select(order)
-    same = np.zeros(len(data), dtype=bool)
-    group = _changes(data["sensor"]) | _changes(data["run"])
-    same[1:] = (data["time_s"][1:] == data["time_s"][:-1]) & ~group[1:]
+        _keep(columns, order)
+    same = np.zeros(order.size, dtype=bool)
+    first = _changes(columns["sensor"]) | _changes(columns["run"])
+    same[1:] = (columns["time_s"][1:] == columns["time_s"][:-1]) & ~first[1:]
     if same.any():
         twice = same.copy()
-        for column in data.columns.values():
+        for column in columns.values():
             both = column[1:] == column[:-1]
             if column.dtype.kind == "f":
                 both |= np.isnan(column[1:]) & np.isnan(column[:-1])
             twice[1:] &= both
         if twice.any():
-            data, group = data.select(~twice), group[~twice]
+            _keep(columns, ~twice)
+            first = first[~twice]
             messages.append(f"{twice.sum()} rows are there twice, and count once.")
         if (same & ~twice).any():
             messages.append(
                 f"{int((same & ~twice).sum())} readings of one sensor have the time of the one before: their order is "
                 "that of the file."
             )
-    reading_cm = data["reading_cm"]
-    previous = np.concatenate([[np.nan], reading_cm[:-1]])
-    # What was sorted by run and sensor has a new group where either changes.
-    previous[_changes(data["sensor"]) | _changes(data["run"])] = np.nan
-    data = MeasuredData({**data.columns, PREVIOUS: previous})
-    silent, lost = np.isnan(reading_cm), np.isnan(data["true_range_cm"])
+    reading_cm = columns["reading_cm"]
+    # What was sorted by run and sensor has a new series where either changes.
+    columns[PREVIOUS] = np.where(first, np.nan, np.concatenate([[np.nan], reading_cm[:-1]]))
+    silent, lost = np.isnan(reading_cm), np.isnan(columns["true_range_cm"])
     if silent.any():
         messages.append(f"{silent.sum()} rows have no reading (no answer) and are left out.")
     if (lost & ~silent).any():
         messages.append(f"{(lost & ~silent).sum()} readings have no true range and are left out.")
     kept = ~(silent | lost)
-    return (data if kept.all() else data.select(kept)), messages
+    if not kept.all():
+        _keep(columns, kept)
+    return messages
 
 
 def _changes(words: NDArray[Any]) -> NDArray[np.bool_]:

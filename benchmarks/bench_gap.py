@@ -1,0 +1,149 @@
+"""The gap workflow on many readings: the whole of `msp-sim gap`, its screen alone, and how both grow.
+
+Contexts are those of the blind tables' flights (`tests/blind`), with every further column that an effect can ask for, so
+that the complete catalogue is tested; no two readings are alike. Two effects are hidden, which makes it name and refit.
+`python -m benchmarks.bench_gap --rows 5000000` prints seconds and the largest memory of one process for that many.
+"""
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_range.recording.csv_form import CONTEXT_COLUMNS
+from msp_sim.gap.name import Search
+from msp_sim.gap.units import numbered
+from msp_sim.model.model import load_model
+from tests.blind.flight import Columns, contexts
+
+READINGS = 100_000
+FEWER = 10_000
+GROWTH = 11.0
+"""Times the time for ten times the readings: linear, and a tenth for what was not measured."""
+SENSOR = Path(__file__).parents[1] / "configs" / "sensors" / "mb1242.yaml"
+MSP_SIM = Path(sys.executable).parent / "msp-sim"
+AT_ONCE = 250_000
+"""Rows that are drawn and written at a time."""
+
+
+def run() -> list[dict[str, Any]]:
+    """Measure the workflow, its screen, and the growth of its processor time."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        wall_s, cpu_s, _ = workflow(folder, READINGS)
+        _, fewer_cpu_s, _ = workflow(folder, FEWER)
+    seconds = screen_s(READINGS)
+    growth = cpu_s / fewer_cpu_s
+    return [
+        {
+            "key": "gap_1e5",
+            "value": round(wall_s, 1),
+            "unit": "s for 100,000 readings, complete catalogue: msp-sim gap with its report",
+            "goal": "under 20",
+            "met": wall_s < 20.0,
+        },
+        {
+            "key": "gap_screen_1e5",
+            "value": round(seconds, 2),
+            "unit": "s for 100,000 readings: every effect's score, and the null by runs",
+            "goal": "under 2",
+            "met": seconds < 2.0,
+        },
+        {
+            "key": "gap_cost_growth",
+            "value": round(growth, 1),
+            "unit": "times the processor time for ten times the readings (10,000 to 100,000)",
+            "goal": f"at most {GROWTH:g}",
+            "met": growth <= GROWTH,
+        },
+    ]
+
+
+def flights(rows: int, seed: int) -> Columns:
+    """Context columns of flights of 500 readings, all that the form knows."""
+    rng = np.random.default_rng([seed, rows])
+    columns = contexts(rng, rows // 500, 500)
+    n = columns["time_s"].size
+    columns |= {
+        "condition": np.full(n, "flight"),
+        "target_size_cm": rng.uniform(5.0, 200.0, n),
+        "external_level_db": rng.uniform(80.0, 120.0, n),
+        "external_duty": rng.uniform(0.0, 0.5, n),
+        "external_distance_cm": rng.uniform(50.0, 500.0, n),
+        "external_frequency_khz": rng.uniform(38.0, 46.0, n),
+    }
+    assert columns.keys() >= CONTEXT_COLUMNS.keys()
+    return columns
+
+
+def measured(rows: int, seed: int) -> Columns:
+    """The same with readings of a sensor whose range is off and which its rotors disturb."""
+    columns = flights(rows, seed)
+    model = load_model(SENSOR).adding("range_scale", scale_pct=0.3).adding("rotor_noise", growth=0.4)
+    columns["reading_cm"] = model.sample(columns, np.random.default_rng([seed, rows, 1]))
+    return columns
+
+
+def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
+    """Seconds, processor seconds and the largest memory [GB] of `msp-sim gap` on a file of so many readings."""
+    path = folder / f"{rows}.csv"
+    _write(path, rows)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    started_s = time.perf_counter()
+    command = [MSP_SIM, "gap", path, "--model", SENSOR, "--out", folder / f"{rows}"]
+    subprocess.run([str(each) for each in command], check=True, stdout=subprocess.DEVNULL)
+    wall_s = time.perf_counter() - started_s
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    path.unlink()
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall_s, cpu_s, after.ru_maxrss / 1e6
+
+
+def screen_s(rows: int) -> float:
+    """Seconds of one screen of so many readings at the fitted base."""
+    columns = measured(rows, 1)
+    reading_cm = np.asarray(columns.pop("reading_cm"), dtype=float)
+    unit = numbered(np.asarray(columns["run"]))
+    search = Search(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1), 0.05)
+    started_s = time.perf_counter()
+    search.screen(search.null, [])
+    return time.perf_counter() - started_s
+
+
+def _write(path: Path, rows: int) -> None:
+    with path.open("w", encoding="utf-8") as file:
+        for start in range(0, rows, AT_ONCE):
+            columns = measured(min(AT_ONCE, rows - start), start)
+            if start:
+                columns["run"] = np.char.add(f"{start}/", np.asarray(columns["run"], dtype=str))
+            else:
+                file.write(",".join(columns) + "\n")
+            texts = [
+                each.tolist() if each.dtype.kind == "U" else [f"{value:.6g}" for value in each.tolist()]
+                for each in columns.values()
+            ]
+            file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_gap", description=__doc__)
+    parser.add_argument("--rows", type=int, help="measure the workflow once on so many readings, and nothing else")
+    rows = parser.parse_args().rows
+    if rows is None:
+        for figure in run():
+            print(figure)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        wall_s, cpu_s, largest_gb = workflow(Path(name), rows)
+    print(f"{rows} readings: {wall_s:.1f} s, {cpu_s:.1f} s of the processor, {largest_gb:.2f} GB")
+
+
+if __name__ == "__main__":
+    main()
