@@ -1,18 +1,27 @@
-"""The commands of the gap workflow, which msp-sim takes in among its own."""
+"""The commands of the gap workflow, which msp-sim takes in among its own.
 
+Options enter, lines on the terminal and files leave. `gap` and `compare` begin with readings and have the same options;
+`name`, `add` and `show` go on in a folder.
+"""
+
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from msp_range.cli import tell_mistakes
+
+if TYPE_CHECKING:
+    from msp_sim.gap.commands import Steps
+    from msp_sim.gap.findings import GapFindings, Settings
 
 app = typer.Typer()
 
 Out = Annotated[Path, typer.Option(metavar="DIR", help="folder for gap.json, model.yaml, report.html and pictures")]
 OutArgument = Annotated[Path, typer.Argument(metavar="DIR", help="folder that 'msp-sim compare' or 'gap' made")]
 Measured = Annotated[
-    list[Path], typer.Argument(metavar="MEASURED...", help="readings with a true range (.csv) or recordings (.mcap)")
+    list[Path], typer.Argument(metavar="MEASURED", help="readings with a true range (.csv) or recordings (.mcap)")
 ]
 Reference = Annotated[Path, typer.Option("--model", metavar="MODEL.yaml", help="what the readings are held against")]
 Alpha = Annotated[float, typer.Option(min=0.0001, max=0.5, help="chance of any false name, in all")]
@@ -26,86 +35,61 @@ ColumnMaps = Annotated[
     ),
 ]
 
+GAP = """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes.
 
-@app.command()
-@tell_mistakes
-def gap(
-    measured: Measured,
-    model: Reference,
-    out: Out,
-    alpha: Alpha = 0.05,
-    max_effects: MaxEffects = 6,
-    seed: Seed = 1,
-    run_column: RunColumn = None,
-    column_map: ColumnMaps = None,
-) -> None:
-    """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes."""
+In --out: report.html and its pictures, model.yaml (the model with what was added, for 'msp-sim fly' and 'sample'),
+gap.json (all numbers), and model_as_proved.yaml. The steps are there alone too: 'compare', then 'name', 'add', 'show'.
+"""
+COMPARE = "Step 1 of gap: where readings and a model disagree, by slices of context."
+NAME = "Step 2 of gap: name what is missing, with what it could be confused with."
+ADD = "Step 3 of gap: add what is missing to the model, and measure what it gains on runs that took no part."
+SHOW = "Step 4 of gap: pictures of the gap before and after, and the page that holds them."
+
+
+def _begins(step: "Callable[[Steps, list[Path], Settings], GapFindings]") -> Callable[..., None]:
+    """A command that takes readings and a model, and does this with them."""
+
+    @tell_mistakes
+    def command(
+        measured: Measured,
+        model: Reference,
+        out: Out,
+        alpha: Alpha = 0.05,
+        max_effects: MaxEffects = 6,
+        seed: Seed = 1,
+        run_column: RunColumn = None,
+        column_map: ColumnMaps = None,
+    ) -> None:
+        from msp_sim.gap.findings import Settings
+
+        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
+        _told(out, lambda steps: step(steps, measured, settings))
+
+    return command
+
+
+def _goes_on(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
+    """A command that does this with what an earlier one left in a folder."""
+
+    @tell_mistakes
+    def command(out: OutArgument) -> None:
+        _told(out, step)
+
+    return command
+
+
+def _told(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
+    """Do a step with its progress on the terminal, and say what it found."""
     from msp_sim.gap.commands import Steps
-    from msp_sim.gap.findings import Settings
     from msp_sim.gap.terminal import Progressing, print_findings
 
-    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
     with Progressing() as progress:
-        findings = Steps(out, progress.clock, progress.say).all(measured, settings)
+        findings = step(Steps(out, progress.clock, progress.say))
     print_findings(findings, out)
 
 
-@app.command()
-@tell_mistakes
-def compare(
-    measured: Measured,
-    model: Reference,
-    out: Out,
-    alpha: Alpha = 0.05,
-    max_effects: MaxEffects = 6,
-    seed: Seed = 1,
-    run_column: RunColumn = None,
-    column_map: ColumnMaps = None,
-) -> None:
-    """The first step of 'msp-sim gap': where readings and a model disagree, by slices of context."""
-    from msp_sim.gap.commands import Steps
-    from msp_sim.gap.findings import Settings
-    from msp_sim.gap.terminal import Progressing, print_findings
-
-    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-    with Progressing() as progress:
-        compared = Steps(out, progress.clock, progress.say).compare(measured, settings)
-    print_findings(compared.findings, out)
-
-
-@app.command()
-@tell_mistakes
-def name(out: OutArgument) -> None:
-    """The second step: name what is missing, with what it could be confused with."""
-    from msp_sim.gap.commands import Steps
-    from msp_sim.gap.terminal import Progressing, print_findings
-
-    with Progressing() as progress:
-        findings = Steps(out, progress.clock, progress.say).name()
-    print_findings(findings, out)
-
-
-@app.command()
-@tell_mistakes
-def add(out: OutArgument) -> None:
-    """The third step: add what was named to the model, and measure on runs that took no part what it gains."""
-    from msp_sim.gap.commands import Steps
-    from msp_sim.gap.terminal import Progressing, print_findings
-
-    with Progressing() as progress:
-        findings = Steps(out, progress.clock, progress.say).add()
-    print_findings(findings, out)
-
-
-@app.command()
-@tell_mistakes
-def show(out: OutArgument) -> None:
-    """The last step: pictures of the gap before and after, and the page that holds them."""
-    from msp_sim.gap.commands import Steps
-    from msp_sim.gap.findings import read_findings
-    from msp_sim.gap.terminal import Progressing
-
-    findings = read_findings(out)
-    with Progressing() as progress:
-        page = Steps(out, progress.clock, progress.say).show(findings)
-    print(f"{findings.sentence}\n{page}")
+app.command("gap", help=GAP)(_begins(lambda steps, measured, settings: steps.all(measured, settings)))
+app.command("compare", help=COMPARE)(_begins(lambda steps, measured, settings: steps.compare(measured, settings)))
+app.command("name", help=NAME)(_goes_on(lambda steps: steps.name()))
+app.command("add", help=ADD)(_goes_on(lambda steps: steps.add()))
+app.command("show", help=SHOW)(_goes_on(lambda steps: steps.show()))

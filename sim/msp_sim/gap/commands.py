@@ -39,24 +39,17 @@ class Steps:
     clock: Clock
     say: Say
 
-    def compare(self, paths: Sequence[Path], settings: Settings) -> Compared:
+    def compare(self, paths: Sequence[Path], settings: Settings) -> GapFindings:
         """Read the data, hold them against the model, and write where they disagree."""
         started_s = self.clock.now()
         self._clear()
-        compared = self._compared(paths, settings)
-        findings = replace(compared.findings, sentence=sentence(compared.findings))
-        write_findings(findings.with_seconds(self.clock.now() - started_s), self.folder)
-        return replace(compared, findings=findings)
+        return self._written(self._compared(paths, settings).findings, started_s)
 
     def name(self) -> GapFindings:
         """Name what is missing, and write it with its rivals."""
         started_s = self.clock.now()
-        compared = self._again()
-        findings, _ = workflow.name(compared, self.say)
-        findings = replace(findings, sentence=sentence(findings))
-        findings = findings.with_seconds(self.clock.now() - started_s)
-        write_findings(findings, self.folder)
-        return findings
+        findings, _ = workflow.name(self._again(), self.say)
+        return self._written(findings, started_s)
 
     def add(self) -> GapFindings:
         """Add what was named, prove it, and write the extended model."""
@@ -70,27 +63,36 @@ class Steps:
         compared = self._compared(paths, settings)
         write_findings(compared.findings, self.folder)
         findings = self._finish(compared, started_s)
-        self.show(findings, compared)
+        self._draw(findings, compared.before, compared.table)
         return findings
 
-    def show(self, findings: GapFindings, compared: Compared | None = None) -> Path:
+    def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
+        findings = read_findings(self.folder)
+        self._draw(findings, *self._readings(findings))
+        return findings
+
+    def _draw(self, findings: GapFindings, before: Model, table: Table) -> None:
         missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
         if missing:
             raise ConfigError(f"The report needs {' and '.join(missing)}: pip install 'msp-range[lab]'")
         from msp_sim.gap.report import write_report
 
-        before, table = (compared.before, compared.table) if compared is not None else self._readings(findings)
         proved = self.folder / PROVED
         after = load_model(proved) if proved.exists() else before
         self.say("drawing", 0.97)
-        return write_report(findings, before, after, table, self.folder)
+        write_report(findings, before, after, table, self.folder)
+
+    def _written(self, findings: GapFindings, started_s: float) -> GapFindings:
+        """The findings with their sentence and how long they took, in ``gap.json`` too."""
+        findings = replace(findings, sentence=sentence(findings), seconds=round(self.clock.now() - started_s, 3))
+        write_findings(findings, self.folder)
+        return findings
 
     def _finish(self, compared: Compared, started_s: float) -> GapFindings:
         named, explained = workflow.name(compared, self.say)
         added = workflow.add(compared, named, explained, self.say)
-        findings = added.findings.with_seconds(self.clock.now() - started_s)
-        write_findings(findings, self.folder)
+        findings = self._written(added.findings, started_s)
         given = Path(findings.settings.model).name
         write_model(self.folder / MODEL, added.model, findings, f"{given}, extended by msp-sim gap on {findings.date}.")
         heading = f"{given} as it was when the confirming runs judged it; to fly with, take {MODEL}."

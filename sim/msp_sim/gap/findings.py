@@ -5,13 +5,13 @@ computes or judges. A number that is not known is None.
 """
 
 import json
-import math
-import types
-import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
+
+from pydantic import TypeAdapter, ValidationError
 
 from msp_range.yaml_file import ConfigError
 
@@ -327,13 +327,14 @@ class GapFindings:
     messages: tuple[str, ...] = ()
     date: str = ""
 
-    def with_seconds(self, seconds: float) -> "GapFindings":
-        """The same, and how long it took [s]."""
-        return replace(self, seconds=round(seconds, 3))
+
+@cache
+def _form() -> TypeAdapter[GapFindings]:
+    return TypeAdapter(GapFindings)
 
 
 def as_json(findings: GapFindings) -> str:
-    """Findings as JSON, numbers to seven digits.
+    """Findings as JSON, numbers to seven digits; what is not finite is null.
 
     Examples
     --------
@@ -341,7 +342,8 @@ def as_json(findings: GapFindings) -> str:
     >>> from_json(as_json(found)) == found
     True
     """
-    return json.dumps(_plain(asdict(findings)), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    content = json.loads(_form().dump_json(findings), parse_float=lambda number: float(f"{float(number):.7g}"))
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
 def from_json(text: str) -> GapFindings:
@@ -353,12 +355,11 @@ def from_json(text: str) -> GapFindings:
         It is no such JSON.
     """
     try:
-        content = json.loads(text)
-        found = _made(GapFindings, content)
-    except (TypeError, KeyError, AttributeError) as error:
-        raise ValueError(f"not written by msp-sim gap: {error}") from None
-    assert isinstance(found, GapFindings)
-    return found
+        return _form().validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"not written by msp-sim gap: {place + ': ' if place else ''}{first['msg']}") from None
 
 
 def write_findings(findings: GapFindings, folder: Path) -> Path:
@@ -395,33 +396,3 @@ def read_findings(folder: Path) -> GapFindings:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float):
-        # No NaN and no infinity in JSON: what is not known is null.
-        return float(f"{value:.7g}") if math.isfinite(value) else None
-    return value
-
-
-def _made(kind: Any, content: Any) -> Any:
-    """A value of this kind from what JSON made of it."""
-    if content is None:
-        return None
-    origin, inside = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (typing.Union, types.UnionType):
-        return _made(next(each for each in inside if each is not type(None)), content)
-    if origin is tuple:
-        kinds = [inside[0]] * len(content) if inside[-1] is Ellipsis else list(inside)
-        return tuple(_made(each, value) for each, value in zip(kinds, content, strict=True))
-    if origin is not None and issubclass(origin, Mapping) if isinstance(origin, type) else False:
-        return {name: _made(inside[1], value) for name, value in content.items()}
-    if is_dataclass(kind):
-        hints = typing.get_type_hints(kind)
-        known = {each.name for each in fields(kind)}
-        return kind(**{name: _made(hints[name], value) for name, value in content.items() if name in known})  # type: ignore[operator]
-    return float(content) if kind is float else content
