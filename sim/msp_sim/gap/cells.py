@@ -172,9 +172,18 @@ def _split(name: str, column: NDArray[Any], bins: int) -> Partition | None:
         labels = [f"{name} {value:.4g}" for value in values]
     else:
         ends = [float(values[0]), *edges.tolist(), float(values[-1])]
-        labels = [f"{name} {low:.4g} to {high:.4g}" for low, high in itertools.pairwise(ends)]
+        labels = [f"{name} {_span(low, high)}" for low, high in itertools.pairwise(ends)]
     centres = [float(np.median(column[index == i])) if (index == i).any() else np.nan for i in range(edges.size + 1)]
     return _filled((name,), [*labels, f"{name} unknown"], index, np.array([*centres, np.nan]))
+
+
+def _span(low: float, high: float) -> str:
+    """From one number to another, with the digits that it takes to tell them apart; one number where six do not."""
+    for digits in (4, 5, 6):
+        one, other = f"{low:.{digits}g}", f"{high:.{digits}g}"
+        if one != other:
+            return f"{one} to {other}"
+    return one
 
 
 def _by_word(name: str, column: NDArray[Any]) -> Partition | None:

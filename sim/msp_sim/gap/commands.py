@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from msp_range import __version__
 from msp_range.characterise.column_map import load_map
 from msp_range.clock import Clock, date_of
 from msp_range.yaml_file import ConfigError
 from msp_sim.gap import workflow
 from msp_sim.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
-from msp_sim.gap.intake import read_readings
+from msp_sim.gap.intake import read_readings, sha256
 from msp_sim.gap.judge import sentence
 from msp_sim.gap.measures import Table
 from msp_sim.gap.model_file import MODEL, PROVED, write_model
@@ -76,12 +77,13 @@ class Steps:
         missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
         if missing:
             raise ConfigError(f"The report needs {' and '.join(missing)}: pip install 'msp-range[lab]'")
-        from msp_sim.gap.report import write_report
+        from msp_sim.gap.report import Models, write_report
 
-        proved = self.folder / PROVED
-        after = load_model(proved) if proved.exists() else before
+        proved, quoted = (
+            load_model(path) if path.exists() else before for path in (self.folder / PROVED, self.folder / MODEL)
+        )
         self.say("drawing", 0.97)
-        write_report(findings, before, after, table, self.folder)
+        write_report(findings, Models(before, proved, quoted), table, self.folder)
 
     def _written(self, findings: GapFindings, started_s: float) -> GapFindings:
         """The findings with their sentence and how long they took, in ``gap.json`` too."""
@@ -108,11 +110,10 @@ class Steps:
         """The comparison of a folder's ``gap.json``, made again from its data."""
         earlier = read_findings(self.folder)
         compared = self._compared([Path(each.path) for each in earlier.sources], earlier.settings)
-        changed = [
-            old.path
-            for old, new in zip(earlier.sources, compared.findings.sources, strict=True)
-            if old.sha256 != new.sha256
-        ]
+        now = compared.findings
+        changed = [old.path for old, new in zip(earlier.sources, now.sources, strict=True) if old.sha256 != new.sha256]
+        if earlier.model_sha256 != now.model_sha256:
+            changed.append(earlier.settings.model)
         if changed:
             raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-sim compare'; compare again")
         return compared
@@ -137,4 +138,6 @@ class Steps:
         self.say("reading", 0.0)
         column_map = load_map(settings.map) if settings.map else None
         readings = read_readings(paths, model, column_map, settings.run_column)
-        return workflow.compare(readings, model, settings, date_of(self.clock.utc()), self.say)
+        compared = workflow.compare(readings, model, settings, date_of(self.clock.utc()), self.say)
+        made_from = replace(compared.findings, model_sha256=sha256(Path(settings.model)), version=__version__)
+        return replace(compared, findings=made_from)

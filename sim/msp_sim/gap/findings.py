@@ -299,12 +299,14 @@ class GapFindings:
         How long it took.
     path
         The way from the given model to the extended one.
-    confirming
-        Runs that took no part in choosing or fitting.
+    choosing, confirming
+        Runs on which effects are chosen and fitted, and those that took no part in it.
     global_p_value
         Of the hypothesis that nothing is missing.
     sources, settings, messages, date
         Which data, how, what was noticed about them, and when.
+    model_sha256, version
+        Hash of the given model's file, and the version of this program.
     """
 
     verdict: Verdict | None
@@ -320,12 +322,15 @@ class GapFindings:
     sentence: str = ""
     could_have_seen: str = ""
     path: tuple[Step, ...] = ()
+    choosing: tuple[str, ...] = ()
     confirming: tuple[str, ...] = ()
     global_p_value: float | None = None
     sources: tuple[Source, ...] = ()
     settings: Settings = Settings("")
     messages: tuple[str, ...] = ()
     date: str = ""
+    model_sha256: str = ""
+    version: str = ""
 
 
 @cache

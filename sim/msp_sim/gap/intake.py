@@ -90,7 +90,7 @@ def read_readings(
     sources: list[Source] = []
     for path, name in zip(paths, _names(paths), strict=True):
         table = read_table(path, model.sensor, column_map)
-        digest = _sha256(path)
+        digest = sha256(path)
         same = next((each.path for each in sources if each.sha256 == digest), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
@@ -110,7 +110,8 @@ def read_readings(
     return Readings(data, tuple(sources), (*calibration, *codes), tuple(messages), constant)
 
 
-def _sha256(path: Path) -> str:
+def sha256(path: Path) -> str:
+    """Of a file, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from msp_range.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, new_figure, note
@@ -17,7 +18,8 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.gap.cells import Partition, partitions
 from msp_sim.gap.findings import GapFindings, Slice, Unknown
 from msp_sim.gap.measures import Table
-from msp_sim.gap.words import column_words, name_of, plain
+from msp_sim.gap.tables import shown_slices, slice_words
+from msp_sim.gap.words import column_words, step_name
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -27,7 +29,8 @@ TWINS = 12
 DOTS = 4000
 PIT_BINS = 20
 NO_HIT_SIGMAS = 4.0
-MOST_SLICES = 14
+CLOSEST = 0.04
+"""Two points of a picture are at least so far apart, as a share of its width."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +64,16 @@ def subjects(findings: GapFindings, table: Table, most: int = 3) -> list[Subject
 
 
 def draw_residuals(
-    wanted: Sequence[Subject], before: Model, after: Model, table: Table, rng: np.random.Generator
+    wanted: Sequence[Subject], before: Model, after: Model, table: Table, rng: np.random.Generator, added: str
 ) -> Figure:
-    """One row a context: what is measured against what the model expects, before on the left and after on the right."""
+    """One row a context: what is measured against what the model expects, before on the left and after on the right.
+
+    `added` says in words what the model has after.
+    """
     figure = new_figure(0.8 + 2.45 * len(wanted))
     rows = figure.subplots(len(wanted), 2, sharey="row", squeeze=False)
     for subject, (left, right) in zip(wanted, rows, strict=True):
-        part = partitions(table.contexts, [subject.column], pairs=False)[1]
+        part = _apart(partitions(table.contexts, [subject.column], pairs=False)[1])
         drawn = _draw_share if subject.of_outliers else _draw_residual
         limits = [
             drawn(axes, model, table, part, subject.column, colour, rng)
@@ -78,7 +84,7 @@ def draw_residuals(
         for axes in (left, right):
             axes.set_xlabel(column_words(subject.column))
     rows[0][0].set_title("before: the model as given")
-    rows[0][1].set_title("after: with what was added")
+    rows[0][1].set_title(f"after: {added}")
     handles: dict[str, Any] = {}
     for row in rows:
         for axes in row:
@@ -87,7 +93,7 @@ def draw_residuals(
     return figure
 
 
-def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator) -> Figure:
+def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator, added: str) -> Figure:
     """Histograms of the randomised probability integral transform: flat where the model is right."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2, sharey=True)
@@ -95,7 +101,7 @@ def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator
     deviation = 1.96 * np.sqrt(expected * (1.0 - 1.0 / PIT_BINS))
     for axes, model, colour, title in (
         (left, before, BEFORE, "before: the model as given"),
-        (right, after, AFTER, "after: with what was added"),
+        (right, after, AFTER, f"after: {added}"),
     ):
         counts, edges = np.histogram(_pit(model, table, rng), PIT_BINS, (0.0, 1.0))
         axes.axhspan(
@@ -107,6 +113,7 @@ def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator
         axes.set_xlabel("share of the model's readings that are smaller")
     left.set_ylabel("readings, of those expected")
     left.set_ylim(0.0, max(1.6, left.get_ylim()[1]))
+    legend_below(figure)
     return figure
 
 
@@ -115,13 +122,13 @@ def draw_path(findings: GapFindings) -> Figure:
     steps = [each for each in findings.path if each.nats_per_reading is not None]
     assert findings.gap is not None
     floor = findings.gap.nats_per_reading.floor or 1e-4
-    names = [_step_name(each.added, i) for i, each in enumerate(steps)]
+    names = [step_name(each.added) for each in steps]
     least = floor / 4.0
     widths = [max(each.nats_per_reading or 0.0, least) for each in steps]
     figure = new_figure(1.2 + 0.36 * len(steps))
     axes = figure.subplots()
     axes.set_xscale("log")
-    axes.axvspan(least, floor, color=PALE, label="what simulated twins show: no gap")
+    axes.axvspan(least, floor, color=PALE, label="chance: where 95 of 100 simulated twins are")
     colours = [BEFORE, *([AFTER] * (len(steps) - 1))]
     axes.barh(range(len(steps)), widths, left=0.0, height=0.6, color=colours)
     axes.set_xlim(least, max(widths) * 2.2)
@@ -134,20 +141,10 @@ def draw_path(findings: GapFindings) -> Figure:
     axes.set_yticks(range(len(steps)), names)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
+    _plain_decades(axes)
     axes.set_xlabel("gap on the confirming runs [nats a reading], logarithmic")
     legend_below(figure)
     return figure
-
-
-def shown_slices(findings: GapFindings) -> list[Slice]:
-    """Those slices that differ for sure, the surest first, and the whole."""
-    sure = [each for each in findings.slices if each.p_value is not None and each.p_value < 0.05 and each.variables]
-    # A pair repeats what one of its variables says, unless it says more.
-    single = [each for each in sure if len(each.variables) == 1]
-    seen = {name for each in single for name in each.variables}
-    pairs = [each for each in sure if len(each.variables) > 1 and not set(each.variables) & seen]
-    whole = [each for each in findings.slices if not each.variables]
-    return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
 
 
 def draw_slices(findings: GapFindings) -> Figure:
@@ -156,14 +153,14 @@ def draw_slices(findings: GapFindings) -> Figure:
     figure = new_figure(1.3 + 0.3 * len(slices))
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(slices))
+    ratios = _ratio_columns(slices)
+    many = len(ratios) > 1
     for axes, names, label in (
         (left, ("bias_cm",), "bias of the hits [cm]"),
-        (right, _ratio_columns(slices), "ratio to the model"),
+        (right, ratios, "spread and odds, as ratios to the model" if many else "spread, as ratio to the model"),
     ):
-        for column, marker in zip(names, "osD^", strict=False):
-            what = {"log_spread": "spread", "log_odds_short": "short", "log_odds_missed": "missed"}.get(
-                column, "random"
-            )
+        for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
+            what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
             values = np.array([_or_nan(getattr(each, column)) for each in slices])
             errors = np.array([_or_nan(getattr(each, _error_name(column))) for each in slices])
             later = np.array([_or_nan(each.after.get(column)) for each in slices])
@@ -172,9 +169,9 @@ def draw_slices(findings: GapFindings) -> Figure:
                 with np.errstate(over="ignore"):
                     values, ends, later = np.exp(values), np.exp(ends), np.exp(later)
             offset = 0.0 if column == "bias_cm" else 0.16 * (names.index(column) - (len(names) - 1) / 2.0)
-            prefix = "" if column == "bias_cm" else f"{what}, "
+            prefix = f"{what}, " if many else ""
             axes.hlines(places + offset, *ends, color=BEFORE, linewidth=1.0, alpha=0.6)
-            axes.plot(values, places + offset, marker, color=BEFORE, label=f"{prefix}before")
+            axes.plot(values, places + offset, marker, color=BEFORE, label=f"{prefix}before, 95 % interval")
             axes.plot(later, places + offset, marker, color=AFTER, label=f"{prefix}after", markerfacecolor="white")
         axes.axvline(0.0 if axes is left else 1.0, color=INK, linewidth=0.8)
         axes.set_xlabel(label)
@@ -182,15 +179,19 @@ def draw_slices(findings: GapFindings) -> Figure:
     right.set_xscale("log")
     low, high = right.get_xlim()
     right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
-    right.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
-    right.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    right.xaxis.set_minor_formatter(lambda value, _: "")
+    _plain_decades(right)
     left.set_yticks(places, [slice_words(each) for each in slices])
     left.invert_yaxis()
     handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
     legend_below(figure, list(handles.values()))
     return figure
+
+
+def _plain_decades(axes: Axes) -> None:
+    """Ticks at 1, 2 and 5 of each decade of a logarithmic axis, as plain numbers."""
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 def draw_curve(each: Unknown) -> Figure:
@@ -205,14 +206,8 @@ def draw_curve(each: Unknown) -> Figure:
     axes.set_ylabel(
         {"bias": "bias [cm]", "spread": "log of the spread"}.get(each.channel, f"log odds of {each.channel}")
     )
-    note(axes, each.formula)
     legend_below(figure)
     return figure
-
-
-def slice_words(each: Slice) -> str:
-    """A slice's name as people write it, and how many readings it has."""
-    return f"{plain(each.where)} ({each.readings:,})"
 
 
 def _draw_residual(
@@ -232,17 +227,7 @@ def _draw_residual(
     jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
     at = _bin_places(part)
-    order = np.argsort(at)
-    axes.fill_between(
-        at[order],
-        twin[0][order],
-        twin[2][order],
-        color=PALE,
-        alpha=0.9,
-        zorder=0,
-        label="two readings in three, as the model has it",
-    )
-    axes.plot(at[order], twin[1][order], color=INK, linewidth=1.0, label="as the model has it")
+    _draw_expected(axes, part, twin[0], twin[1], twin[2], "two readings in three, as the model has it")
     axes.errorbar(
         at,
         middle,
@@ -277,23 +262,34 @@ def _draw_share(
     counts = np.maximum(part.counts, 1)
     error = 1.96 * np.sqrt(np.maximum(measured * (1.0 - measured), 0.5 / counts) / counts)
     at = _bin_places(part)
-    order = np.argsort(at)
+    drawn = np.isfinite(at)
     low, high = np.quantile(twins, [0.025, 0.975], axis=0)
-    axes.fill_between(
-        at[order], 100.0 * low[order], 100.0 * high[order], color=PALE, label="95 % of simulated twins (shares)"
+    _draw_expected(
+        axes, part, 100.0 * low, 100.0 * twins.mean(axis=0), 100.0 * high, "95 % of simulated twins (shares)"
     )
-    axes.plot(at[order], 100.0 * twins.mean(axis=0)[order], color=INK, linewidth=1.0, label="as the model has it")
     axes.errorbar(
         at,
         100.0 * measured,
         100.0 * error,
-        fmt="s",
+        fmt="o",
         color=colour,
         markersize=4.5,
         label="measured, against the model before" if colour == BEFORE else "measured, against the model after",
     )
     _name_words(axes, part)
-    return 0.0, 1.15 * 100.0 * float(max((measured + error).max(), high.max()))
+    return 0.0, 1.15 * 100.0 * float(max((measured + error)[drawn].max(), high[drawn].max()))
+
+
+def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, high: _Array, label: str) -> None:
+    """What the model expects in each cell: a line and a band over numbers, a box each over words."""
+    at = _bin_places(part)
+    if part.centres is None:
+        axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=label)
+        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="as the model has it")
+        return
+    order = np.argsort(at)
+    axes.fill_between(at[order], low[order], high[order], color=PALE, zorder=0, label=label)
+    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="as the model has it")
 
 
 def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array, _Array]:
@@ -321,6 +317,25 @@ def _places(table: Table, part: Partition, column: str) -> _Array:
     return np.asarray(table.contexts[column], dtype=float) if part.centres is not None else part.cell.astype(float)
 
 
+def _apart(part: Partition) -> Partition:
+    """A partition in which no two cells of a number lie so close that their points would cover each other."""
+    if part.centres is None or np.isfinite(part.centres).sum() < 2:
+        return part
+    least = float(np.ptp(part.centres[np.isfinite(part.centres)])) * CLOSEST
+    order = np.argsort(part.centres)
+    group, groups = np.empty(order.size, dtype=np.intp), 0
+    begun = np.nan
+    for cell in order.tolist():
+        if not abs(part.centres[cell] - begun) < least:
+            begun, groups = part.centres[cell], groups + 1
+        group[cell] = groups - 1
+    members = [np.flatnonzero(group == number) for number in range(groups)]
+    counts = part.counts
+    centres = [float(np.average(part.centres[each], weights=np.maximum(counts[each], 1))) for each in members]
+    labels = tuple(part.labels[each[0]] for each in members)
+    return Partition(part.variables, labels, group[part.cell], np.array(centres))
+
+
 def _bin_places(part: Partition) -> _Array:
     return np.arange(len(part.labels), dtype=float) if part.centres is None else part.centres
 
@@ -337,17 +352,6 @@ def _pit(model: Model, table: Table, rng: np.random.Generator) -> _Array:
         reading = table.reading_cm[part]
         found[part] = np.exp(rows.log_below(reading)) + rng.random(reading.size) * np.exp(rows.log_prob(reading))
     return np.clip(found, 0.0, 1.0)
-
-
-def _step_name(added: str, place: int) -> str:
-    if place == 0 and not added:
-        return "the model as given"
-    if added in ("calibration", "calibrated"):
-        return "its numbers fitted again"
-    channel, over, columns = added.partition(" over ")
-    if not over:
-        return f"+ {added.replace('_', ' ')}"
-    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
 
 
 def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:

@@ -1,6 +1,9 @@
-"""Context columns and effects as people write them, for pictures and sentences."""
+"""Context columns, effects and runs as people write them, for pictures and sentences."""
 
 import re
+from collections.abc import Sequence
+
+from msp_sim.gap.findings import GapFindings
 
 _UNITS = {
     "_cm_s": "cm/s",
@@ -62,6 +65,56 @@ def plain(where: str) -> str:
     'throttle 0.7 to 1, air temperature 20 to 25 °C'
     """
     return ", ".join(_plain_one(each) for each in where.split(", "))
+
+
+def headline(findings: GapFindings) -> str:
+    """The verdict and the names, in a few words."""
+    told = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
+        findings.verdict, f"The gap is {findings.verdict}"
+    )
+    named = [each.name.replace("_", " ") + (f" of {each.of}" if each.of else "") for each in findings.effects]
+    named += [
+        f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
+        for each in findings.unknown
+    ]
+    return f"{told}: {', '.join(named)}" if named else told
+
+
+def added_words(findings: GapFindings) -> str:
+    """What the later model has that the given one had not."""
+    if findings.effects or findings.unknown:
+        return "with what was added"
+    return "nothing was added yet" if findings.verdict is None else "its numbers fitted again"
+
+
+def step_name(added: str) -> str:
+    """A step of the way, by what was added in it.
+
+    Examples
+    --------
+    >>> step_name(""), step_name("mounting_offset"), step_name("bias over air_temperature_c")
+    ('the model as given', '+ mounting offset', '+ bias over air temperature')
+    """
+    if not added:
+        return "the model as given"
+    if added == "calibration":
+        return "its numbers fitted again"
+    channel, over, columns = added.partition(" over ")
+    if not over:
+        return f"+ {added.replace('_', ' ')}"
+    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """The first of many names, and how many more there are.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(["a", "b", "c"], most=2)
+    ('a, b, c', 'a, b and 1 more')
+    """
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _plain_one(where: str) -> str:
