@@ -12,6 +12,8 @@ from typing import Literal
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
 Form = Literal["none", "offset and scale", "piecewise linear"]
+AirBefore = Literal["uniform", "gradient", "confined"]
+"""How the air before a sensor in a box may be: like the box's all the way, changing all the way, or only near."""
 
 
 @dataclass(frozen=True)
@@ -533,7 +535,7 @@ class HotBox:
     per_cent: Estimate
     uniform_per_cent: float
     rows: tuple[HotBoxRow, ...]
-    best: Literal["uniform", "gradient", "confined", "none"]
+    best: AirBefore | Literal["none"]
     answer: str
 
 

@@ -216,8 +216,9 @@ def _from(levels: Sequence[Level], before: Level | None) -> list[Level]:
     if before in ordered and isinstance(before, (Air, Target)):
         ordered.remove(before)
         return [before, *ordered]
-    if isinstance(before, float) and abs(ordered[-1] - before) < abs(ordered[0] - before):  # type: ignore[operator]
-        ordered.reverse()
+    first, last = ordered[0], ordered[-1]
+    if isinstance(before, float) and isinstance(first, float) and isinstance(last, float):
+        return ordered[::-1] if abs(last - before) < abs(first - before) else ordered
     return ordered
 
 

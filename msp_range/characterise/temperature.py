@@ -13,7 +13,7 @@ from scipy import stats
 
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.characterise.estimates import CONFIDENCE, standard_error
-from msp_range.characterise.findings import CompensationRow, Estimate, HotBox, HotBoxRow, Point
+from msp_range.characterise.findings import AirBefore, CompensationRow, Estimate, HotBox, HotBoxRow, Point
 from msp_range.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 
@@ -72,7 +72,7 @@ def _hot_box(
         float(fit.slope), float(fit.slope) - slope_half, float(fit.slope) + slope_half, "%", n, "points"
     )
     uniform_per_cent = 100.0 * (speed_of_sound(box_c) / speed_of_sound(room_c) - 1.0)
-    ideas = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
+    ideas: dict[AirBefore, _Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
     squares = {name: float(((shift - idea) ** 2).sum()) for name, idea in ideas.items()}
     # The confined air has a parameter: it must explain surely more (1.92 in the logarithm of the likelihood).
     squares["confined"] *= math.exp(2 * 1.92 / n)
@@ -98,7 +98,7 @@ def _hot_box(
                 strict=True,
             )
         ),
-        best="none" if is_none else best,  # type: ignore[arg-type]
+        best="none" if is_none else best,
         answer=(
             f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by {mean:+.2f} cm "
             f"({mean - half:+.2f} to {mean + half:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "

@@ -28,11 +28,11 @@ NAMES = (
     "second",  # fraction of no-echo codes that arrive as the second code
     "sigma_growth",  # squared [cm^2/cm^2]
     "max_growth",  # [1/cm]
-    "offset",  # [cm]
+    "offset",  # bias [cm]
     "scale",
 )
 """Parameters in the order of every vector here."""
-U, R, M, T, L, S, V, G, O, C = range(len(NAMES))  # noqa: E741
+U, R, M, T, L, S, V, G, B, C = range(len(NAMES))
 
 FAR_CM = 1e12
 """Edge of an interval without an end. Finite, so that its products with a density of zero are zero."""
@@ -110,7 +110,7 @@ class Terms:
         if theta[V] != 0.0 or V in free:
             self.variance = variance + theta[V] * cells.within * cells.within
         self.sigma = np.sqrt(self.variance)
-        centre = cells.centre if theta[O] == 0.0 and theta[C] == 1.0 else theta[O] + theta[C] * cells.centre
+        centre = cells.centre if theta[B] == 0.0 and theta[C] == 1.0 else theta[B] + theta[C] * cells.centre
         self.a = (cells.lower - centre) / self.sigma
         self.b = (cells.upper - centre) / self.sigma
         # On the left side of the bell both terms are small, and nothing cancels.
@@ -145,8 +145,8 @@ class Terms:
         if V in free:
             self.by_variance.append((V, cells.within * cells.within))
         self.by_centre: list[tuple[int, float | _Array]] = []
-        if O in free:
-            self.by_centre.append((O, 1.0))
+        if B in free:
+            self.by_centre.append((B, 1.0))
         if C in free:
             self.by_centre.append((C, cells.centre))
         if self.by_centre:

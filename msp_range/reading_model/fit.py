@@ -85,7 +85,7 @@ def fit(
     moving = [mix.U, mix.R, mix.M, mix.T, mix.L]
     if grid.second_no_echo_cm is not None:
         moving.append(mix.S)
-    moving += [number for number, wanted in ((mix.O, offset), (mix.C, scale)) if wanted]
+    moving += [number for number, wanted in ((mix.B, offset), (mix.C, scale)) if wanted]
     try:
         best = _climb(rows, _start(rows, moving), moving)
         trials: tuple[GrowthTrial, ...] = ()
@@ -198,9 +198,9 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     theta[mix.C] = 1.0
     error, weight = few.errors()
     share = few.no_echoes / few.readings
-    if mix.O in moving:
-        theta[mix.O] = _quantile(error, weight, 0.5)
-    distance = np.abs(error - theta[mix.O])
+    if mix.B in moving:
+        theta[mix.B] = _quantile(error, weight, 0.5)
+    distance = np.abs(error - theta[mix.B])
     theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
     best: Optimum | None = None
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
@@ -208,8 +208,8 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     step_cm = rows.grid.resolution_cm
     for share, sigmas, least in ((0.5, 0.674, step_cm), (0.2, 0.524, 0.3 * step_cm)):
         sigma = max(_quantile(distance, weight, share) / sigmas, least)
-        shorter = float(weight[error - theta[mix.O] < -4.0 * sigma].sum() / weight.sum())
-        longer = float(weight[error - theta[mix.O] > 4.0 * sigma].sum() / weight.sum())
+        shorter = float(weight[error - theta[mix.B] < -4.0 * sigma].sum() / weight.sum())
+        longer = float(weight[error - theta[mix.B] > 4.0 * sigma].sum() / weight.sum())
         for per_length in (0.5, 5.0):
             theta[mix.T], theta[mix.L] = math.log(sigma), per_length / few.mean_length_cm
             theta[mix.U], theta[mix.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)

@@ -39,10 +39,10 @@ _NUMBERS = {
     "saturated_fraction": mix.S,
     "sigma_growth_cm_per_m": mix.V,
     "max_growth_per_m": mix.G,
-    "offset_cm": mix.O,
+    "offset_cm": mix.B,
     "scale": mix.C,
 }
-#                             U    R    M    T            L     S    V    G    O     C
+#                             U    R    M    T            L     S    V    G    B     C
 BOUNDS = Bounds(
     lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -1.0, -1e4, 0.1]),
     upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, 1.0, 1e4, 10.0]),
@@ -279,7 +279,7 @@ def _named(theta: _Array) -> dict[str, float]:
         "saturated_fraction": theta[mix.S],
         "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[mix.V]),
         "max_growth_per_m": 100.0 * theta[mix.G],
-        "offset_cm": theta[mix.O],
+        "offset_cm": theta[mix.B],
         "scale": theta[mix.C],
     }
     return {name: float(value) for name, value in named.items()}
@@ -292,7 +292,7 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     rows["hit"][[mix.U, mix.R, mix.M]] = -left, -left, theta[mix.U] + theta[mix.R] - 1.0
     rows["unexpected"][[mix.U, mix.M]] = left, -theta[mix.U]
     rows["random"][[mix.R, mix.M]] = left, -theta[mix.R]
-    rows["max"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.O] = rows["scale"][mix.C] = 1.0
+    rows["max"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.B] = rows["scale"][mix.C] = 1.0
     rows["sigma_cm"][mix.T] = math.exp(theta[mix.T])
     rows["unexpected_rate_per_m"][mix.L] = rows["max_growth_per_m"][mix.G] = 100.0
     if theta[mix.V] > 0.0:

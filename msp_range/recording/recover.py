@@ -71,5 +71,5 @@ def _copy(recording: Recording, file: IO[bytes]) -> int:
         elif opcode == Opcode.ATTACHMENT:
             kept = Attachment.read(as_stream(content))
             writer.add_attachment(kept.create_time, kept.log_time, kept.name, kept.media_type, kept.data)
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
     return messages

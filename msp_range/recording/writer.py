@@ -83,7 +83,7 @@ class Recorder:
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
         for name, text in (files or {}).items():
             self._mcap.add_attachment(self._utc_start_ns, self._utc_start_ns, name, "application/yaml", text.encode())
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.flush()
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
@@ -120,7 +120,7 @@ class Recorder:
         if self._mcap is None or now_s < self._flush_due_s:
             return
         self._flush_due_s = now_s + FLUSH_INTERVAL_S
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._mcap.flush()
         if self._disk.error is not None or self._disk.backlog_bytes > BACKLOG_BYTES:
             self._mcap = None
             self._disk.give_up()
@@ -131,7 +131,7 @@ class Recorder:
         if self._mcap is None:
             return
         mcap, self._mcap = self._mcap, None
-        mcap.finish()  # type: ignore[no-untyped-call]
+        mcap.finish()
         self._disk.flush()
         if not self._disk.close(CLOSE_TIMEOUT_S):
             raise self._failure()

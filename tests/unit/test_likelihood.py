@@ -32,7 +32,7 @@ def theta(growing: bool = False, moved: bool = False) -> NDArray[np.float64]:
     if growing:
         values[[mix.V, mix.G]] = 0.004**2, 0.003
     if moved:
-        values[[mix.O, mix.C]] = 0.3, 1.01
+        values[[mix.B, mix.C]] = 0.3, 1.01
     return values
 
 
@@ -77,7 +77,7 @@ def test_the_derivatives_are_those_of_the_value() -> None:
     true_cm = np.append(rng.uniform(0.0, 790.0, 3000), np.full(20, math.inf))
     reading_cm = model(True).sample({"true_range_cm": true_cm}, rng)
     likelihood = Likelihood(MB1242, MB1242.cell(reading_cm), true_cm, rng.integers(1, 4, true_cm.size).astype(float))
-    for growing, free in ((True, {mix.V, mix.G, mix.O, mix.C}), (True, {mix.V}), (False, set())):
+    for growing, free in ((True, {mix.V, mix.G, mix.B, mix.C}), (True, {mix.V}), (False, set())):
         numbers = frozenset(free)
         at = theta(growing, bool(free))
         _, gradient, hessian = likelihood.derivatives(at, numbers)

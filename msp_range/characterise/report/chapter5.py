@@ -1,6 +1,6 @@
 """Pictures of the report's section 5.1 and 5.2.1: figures 5.1 to 5.6, and Table 5.1."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.acoustics.air import compensate_range
-from msp_range.characterise.findings import CompensationRow, Findings, Mixture
+from msp_range.characterise.findings import CompensationRow, Estimate, Findings, Mixture
 from msp_range.characterise.report.chapter4 import Entry, interval
 from msp_range.characterise.report.draw.accuracy import Compensated, draw_compensated
 from msp_range.characterise.report.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
@@ -139,23 +139,27 @@ def _table_picture(findings: Findings, rows: Rows) -> Drawn:
             findings.absent.get("temperature_compensation", "No readings of temperature compensation are in the data.")
         )
 
-    def column(pick) -> NDArray[np.float64]:  # type: ignore[no-untyped-def]
-        return np.array([np.nan if pick(row) is None else pick(row) for row in table], dtype=np.float64)
+    def column(pick: Callable[[CompensationRow], float | None]) -> NDArray[np.float64]:
+        values = (pick(row) for row in table)
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    def after(pick: Callable[[Estimate], float | None]) -> NDArray[np.float64]:
+        return column(lambda row: None if row.compensated is None else pick(row.compensated))
 
     picture = Compensated(
         range_cm=column(lambda row: row.range_cm),
         before_cm=column(lambda row: row.uncompensated.value),
         before_low_cm=column(lambda row: row.uncompensated.low),
         before_high_cm=column(lambda row: row.uncompensated.high),
-        after_cm=column(lambda row: row.compensated and row.compensated.value),
-        after_low_cm=column(lambda row: row.compensated and row.compensated.low),
-        after_high_cm=column(lambda row: row.compensated and row.compensated.high),
+        after_cm=after(lambda compensated: compensated.value),
+        after_low_cm=after(lambda compensated: compensated.low),
+        after_high_cm=after(lambda compensated: compensated.high),
         report_before_cm=column(lambda row: row.report_uncompensated_cm),
         report_after_cm=column(lambda row: row.report_compensated_cm),
     )
-    after = picture.after_cm[np.isfinite(picture.after_cm)]
+    after_cm = picture.after_cm[np.isfinite(picture.after_cm)]
     caption = f"Mean size of the error of the ranges: {np.mean(np.abs(picture.before_cm)):.2f} cm without compensation"
-    caption += f", {np.mean(np.abs(after)):.2f} cm with it." if after.size else "."
+    caption += f", {np.mean(np.abs(after_cm)):.2f} cm with it." if after_cm.size else "."
     report = np.array(list(REPORT_TABLE.values()))
     caption += f" The report's: {np.mean(report[:, 0]):.2f} and {np.mean(report[:, 1]):.2f} cm."
     return Drawn(draw_compensated(picture), caption, "Mean errors by range, without and with compensation.")

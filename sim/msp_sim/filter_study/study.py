@@ -7,6 +7,7 @@ counts once every filter has an estimate.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -82,10 +83,7 @@ def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Com
 def compare_wild(name: str, seeds: int, rng: np.random.Generator) -> Compared:
     """Some readings missing, short or random, all filters behind the same status gate."""
     runs = wild_readings(truth(name, seeds, rng), rng)
-    estimates = {
-        each: behind_the_gate(lambda cm, variant=variant: apply(variant, cm), runs.reading_cm)  # type: ignore[misc]
-        for each, variant in CAUSAL.items()
-    }
+    estimates = {each: behind_the_gate(partial(apply, variant), runs.reading_cm) for each, variant in CAUSAL.items()}
     estimates |= {
         f"{each} in time": over_samples(variant, runs.reading_cm)
         for each, variant in CAUSAL.items()
