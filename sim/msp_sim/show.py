@@ -1,22 +1,20 @@
-"""A flight for the eye: progress while it flies, the table after it, and the picture."""
+"""A flight and a campaign on the terminal: progress while they go on, and a flight's table after it."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.console import Console, Group, RenderableType
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from msp_range.bridge import Step
 from msp_range.characterise.plan import Point
-from msp_sim.flight import Flight, Simulation
+from msp_sim.flight import Simulation
+from msp_sim.terminal import Bar
 
 BAR_CELLS = 44
-
-
 LINE_EACH_S = 10.0
 """Flown time between two lines where there is no terminal to draw on [s]."""
 
@@ -73,35 +71,24 @@ def _bar(share: float, colour: str) -> Text:
     return Text("█" * cells, style=colour) + Text("·" * (BAR_CELLS - cells), style="dim")
 
 
-class Collecting:
+class Collecting(Bar):
     """A campaign's progress: a bar on a terminal, and elsewhere a line for each question."""
 
     def __init__(self, todo: Sequence[Point]) -> None:
         self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
-        self._progress = Progress(
+        columns = (
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
             TimeRemainingColumn(),
-            transient=True,
         )
-        self._task = self._progress.add_task("", total=self._total)
-        self._shown = self._progress.console.is_terminal
+        super().__init__(*columns, total=self._total)
         self._question = ""
-
-    def __enter__(self) -> "Collecting":
-        if self._shown:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            self._progress.stop()
 
     def take(self, point: Point, readings: int) -> None:
         """Show where the collection is."""
-        if self._shown:
-            self._progress.update(self._task, completed=readings, description=point.condition)
+        if self.is_shown:
+            self.show(point.condition, readings)
         elif point.question != self._question:
             self._question = point.question
             print(f"{readings} of {self._total} readings; now {point.condition}: {point.question}")
@@ -145,51 +132,3 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
 
 def _error(error: dict[str, float]) -> tuple[str, str]:
     return (f"{error['rms_cm']:.1f}", f"{error['p95_cm']:.1f}") if error["count"] else ("-", "-")
-
-
-def draw(flight: Flight, path: Path, title: str) -> None:
-    """The flight as a picture: ranges over time with what was rejected, and the errors below."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(11, 7.5), sharex=True, height_ratios=(3, 2))
-    for number, (name, track) in enumerate(flight.tracks.items()):
-        colour = f"C{number}"
-        pairs = zip(track.time_s, track.raw_m, track.why, strict=True)
-        points = [(time_s, raw_m, why) for time_s, raw_m, why in pairs if raw_m is not None]
-        used = [(time_s, raw_m) for time_s, raw_m, why in points if why in (None, "at_minimum")]
-        held = [(time_s, raw_m) for time_s, raw_m, why in points if why not in (None, "at_minimum")]
-        top.plot(*_columns(used), ".", color=colour, markersize=3, label=name)
-        top.plot(*_columns(held), "x", color=colour, markersize=5)
-        errors = zip(track.time_s, track.raw_m, track.truth_m, track.why, strict=True)
-        raw = [(t, 100 * (r - e)) for t, r, e, why in errors if r is not None and e is not None and why != "at_minimum"]
-        bottom.plot(*_columns(raw), ".", color=colour, markersize=2, alpha=0.6)
-    if flight.fused.time_s:
-        fused = flight.fused
-        truth = [(t, e) for t, e in zip(fused.time_s, fused.truth_m, strict=True) if e is not None]
-        top.plot(*_columns(truth), "-", color="0.6", linewidth=4, label="truth, down axis", zorder=0)
-        top.plot(fused.time_s, fused.filtered_m, "k-", linewidth=1, label="fused")
-        pairs_m = zip(fused.time_s, fused.filtered_m, fused.truth_m, strict=True)
-        errors_cm = [(t, 100 * (f - e)) for t, f, e in pairs_m if f is not None and e is not None]
-        bottom.plot(*_columns(errors_cm), "k-", linewidth=1, label="fused")
-    top.plot([], [], "x", color="0.3", label="held back")
-    top.set_ylabel("range [m]")
-    top.set_title(title)
-    top.legend(ncols=3, fontsize=8)
-    bottom.set_ylabel("error [cm]")
-    bottom.set_ylim(-40, 40)
-    bottom.set_xlabel("time [s]")
-    bottom.set_title(
-        "reading minus truth (dots: as the sensor gave it; line: fused; beyond 40 cm not shown)", fontsize=9
-    )
-    for axes in (top, bottom):
-        axes.grid(alpha=0.3)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def _columns(rows: list[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    return [row[0] for row in rows], [row[1] for row in rows]

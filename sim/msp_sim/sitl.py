@@ -28,7 +28,8 @@ from msp_range.health import Report, Severity
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device import NotAcknowledged
-from msp_sim.flight import Flight, FlightLog, emulated_bus
+from msp_sim.emulated import emulated_bus
+from msp_sim.flight_log import Flight, FlightLog
 from msp_sim.vehicle import Angles, Pose
 from msp_sim.world import World
 

@@ -17,7 +17,8 @@ from msp_range.clock import SystemClock, VirtualClock
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
 from msp_sim.cli import app
-from msp_sim.flight import Flight, Simulation
+from msp_sim.flight import Simulation
+from msp_sim.flight_log import Flight
 from msp_sim.model.model import load_model
 from msp_sim.scenario import load_scenario
 from msp_sim.summary import summarise

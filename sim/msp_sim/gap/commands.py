@@ -20,6 +20,7 @@ from msp_sim.gap.measures import Table
 from msp_sim.gap.model_file import MODEL, PROVED, write_model
 from msp_sim.gap.workflow import Compared, Say
 from msp_sim.model.model import Model, load_model
+from msp_sim.terminal import make_folder
 
 
 @dataclass(frozen=True)
@@ -130,10 +131,7 @@ class Steps:
         return compared_with, table
 
     def _compared(self, paths: Sequence[Path], settings: Settings) -> Compared:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{self.folder}: this folder cannot be made: {error.strerror}") from None
+        make_folder(self.folder)
         model = load_model(settings.model)
         self.say("reading", 0.0)
         column_map = load_map(settings.map) if settings.map else None

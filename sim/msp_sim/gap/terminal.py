@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -11,42 +11,26 @@ from msp_range.clock import Clock, SystemClock
 from msp_sim.gap.findings import GapFindings, Measure
 from msp_sim.gap.model_file import MODEL
 from msp_sim.gap.words import plain
+from msp_sim.terminal import Bar, console
 
 COLOURS = {"nothing missing": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
 SLICES = 5
 
 
-class Progressing:
+class Progressing(Bar):
     """A bar on a terminal, and elsewhere a line for each thing that is begun."""
 
     def __init__(self) -> None:
         self.clock: Clock = SystemClock()
         self._console = Console(stderr=True)
-        self._shown = self._console.is_terminal
         self._last = ""
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-            console=self._console,
-            transient=True,
-        )
-        self._task = self._progress.add_task("reading", total=1.0)
-
-    def __enter__(self) -> "Progressing":
-        if self._shown:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._shown:
-            self._progress.stop()
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+        super().__init__(*columns, total=1.0, on=self._console)
 
     def say(self, what: str, share: float) -> None:
         """Tell what is being done, and which share of the whole is behind it."""
-        if self._shown:
-            self._progress.update(self._task, description=what, completed=share)
+        if self.is_shown:
+            self.show(what, share)
         elif what != self._last:
             self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False, markup=False)
         self._last = what
@@ -54,33 +38,31 @@ class Progressing:
 
 def print_findings(findings: GapFindings, folder: Path) -> None:
     """The verdict first, then the gap, what was found, and where the rest is."""
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
-    console.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
+    out = console()
+    out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
     if findings.gap is not None:
-        console.print(_gap_table(findings))
+        out.print(_gap_table(findings))
     for each in findings.effects:
         if each.rivals and each.experiment:
-            console.print(f"To tell {each.name} from its rivals: {each.experiment}", markup=False, highlight=False)
+            out.print(f"To tell {each.name} from its rivals: {each.experiment}", markup=False, highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
-            console.print(f"  {plain(piece.where)}: {piece.channel}{p}", markup=False, highlight=False)
+            out.print(f"  {plain(piece.where)}: {piece.channel}{p}", markup=False, highlight=False)
     if findings.could_have_seen and not findings.effects and not findings.unknown:
-        console.print(f"These data would have shown: {findings.could_have_seen}", markup=False, highlight=False)
+        out.print(f"These data would have shown: {findings.could_have_seen}", markup=False, highlight=False)
     for message in findings.messages:
-        console.print(f"note: {message}", style="dim", markup=False, highlight=False)
+        out.print(f"note: {message}", style="dim", markup=False, highlight=False)
     columns = sorted({name for each in findings.not_testable for name in each.columns})
     if columns:
-        console.print(
+        out.print(
             f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
             style="dim",
             markup=False,
             highlight=False,
         )
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
-    console.print(
+    out.print(
         f"{findings.rows:,} readings, {findings.runs} runs, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
         markup=False,
         highlight=False,

@@ -1,0 +1,113 @@
+"""The airframe's sensors, emulated: what a ping meets in the simulated world, and what the sensor makes of it.
+
+An airframe, a world, a pose over time and sensor models enter; a bus leaves, behind which the bridge finds its sensors.
+"""
+
+import random
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from numpy.random import Generator, SeedSequence, default_rng
+
+from msp_range.bus import Bus
+from msp_range.config import Airframe, Sensor
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.model.model import Model
+from msp_sim.model.sampler import Sampler
+from msp_sim.vehicle import Pose
+from msp_sim.world import Beam, Ping, World
+
+RUN = "flight"
+"""Run of the readings of a simulated flight: one session."""
+KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, float]], None]
+"""Takes a sensor's name, the time of a ping in the flight [s], what it met, and further context by column."""
+
+
+class EmulatedSensor:
+    """One sensor's pings: what they meet, and what the sensor makes of it.
+
+    What a ping meets is the context from which the sensor's model draws the reading. Where it hears nothing within its
+    beam, the true range is unknown to the model.
+
+    Parameters
+    ----------
+    sensor
+        As mounted on the vehicle.
+    model
+        What it reads.
+    world, pose
+        What is there, and where the vehicle is at a time of the flight [s].
+    generator
+        Its chance.
+    keep
+        Called with (time of the ping in the flight [s], truth, further context) for each ping.
+    others
+        Time [s] and true range [cm] of the last ping of each sensor of the vehicle, by name; kept up to date here.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        model: SensorModel,
+        world: World,
+        pose: Callable[[float], Pose],
+        generator: Generator,
+        keep: KeepTruth,
+        others: dict[str, tuple[float, float | None]],
+    ) -> None:
+        self._name = sensor.name
+        self._beam = Beam(sensor.position_m, sensor.boresight, model.beam.half_angle_rad)
+        self._readings = Sampler(Model.of(model), generator)
+        self._world = world
+        self._pose = pose
+        self._keep = keep
+        self._others = others
+        self._previous_cm: float | None = None
+
+    def echo(self, ping_s: float) -> int:
+        """The reading [cm] of a ping at a time of the flight [s]."""
+        pose = self._pose(ping_s)
+        ping = self._world.ping(pose, self._beam)
+        extra: dict[str, float] = {"uptime_s": ping_s}
+        if pose.throttle is not None:
+            extra["throttle"] = pose.throttle
+        neighbours = [each for name, each in self._others.items() if name != self._name]
+        if neighbours:
+            neighbour_s, neighbour_cm = max(neighbours)
+            extra["neighbour_lag_ms"] = 1e3 * (ping_s - neighbour_s)
+            if neighbour_cm is not None:
+                extra["neighbour_range_cm"] = neighbour_cm
+        self._others[self._name] = (ping_s, ping.true_range_cm)
+        self._keep(self._name, ping_s, ping, extra)
+        context: dict[str, Any] = ping._asdict() | extra
+        context["sensor"], context["run"] = self._name, RUN
+        context["previous_reading_cm"] = self._previous_cm
+        if not ping.heard:
+            context["true_range_cm"] = None
+        self._previous_cm = reading_cm = self._readings.sample_one(context)
+        return reading_cm
+
+
+def emulated_bus(
+    airframe: Airframe,
+    models: dict[str, SensorModel],
+    world: World,
+    pose: Callable[[float], Pose],
+    now: Callable[[], float],
+    seed: SeedSequence,
+    keep: KeepTruth,
+    faults: dict[str, list[Fault]],
+) -> Bus:
+    """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
+    devices = []
+    others: dict[str, tuple[float, float | None]] = {}
+    for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):
+        model = models[sensor.name]
+        for_readings, for_faults = of_sensor.spawn(2)
+        emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
+        timing = Timing(model.timing.ready_s, model.timing.s_per_cm, model.timing.cycle_s)
+        chance = random.Random(int(for_faults.generate_state(1)[0]))
+        devices.append(MB1242(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
+    return EmulatedBus(devices, now)

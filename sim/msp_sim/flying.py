@@ -1,0 +1,192 @@
+"""What ``msp-sim fly`` and ``msp-sim sitl`` do: fly, show it while it goes on, and write what came of it.
+
+The commands' options enter; lines on the terminal and files in the folder for results leave.
+"""
+
+import json
+import shutil
+from contextlib import ExitStack, closing, nullcontext
+from pathlib import Path
+from typing import Any
+
+from rich.live import Live
+
+from msp_range.cli import with_changes
+from msp_range.clock import SystemClock, VirtualClock
+from msp_range.config import load_airframe
+from msp_range.mavlink.transport import open_transport, parse_url
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.writer import Recorder
+from msp_range.service import open_recording, stop_signals
+from msp_range.yaml_file import ConfigError
+from msp_sim import show
+from msp_sim.autopilot import Tee
+from msp_sim.flight import Simulation
+from msp_sim.flight_log import Flight
+from msp_sim.scenario import load_scenario
+from msp_sim.sitl import Sitl, status_line
+from msp_sim.summary import summarise
+from msp_sim.surfaces import Ground
+from msp_sim.terminal import console, make_folder
+from msp_sim.world import Air, World
+
+SHOWN_EACH_S = 0.1
+"""Wall time between two looks at a flight [s]."""
+LOGGED_EACH_S = 5.0
+"""The same where nobody looks: the output goes into a file [s]."""
+
+
+def fly_scenario(
+    scenario_file: Path,
+    model: Path | None,
+    seed: int,
+    out: Path | None,
+    link: str | None,
+    realtime: bool,
+    speed: float | None,
+) -> None:
+    """Fly a scenario; the parameters are the options of the command."""
+    scenario = load_scenario(scenario_file)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    if link is not None:
+        try:
+            parse_url(link)
+        except ValueError as error:
+            raise ConfigError(f"--link: {error}") from None
+    system = SystemClock()
+    clock = system if realtime else VirtualClock()
+    recorder = None
+    if out is not None:
+        make_folder(out)
+        (out / "flight.mcap").unlink(missing_ok=True)
+        recorder = Recorder(
+            out / "flight.mcap",
+            clock,
+            files=scenario.airframe.files,
+            metadata={"scenario": scenario.name, "seed": str(seed)},
+        )
+    simulation = Simulation(
+        scenario,
+        clock,
+        seed,
+        model=sensor_model,
+        recorder=recorder,
+        link=(lambda autopilot: Tee(open_transport(link, system), autopilot)) if link is not None else None,
+        tlog=out / "link.tlog" if out is not None else None,
+    )
+    out_to = console()
+    shown = show.Live(simulation, scenario.duration_s)
+    started_s = next_look_s = system.now()
+    live: Any = Live(shown, console=out_to, auto_refresh=False) if out_to.is_terminal else nullcontext()
+    with ExitStack() as opened:
+        stopped = opened.enter_context(stop_signals())
+        opened.enter_context(live)
+        flying = opened.enter_context(closing(simulation.fly()))
+        for steps in flying:
+            if stopped:
+                break
+            shown.take(steps)
+            if steps and speed is not None:
+                system.sleep_until(started_s + simulation.now_s() / speed)
+            if out_to.is_terminal:
+                if system.now() >= next_look_s:
+                    next_look_s = system.now() + SHOWN_EACH_S
+                    live.refresh()
+            elif steps and (line := shown.line()) is not None:
+                print(line)
+        if out_to.is_terminal:
+            live.refresh()
+    wall_s = system.now() - started_s
+    if recorder is not None:
+        recorder.close()
+    summary = summarise(simulation.flight, scenario.name, seed)
+    show.print_table(out_to, summary)
+    times = summary["duration_s"] / wall_s
+    held = "" if speed is None else f", held at {speed:g}"
+    print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time{held}")
+    if simulation.link_error is not None:
+        print(f"link {link}: {simulation.link_error}")
+    if out is not None:
+        summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
+        shutil.copyfile(scenario_file, out / "scenario.yaml")
+        _write(out, summary, simulation.flight, f"{scenario.name}, seed {seed}")
+        print(f"recording: {out / 'flight.mcap'}\n     link: {out / 'link.tlog'}")
+
+
+def fly_sitl(
+    airframe_file: Path,
+    link: str | None,
+    model: Path | None,
+    seed: int,
+    ground: Path | None,
+    ground_clearance: float | None,
+    duration: float | None,
+    record: Path | None,
+    out: Path | None,
+) -> None:
+    """Fly with an autopilot's own simulator; the parameters are the options of the command."""
+    airframe = with_changes(load_airframe(airframe_file), link=link)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    scenario = load_scenario(ground) if ground is not None else None
+    if out is not None:
+        make_folder(out)
+    out_to = console()
+    clock = SystemClock()
+    with ExitStack() as opened:
+        stopped = opened.enter_context(stop_signals())
+        recorder = None
+        if record is not None:
+            recorder = open_recording(airframe, record, clock)
+            if recorder is not None:
+                opened.callback(recorder.close)
+        transport = open_transport(airframe.link.url, clock)
+        opened.callback(transport.close)
+        simulation = Sitl(
+            airframe,
+            clock,
+            transport,
+            scenario.world() if scenario is not None else World(Ground(), Air()),
+            seed,
+            model=sensor_model,
+            clearance_m=ground_clearance,
+            start_m=scenario.flight.track.start_m if scenario is not None else (0.0, 0.0),
+            recorder=recorder,
+            report=lambda severity, text: out_to.print(f"{severity.name.lower()}: {text}", highlight=False),
+        )
+        status = opened.enter_context(out_to.status("")) if out_to.is_terminal else None
+        next_look_s = 0.0
+        source: str | None = None
+        while not stopped and (duration is None or simulation.now_s() < duration):
+            simulation.step()
+            if simulation.vehicle.source != source:
+                where = "where it was" if source else "standing on the ground"
+                source = simulation.vehicle.source
+                out_to.print(f"pose from {source}: the vehicle is {where}", highlight=False)
+            if simulation.now_s() < next_look_s:
+                continue
+            if status is not None:
+                next_look_s = simulation.now_s() + SHOWN_EACH_S
+                status.update(status_line(simulation))
+            else:
+                next_look_s = simulation.now_s() + LOGGED_EACH_S
+                out_to.print(status_line(simulation), highlight=False, soft_wrap=True)
+    flight = simulation.finish()
+    summary = summarise(flight, airframe.vehicle, seed)
+    summary["poses"] = dict(simulation.vehicle.heard)
+    show.print_table(out_to, summary)
+    poses = ", ".join(f"{count} poses in {name}" for name, count in simulation.vehicle.heard.items())
+    print(f"link: {airframe.link.url}; {poses or 'no pose was heard'}")
+    if out is not None:
+        _write(out, summary, flight, f"{airframe.vehicle} on its autopilot's simulator, seed {seed}")
+    if recorder is not None:
+        print(f"recording: {recorder.path}")
+
+
+def _write(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
+    """The flight as numbers and as a picture, and where they are."""
+    # Imported late: matplotlib comes with the extra 'lab', which a flight does not need.
+    from msp_sim.flight_picture import draw
+
+    draw(flight, folder / "flight.png", title)
+    (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(f"  picture: {folder / 'flight.png'}\n  numbers: {folder / 'summary.json'}")
