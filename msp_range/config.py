@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from msp_range.correction.temperature import TemperatureParameters
 from msp_range.filters.changepoint import ChangepointParameters
@@ -21,13 +21,11 @@ from msp_range.geometry import Vector, angle_between, boresight
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
-from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_range.sensors.addressing import ILLEGAL_8BIT
-from msp_range.yaml_file import ConfigError, Section, load
+from msp_range.sensors.on_bus import Name, SensorOnBus
+from msp_range.yaml_file import ConfigError, Section, folder_of, load
 
 AIRFRAME_NAME = "airframe.yaml"
 
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Metres = Annotated[float, Field(ge=-50, le=50)]
 _DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
 
@@ -48,43 +46,21 @@ class RotationDeg(Section):
         return math.radians(self.roll), math.radians(self.pitch), math.radians(self.yaw)
 
 
-class Sensor(Section):
+class Sensor(SensorOnBus):
     """One range finder of the vehicle."""
 
-    name: Name
-    """a name of its own: small letters, digits and underscores"""
     id: int = Field(ge=1, le=254)
     """DISTANCE_SENSOR.id of its stream, 1 to 254"""
-    address: int = Field(ge=0x03, le=0x77)
-    """7-bit I2C address, e.g. 0x70"""
-    model: str
-    """sensor model file, relative to the airframe file"""
     position_m: tuple[Metres, Metres, Metres]
     """[forward, right, down] of the vehicle's reference point [m]"""
     rotation_deg: RotationDeg
     """Euler angles of the mounting {roll, pitch, yaw} [deg]; pitch -90 looks down"""
 
-    _model: SensorModel = PrivateAttr()
-
-    @field_validator("address")
-    @classmethod
-    def _legal(cls, address: int) -> int:
-        if address << 1 in ILLEGAL_8BIT:
-            raise ValueError(f"an MB1242 cannot have the address 0x{address:02x}; choose another one")
-        return address
-
     @model_validator(mode="after")
-    def _load_model(self, info: ValidationInfo) -> "Sensor":
-        folder = (info.context or {}).get("folder", Path())
-        self._model = load_sensor_model(folder / self.model)
-        if self._model.driver == "none":
+    def _can_fly(self) -> "Sensor":
+        if self.sensor_model.driver == "none":
             raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")
         return self
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        """The content of the file that ``model`` names."""
-        return self._model
 
     @property
     def boresight(self) -> Vector:
@@ -307,6 +283,16 @@ def load_airframe(path: Path | str) -> Airframe:
         files[sensor.model] = (path.parent / sensor.model).read_text(encoding="utf-8")
     airframe.keep_files(files)
     return airframe
+
+
+def _load_named(named: Any, info: ValidationInfo) -> Airframe:
+    if not isinstance(named, str):
+        raise ValueError("expected the path of an airframe file, relative to this file")
+    return load_airframe(folder_of(info) / named)
+
+
+NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
+"""In a file that names an airframe's: the path in that file, and the airframe once it is read."""
 
 
 def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:

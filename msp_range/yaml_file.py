@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
 
 _YAML_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _QUOTE = "'"
@@ -76,8 +76,8 @@ def read_yaml(path: Path) -> Any:
 def load(path: Path | str, section: type[SectionT]) -> SectionT:
     """Read the YAML file ``path`` as a ``section``.
 
-    Files that ``section`` names by relative path are resolved by its own validators, which find the folder in
-    ``info.context["folder"]``.
+    Files that ``section`` names by relative path are resolved by its own validators, which `folder_of` tells
+    the folder.
 
     Raises
     ------
@@ -94,6 +94,11 @@ def load(path: Path | str, section: type[SectionT]) -> SectionT:
         return section.model_validate(content, context={"folder": path.parent})
     except ValidationError as error:
         raise ConfigError("\n".join(_explain(path, section, error))) from None
+
+
+def folder_of(info: ValidationInfo) -> Path:
+    """The folder of the file that `load` is reading, from which the names in it are taken."""
+    return Path((info.context or {}).get("folder", Path()))
 
 
 class _Spot(NamedTuple):

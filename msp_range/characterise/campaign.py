@@ -12,11 +12,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from msp_range.correction.temperature import FileSource
-from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_range.sensors.addressing import ILLEGAL_8BIT
-from msp_range.yaml_file import Section, load
+from msp_range.sensors.on_bus import Name, SensorOnBus
+from msp_range.yaml_file import Section, folder_of, load
 
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 RangeCm = Annotated[float, Field(gt=0, le=2000)]
 AngleDeg = Annotated[float, Field(gt=-90, lt=90)]
 SizeCm = Annotated[float, Field(gt=0, le=10_000)]
@@ -59,39 +57,18 @@ def _spread(given: Any) -> Any:
     return Span.model_validate(given).values if isinstance(given, dict) else given
 
 
-class Sensor(Section):
+class Sensor(SensorOnBus):
     """One range finder on the bench."""
 
-    name: Name
-    """a name of its own: small letters, digits and underscores"""
-    address: int = Field(ge=0x03, le=0x77)
-    """7-bit I2C address, e.g. 0x70"""
-    model: str
-    """sensor model file, relative to the campaign file"""
     simulator: str | None = None
     """sensor model file by which the simulator's sensor reads, relative to the campaign file; left out: the same"""
 
-    _model: SensorModel = PrivateAttr()
     _simulated_by: Path = PrivateAttr()
 
-    @field_validator("address")
-    @classmethod
-    def _legal(cls, address: int) -> int:
-        if address << 1 in ILLEGAL_8BIT:
-            raise ValueError(f"an MB1242 cannot have the address 0x{address:02x}; choose another one")
-        return address
-
     @model_validator(mode="after")
-    def _load_model(self, info: ValidationInfo) -> "Sensor":
-        folder = (info.context or {}).get("folder", Path())
-        self._model = load_sensor_model(folder / self.model)
-        self._simulated_by = folder / (self.simulator or self.model)
+    def _name_simulator(self, info: ValidationInfo) -> "Sensor":
+        self._simulated_by = folder_of(info) / (self.simulator or self.model)
         return self
-
-    @property
-    def sensor_model(self) -> SensorModel:
-        """What its file says."""
-        return self._model
 
     @property
     def simulated_by(self) -> Path:

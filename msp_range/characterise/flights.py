@@ -10,30 +10,24 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 from rich.console import Console
 
-from msp_range.characterise.campaign import Name, Reference
-from msp_range.config import Airframe, load_airframe
+from msp_range.characterise.campaign import Reference
+from msp_range.config import NamedAirframe
 from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, Column, MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
+from msp_range.sensors.on_bus import Name
 from msp_range.yaml_file import Section, load, read_yaml
 
 GAP_S = 1.0
 """Between two values of the reference that are farther apart, the truth is not known [s]."""
 SCENARIO = "scenario"
 TRUTH, TIME, UTC = "true_range_cm", "time_s", "utc_s"
-
-
-def _load_airframe(named: Any, info: ValidationInfo) -> Airframe:
-    if not isinstance(named, str):
-        raise ValueError("expected the path of an airframe file, relative to this file")
-    return load_airframe((info.context or {}).get("folder", Path()) / named)
 
 
 class Flight(Section):
@@ -60,7 +54,7 @@ class FlightCampaign(Section):
     """what it is for"""
     reference: Reference
     """what the readings are compared with"""
-    airframe: Annotated[Airframe, BeforeValidator(_load_airframe)]
+    airframe: NamedAirframe
     """airframe file of the vehicle, relative to this file"""
     flights: tuple[Flight, ...] = Field(min_length=1)
     """the flights, in the order in which they are flown"""

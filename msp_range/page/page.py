@@ -5,11 +5,17 @@ this package, which holds the head, the looks and the macros for what is on a pa
 """
 
 import base64
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+from msp_range.yaml_file import ConfigError
+
+PAGE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -102,3 +108,36 @@ def render(package: str, template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     return environment.get_template(template).render(**values)
+
+
+def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted]) -> Path:
+    """Write a page as `PAGE`, and a PNG a picture beside it; the page needs none of them.
+
+    Parameters
+    ----------
+    folder
+        It is made if it is not there; files of these names are replaced.
+    html
+        The page.
+    pictures
+        On it; of what was left out there is no file.
+
+    Returns
+    -------
+    Path
+        Of the page.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for each in pictures:
+            if isinstance(each, Picture):
+                (folder / f"{each.name}.png").write_bytes(each.png)
+        (folder / PAGE).write_text(html, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}") from None
+    return folder / PAGE

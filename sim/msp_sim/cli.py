@@ -11,6 +11,11 @@ from msp_range.cli import tell_mistakes
 from msp_range.yaml_file import ConfigError
 from msp_sim.gap.cli import app as gap_app
 
+ReadBy = Annotated[
+    Path | None,
+    typer.Option(help="sensor model file that all sensors read by, instead of the airframe's or campaign's"),
+]
+
 app = typer.Typer(
     name="msp-sim",
     help="Simulator of msp-range: the real bridge on emulated sensors, with no hardware.",
@@ -25,9 +30,7 @@ app = typer.Typer(
 @tell_mistakes
 def fly(
     scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
-    model: Annotated[
-        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the airframe's")
-    ] = None,
+    model: ReadBy = None,
     seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same flight")] = 1,
     out: Annotated[Path | None, typer.Option(help="folder for summary, recording, link log and picture")] = None,
     link: Annotated[
@@ -57,9 +60,7 @@ def sitl(
     link: Annotated[
         str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; left out: the airframe's")
     ] = None,
-    model: Annotated[
-        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the airframe's")
-    ] = None,
+    model: ReadBy = None,
     seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
     ground: Annotated[
         Path | None,
@@ -131,9 +132,7 @@ def collect(
     out: Annotated[
         Path, typer.Option(help="folder for recordings and table; one that has some already is gone on with")
     ],
-    model: Annotated[
-        Path | None, typer.Option(help="sensor model file that all sensors read by, instead of the campaign's")
-    ] = None,
+    model: ReadBy = None,
     seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same readings")] = 1,
     only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
     repeat: Annotated[

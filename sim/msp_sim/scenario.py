@@ -7,12 +7,12 @@ fly through the ground, or a fault hit a sensor that the airframe does not have,
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from numpy.random import Generator, default_rng
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from msp_range.config import Airframe, load_airframe
+from msp_range.config import NamedAirframe
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, load
 from msp_sim import device
@@ -73,19 +73,12 @@ class LoopbackAutopilot(Section):
     """when it starts anew, its clock with it [s]"""
 
 
-def _load_airframe(named: Any, info: ValidationInfo) -> Airframe:
-    if not isinstance(named, str):
-        raise ValueError("expected the path of an airframe file, relative to this file")
-    folder = (info.context or {}).get("folder", Path())
-    return load_airframe(folder / named)
-
-
 class Scenario(Section):
     """A scenario file."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
     """a name of its own: small letters, digits and underscores"""
-    airframe: Annotated[Airframe, BeforeValidator(_load_airframe)]
+    airframe: NamedAirframe
     """airframe file, relative to the scenario file"""
     duration_s: Positive
     """how long the flight is looked at [s]"""

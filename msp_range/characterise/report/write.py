@@ -9,13 +9,10 @@ from msp_range.characterise.report.chapter4 import Entry
 from msp_range.characterise.report.questions import effects_table, points_table
 from msp_range.characterise.report.rows import Absent, Rows
 from msp_range.characterise.report.verdicts import conclusions
-from msp_range.page.page import Omitted, Picture, render
+from msp_range.page.page import Omitted, Picture, render, write_page
 from msp_range.page.style import png, style
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
-from msp_range.yaml_file import ConfigError
-
-PAGE = "report.html"
 
 
 def write_report(findings: Findings, data: MeasuredData, model: SensorModel, directory: Path | str) -> Path:
@@ -42,7 +39,6 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
     ConfigError
         The directory cannot be made or written to.
     """
-    directory = Path(directory)
     rows = Rows(data, model)
     with style():
         found = _draw(chapter4.entries(rows), findings, rows)
@@ -66,15 +62,7 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         rows_in_all=len(data),
         report_sensor=chapter4.REPORT_SENSOR,
     )
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        for each in (*found, *noise, *more, forest):
-            if isinstance(each, Picture):
-                (directory / f"{each.name}.png").write_bytes(each.png)
-        (directory / PAGE).write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{directory}: the report cannot be written: {error.strerror}") from None
-    return directory / PAGE
+    return write_page(Path(directory), html, (*found, *noise, *more, forest))
 
 
 def _draw(entries: Iterable[Entry], findings: Findings, rows: Rows) -> list[Picture | Omitted]:

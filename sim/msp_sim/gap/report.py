@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from msp_range.page.page import Omitted, Picture, render
+from msp_range.page.page import Omitted, Picture, render, write_page
 from msp_range.page.style import png, style
-from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
 from msp_sim.gap import judge
@@ -21,8 +20,6 @@ from msp_sim.gap.pictures import draw_curve, draw_path, draw_pit, draw_residuals
 from msp_sim.gap.tables import measures_table, model_table, parameters_table, shown_slices, slices_table, steps_table
 from msp_sim.gap.words import added_words, headline, listed, name_of
 from msp_sim.model.model import Active, Model
-
-PAGE = "report.html"
 
 
 @dataclass(frozen=True)
@@ -90,14 +87,7 @@ def write_report(findings: GapFindings, models: Models, table: Table, folder: Pa
         bound={"sigmas": judge.BIAS_SIGMAS, "spread": judge.SPREAD_RATIO, "nats": judge.NATS, "floors": judge.FLOORS},
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
-    try:
-        for each in pictures:
-            if isinstance(each, Picture):
-                (folder / f"{each.name}.png").write_bytes(each.png)
-        (folder / PAGE).write_text(html, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}") from None
-    return folder / PAGE
+    return write_page(folder, html, pictures)
 
 
 def _pictures(findings: GapFindings, before: Model, after: Model, table: Table) -> list[Picture | Omitted]:
