@@ -1,7 +1,8 @@
 """The gap workflow on many readings: the whole of `msp-sim gap`, its screen alone, and how both grow.
 
 Contexts are those of the flights of the blind tables (`tests/blind`) and every further column that an effect can ask
-for, so that the complete catalogue is tested; no two readings are alike. Two effects are hidden, to be named and refitted.
+for, so that the complete catalogue is tested; no two readings are alike. Two effects are hidden, to be named and
+refitted.
 `python -m benchmarks.bench_gap --rows 5000000` prints seconds and the largest memory of one process for that many.
 """
 
