@@ -217,7 +217,7 @@ def test_gain_has_the_error_of_whole_runs() -> None:
 def test_formula_is_the_shortest() -> None:
     at = np.linspace(0.0, 1.0, 6)
     error = np.full(6, 0.01)
-    assert formula("throttle", at, np.full(6, 2.0), error) == "2"
+    assert formula("throttle", at, 2.0 - 1.5 * at, error) == "2 - 1.5 throttle"
     assert formula("throttle", at, 1.0 + 3.0 * at, error) == "1 + 3 throttle"
 
 

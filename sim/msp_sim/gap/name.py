@@ -206,7 +206,7 @@ class Search:
                 break
             there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
-            gained -= max(_price(self.tested[j]), 0.0)
+            gained -= _price(self.tested[j])
             top = max(top, gained)
             refits.append((gained, Item(there.effects[-1], self.tested[j], float(seen.z[j]), gained), there))
         return sorted(refits, key=lambda each: -each[0])
@@ -509,22 +509,33 @@ def _swaps(
             if same and same[0][0] > own:
                 own = same[0][0]
             others = [each for each in scaled if each[1].key != item.key]
-            worth = own - _price(item.entry)
-            better = max(others, key=lambda each: each[0] - _price(each[1].entry), default=None)
-            if better is not None and better[0] - _price(better[1].entry) > worth + 0.3:
+            mine = search.nearest(item)
+
+            def apart(other: Item, mine: int = mine, own: float = own, seen: Screen = seen) -> tuple[float, float]:
+                """Correlation with another, and the standard errors that tell it from this one."""
+                correlation = float(seen.correlation[mine, search.nearest(other)])
+                return correlation, float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - correlation**2, 0.0)))
+
+            def ahead(each: tuple[float, Item, Fitted], item: Item = item, own: float = own) -> float:
+                """By how much another does better. A number of the base comes before an effect that is like it."""
+                lead = each[0] - _price(each[1].entry) - own + _price(item.entry)
+                if apart(each[1])[1] < SEPARABLE:
+                    lead += NEAR_NATS * (_of_base(each[1].entry) - _of_base(item.entry))
+                return lead
+
+            better = max(others, key=ahead, default=None)
+            if better is not None and ahead(better) > 0.3:
                 order = [*rest, better[1]]
                 say(f"{better[1].key[0]} in place of {item.key[0]}", 0.65)
                 fitted = better[2]
                 items = [replace(old, active=each) for old, each in zip(order, fitted.effects, strict=True)]
                 swapped = True
                 break
-            mine = search.nearest(item)
             near = []
             for gained, other, _ in others:
                 if own - gained > NEAR_NATS or other.active.effect.name == item.active.effect.name:
                     continue
-                correlation = float(seen.correlation[mine, search.nearest(other)])
-                separation = float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - correlation**2, 0.0)))
+                correlation, separation = apart(other)
                 if separation < SEPARABLE:
                     near.append(RivalOf(other.active, float(own - gained), correlation, separation))
             rivals[item.key] = () if _of_base(item.entry) else tuple(near)
@@ -535,11 +546,11 @@ def _swaps(
 
 
 def _price(entry: Entry | None) -> float:
-    """What the search over an entry's shapes gains by chance [nat]; a number of the base comes before an effect."""
+    """What the search over an entry's shapes gains by chance [nat]."""
     if entry is None:
         return 0.0
     searched = sum(len(parameter.tried) > 1 for parameter in entry.effect.parameters)
-    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS) - (NEAR_NATS if _of_base(entry) else 0.0)
+    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS)
 
 
 def _of_base(entry: Entry | None) -> bool:

@@ -16,7 +16,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.gap import adequacy, experiment
 from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name, settle
 from msp_sim.gap.prove import Gain, gain
-from msp_sim.gap.refit import Fitted, extended, hats_of, refit
+from msp_sim.gap.refit import ROUNDS, Fitted, extended, hats_of, refit
 from msp_sim.gap.screen import Screen
 from msp_sim.gap.tangent import BASE, Prepared
 from msp_sim.gap.units import Dependence, Split, numbered, previous
@@ -184,14 +184,17 @@ def explain(
     confirming = Prepared.of(model, _taken(columns, thin), reading_cm[thin])
     confirm_unit = _again(unit[thin])
     kept, gains, dropped = _prove(search, chosen, confirming, confirm_unit)
-    if kept and len(kept) < len(chosen.items):
+    if len(kept) < len(chosen.items):
         # What was dropped stood beside the others: without it another name may be the better one.
         less = _fitted(search, kept, chosen.fitted.base)
         chosen = settle(search, replace(chosen, items=tuple(kept), fitted=less, dropped=tuple(dropped)), progress)
         kept, gains, dropped = _prove(search, chosen, confirming, confirm_unit)
     last = _fitted(search, kept, chosen.fitted.base)
+    as_given = not kept and _total(confirming, last.base) <= _total(confirming, np.zeros(len(BASE)))
+    if as_given:
+        last = refit(search.prepared, [], rounds=0)
     progress("quoting from the runs that took no part", 0.92)
-    quoted = refit(confirming, last.effects, last.base, ridge=RIDGE)
+    quoted = refit(confirming, last.effects, last.base, ridge=RIDGE, rounds=0 if as_given else ROUNDS)
     by_run = search.by_run
     covariance = quoted.covariance(confirm_unit if by_run else None)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -199,7 +202,7 @@ def explain(
     width = float(student.isf(0.025, max(runs - 1, 1))) if by_run else 1.959964
     rivals = dict(zip((item.key for item in chosen.items), chosen.rivals, strict=True))
     named, unknown, as_base = _told(search, kept, rivals, gains, quoted, covariance * width**2, confirming)
-    null_base = search.null.base
+    null_base = last.base if as_given else search.null.base
     after_base, quoted_effects, last_base, last_effects = quoted.base, quoted.effects, last.base, last.effects
     if chosen.run_offset_cm > 0.0:
         offsets = _run_offsets(search, chosen.run_offset_cm, quoted, confirming, confirm_unit)
@@ -281,6 +284,10 @@ def _taken(columns: Mapping[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]
 
 def _again(unit: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.unique(unit, return_inverse=True)[1].astype(np.intp)
+
+
+def _total(prepared: Prepared, base: _Array) -> float:
+    return float(prepared.log_prob(base, []).sum())
 
 
 def _fitted(search: Search, items: Sequence[Item], base: _Array) -> Fitted:
