@@ -7,8 +7,6 @@ What is there already is not made again. Needs the extra ``bench``.
 import argparse
 import json
 import os
-import subprocess
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -25,9 +23,9 @@ from benchmarks.blind_peers.library import library
 from benchmarks.blind_peers.namers import NAMERS
 from msp_range.recording.csv_form import read_csv
 from msp_sim.model.model import load_model
-from tests.blind.__main__ import SENSOR, draw
-from tests.blind.__main__ import run as run_gap
 from tests.blind.flight import REGIMES
+from tests.blind.run import Campaign
+from tests.blind.run import run as run_gap
 from tests.blind.score import accepted_names, interval, judge
 from tests.blind.tables import ROWS, RUNS, TOGETHER, Case, draw_cases
 
@@ -47,19 +45,6 @@ def cases(count: int, seed: int) -> list[Case]:
     biases = [*TOGETHER["bias"], *TOGETHER["bias too"]]
     drawn += [Case(0, seed, "one", "iid", ((biases[k % len(biases)], BIAS_ERRORS),)) for k in range(count)]
     return [replace(case, number=number) for number, case in enumerate(drawn)]
-
-
-def prepare(out: Path, count: int, seed: int, pool: ProcessPoolExecutor, at_once: int) -> None:
-    """Draw tables unless there are some, and characterise the bases."""
-    if not (out / "answers").exists():
-        wanted = cases(count, seed)
-        # Each part writes the bases that it needs: the same bytes.
-        list(pool.map(partial(draw, out, seed=seed), [wanted[k::at_once] for k in range(at_once)]))
-    for base in sorted((out / "bases").glob("*.csv")):
-        model = base.with_suffix(".yaml")
-        if not model.exists():
-            command = [Path(sys.executable).parent / "msp-range", "characterise", base, "--sensor", SENSOR]
-            subprocess.run([*command, "--out", model, "--seed", str(seed)], check=True, capture_output=True)
 
 
 def ask(seed: int, table: Path) -> None:
@@ -171,16 +156,13 @@ def main() -> None:
     parser.add_argument("seed", type=int)
     parser.add_argument("--out", type=Path, help="folder; build/blind-peers-SEED-COUNT unless given")
     parser.add_argument("--at-once", type=int, default=2)
-    parser.add_argument("--without-ours", action="store_true", help="do not call msp-sim gap")
     given = parser.parse_args()
     out = given.out or Path("build") / f"blind-peers-{given.seed}-{given.count}"
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    if not (given.out and (out / "answers").exists()):
+        run_gap(Campaign(out, given.seed), cases(given.count, given.seed), given.at_once)
     with ProcessPoolExecutor(given.at_once) as pool:
-        prepare(out, given.count, given.seed, pool, given.at_once)
         list(pool.map(partial(ask, given.seed), sorted((out / "tables").iterdir())))
-    command = [Path(sys.executable).parent / "msp-sim", "gap", "--help"]
-    if not given.without_ours and subprocess.run(command, capture_output=True, check=False).returncode == 0:
-        run_gap(out, given.seed, given.at_once)
     print(show(*score(out)))
 
 

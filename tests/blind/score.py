@@ -165,16 +165,15 @@ def show(rows: Iterable[tuple[str, int, int]], class_sizes: Sequence[int] = ()) 
     return "\n".join(lines)
 
 
-def score(answers: Path, tables: Path) -> str:
+def score(out: Path) -> str:
     """Judge every table that has a `gap/gap.json`, and return the table.
 
     Parameters
     ----------
-    answers
-        Folder of answers, NUMBER.json.
-    tables
-        Folder of tables, NUMBER/gap/gap.json.
+    out
+        Folder of answers (answers/NUMBER.json) and tables (tables/NUMBER/gap/gap.json).
     """
+    answers, tables = out / "answers", out / "tables"
     names = accepted_names()
     outcomes, missing = [], []
     for path in sorted(answers.glob("*.json")):

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.blind.flight import Columns, Flight, Habits, fly, land
 from tests.blind.mechanisms import MECHANISMS, Act
@@ -19,6 +20,8 @@ HIT_CM = 8.0
 """About the true range; what is farther off is no hit."""
 
 PLACE_CM = 3.0
+
+REPLICATES = 32
 
 Hidden = Sequence[tuple[str, float]]
 """Names of mechanisms with their sizes."""
@@ -38,6 +41,28 @@ def stage(columns: Columns, ways: Habits, hidden: Hidden, seed: np.random.SeedSe
     for (name, size), stream in zip(hidden, own[1::2], strict=True):
         MECHANISMS[name].act(flight, size, np.random.default_rng(stream))
     return flight, land(flight, np.random.default_rng(hearing))
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Many flights without the mechanism: contexts, what was staged, and readings."""
+
+    columns: Columns
+    flight: Flight
+    reading_cm: Array
+
+
+def fly_plain(
+    columns: Columns, ways: Habits, name: str, size: float, seed: int, replicates: int, before: Plain | None = None
+) -> Plain:
+    """Fly without the mechanism over the contexts that it prepares; what was flown before, if those are the same."""
+    mechanism = MECHANISMS[name]
+    columns = dict(columns)
+    if mechanism.prepare is not None:
+        mechanism.prepare(columns, size, np.random.default_rng(5))
+    if before is not None and all(_same(column, before.columns[key]) for key, column in columns.items()):
+        return before
+    return Plain(columns, *_fly_once(_repeat(columns, replicates), ways, mechanism.without, size, (seed, 99)))
 
 
 @dataclass(frozen=True)
@@ -62,7 +87,8 @@ def measure(
     size: float,
     seed: int,
     counted: float = 0.5,
-    replicates: int = 32,
+    replicates: int = REPLICATES,
+    plain: Plain | None = None,
 ) -> Size:
     """Size of one mechanism in standard errors.
 
@@ -80,20 +106,18 @@ def measure(
         Share of the rows on which effects are chosen and fitted.
     replicates
         Flights with and without.
+    plain
+        Those without, of `fly_plain`, if they have been flown.
     """
     mechanism = MECHANISMS[name]
-    columns = dict(columns)
-    if mechanism.prepare is not None:
-        mechanism.prepare(columns, size, np.random.default_rng(5))
-    many = _repeat(columns, replicates)
-    streams = (seed, 99)
-    flight, plain = _fly_once(many, ways, mechanism.without, size, streams)
-    _, changed = _fly_once(many, ways, mechanism.act, size, streams)
+    before = plain or fly_plain(columns, ways, name, size, seed, replicates)
+    flight, without = before.flight, before.reading_cm
+    _, changed = _fly_once(_repeat(before.columns, replicates), ways, mechanism.act, size, (seed, 99))
     true_cm = flight.number("true_range_cm")
     shape = (replicates, len(true_cm) // replicates)
-    errors = [(reading - true_cm).reshape(shape) for reading in (plain, changed)]
+    errors = [(reading - true_cm).reshape(shape) for reading in (without, changed)]
     # A missed echo that reads 255 may be near the range by chance.
-    words = [reading.reshape(shape) for reading in (plain, changed)]
+    words = [reading.reshape(shape) for reading in (without, changed)]
     hits = [(np.abs(error) < HIT_CM) & (word != 255.0) for error, word in zip(errors, words, strict=True)]
     sigma2 = float(errors[0][hits[0]].var())
     both = hits[0] & hits[1]
@@ -102,7 +126,7 @@ def measure(
     place_cm = mechanism.place_cm(flight).reshape(shape) if mechanism.place_cm else None
     classes2 = 0.0
     for (one, in_base), (other, _) in zip(
-        _classes(plain, errors[0], place_cm), _classes(changed, errors[1], place_cm), strict=True
+        _classes(without, errors[0], place_cm), _classes(changed, errors[1], place_cm), strict=True
     ):
         pooled = max(0.5 * (one.mean() + other.mean()), 1.0 / one.size)
         deviation: float | Array = float(np.sqrt(pooled * (1.0 - pooled)))
@@ -113,7 +137,7 @@ def measure(
         classes2 += _cross(_means(one, None) / deviation, _means(other, None) / deviation, in_base)
     runs = 0.0
     if name == "remounted":
-        run = np.unique(np.asarray(columns["run"]))
+        run = np.unique(np.asarray(before.columns["run"]))
         a_run = shape[1] / run.size
         runs = size**2 * a_run * both.mean() / sigma2 * np.sqrt(0.5 * counted * run.size)
         bias2 = 0.0
@@ -130,8 +154,10 @@ def size_for(
     mechanism = MECHANISMS[name]
     size = min(mechanism.guess, mechanism.most)
     found: list[tuple[float, float]] = []
+    plain: Plain | None = None
     for _ in range(8):
-        has = measure(columns, ways, name, size, seed, counted).total
+        plain = fly_plain(columns, ways, name, size, seed, REPLICATES, plain)
+        has = measure(columns, ways, name, size, seed, counted, REPLICATES, plain).total
         found.append((size, has))
         if abs(has / wanted - 1.0) < 0.05 or (size >= mechanism.most and has < wanted):
             break
@@ -158,6 +184,10 @@ def _fly_once(
     if act is not None:
         act(flight, size, np.random.default_rng(own))
     return flight, land(flight, np.random.default_rng(hearing))
+
+
+def _same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
+    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
 
 
 def _repeat(columns: Columns, replicates: int) -> Columns:

@@ -5,8 +5,8 @@ each regime there is a base as well: flights of the same vehicle with nothing hi
 wall, which is what a user would characterise first.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -95,6 +95,53 @@ def draw_cases(
             hidden = ((str(rng.choice(CONFOUNDED[twist][0])), 10.0),)
         cases.append(Case(number, seed, drawn, chosen, hidden, twist))
     return cases
+
+
+PARTS: tuple[tuple[Kind, Regime, float], ...] = (
+    *(("null", regime, 0.0) for regime in REGIMES),
+    *(("one", "iid", size) for size in (6.0, 10.0, 20.0)),
+    *(("three", "iid", size) for size in (10.0, 20.0)),
+    *(("unknown", "iid", size) for size in (10.0, 20.0)),
+    ("confounded", "iid", 10.0),
+)
+"""What a plan can ask for: kind, regime and standard errors."""
+
+
+def draw_plan(seed: int, plan: Sequence[str]) -> list[Case]:
+    """Cases in the numbers that are wanted, mixed evenly, so that a part of them is like the whole.
+
+    Parameters
+    ----------
+    seed
+        Of the draws.
+    plan
+        KIND=COUNT of all `PARTS` of a kind each, KIND:REGIME=COUNT or KIND:STANDARD_ERRORS=COUNT of one. A number that
+        is raised adds cases and leaves the others as they are.
+
+    Raises
+    ------
+    ValueError
+        What is asked for is in no part, or is no number.
+
+    Examples
+    --------
+    >>> [(case.number, case.kind, case.regime) for case in draw_plan(1, ["null:ar1=2", "one:6=1"])]
+    [(1, 'null', 'ar1'), (6, 'one', 'iid'), (15, 'null', 'ar1')]
+    """
+    names = [f"{kind}:{regime if kind == 'null' else format(size, 'g')}" for kind, regime, size in PARTS]
+    counts = dict.fromkeys(range(len(PARTS)), 0)
+    for each in plan:
+        what, _, count = each.partition("=")
+        meant = [k for k, name in enumerate(names) if what in (name, name.partition(":")[0])]
+        if not meant or not count.isdecimal():
+            raise ValueError(f"plan {each!r}: expected WHAT=COUNT, with what of {', '.join(names)}")
+        counts |= dict.fromkeys(meant, int(count))
+    placed = []
+    for k, count in counts.items():
+        kind, regime, size = PARTS[k]
+        for i, case in enumerate(draw_cases(seed, count, kind, regime, size or None)):
+            placed.append(((i + 0.5) / count, replace(case, number=k + len(PARTS) * i)))
+    return [case for _, case in sorted(placed, key=lambda each: (each[0], each[1].number))]
 
 
 def _constant_air(columns: Columns, rng: np.random.Generator) -> None:

@@ -19,9 +19,9 @@ from msp_range.cli import app as range_app
 from msp_sim.cli import app as sim_app
 from msp_sim.gap.findings import FoundEffect, GapFindings, read_findings
 from msp_sim.model.model import load_model
-from tests.blind.__main__ import SENSOR, write
 from tests.blind.flight import Columns, Regime, contexts, habits
 from tests.blind.mechanisms import MECHANISMS
+from tests.blind.run import SENSOR, write
 from tests.blind.score import Outcome, accepted_names, judge
 from tests.blind.size import Hidden, stage
 from tests.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base

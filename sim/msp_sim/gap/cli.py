@@ -6,7 +6,7 @@ Options enter, lines on the terminal and files leave. `gap` and `compare` begin 
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ from msp_range.cli import tell_mistakes
 
 if TYPE_CHECKING:
     from msp_sim.gap.commands import Steps
-    from msp_sim.gap.findings import GapFindings, Settings
+    from msp_sim.gap.findings import GapFindings
 
 app = typer.Typer()
 
@@ -35,6 +35,8 @@ ColumnMaps = Annotated[
     ),
 ]
 
+Until = Annotated[Literal["name", "add", "show"], typer.Option(help="the last step; pictures come with 'show'")]
+
 GAP = """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes.
 
 In --out: report.html and its pictures, model.yaml (the model with what was added, for 'msp-sim fly' and 'sample'),
@@ -46,26 +48,41 @@ ADD = "Step 3 of gap: add what is missing to the model, and measure what it gain
 SHOW = "Step 4 of gap: pictures of the gap before and after, and the page that holds them."
 
 
-def _begins(step: "Callable[[Steps, list[Path], Settings], GapFindings]") -> Callable[..., None]:
-    """A command that takes readings and a model, and does this with them."""
+@app.command(help=GAP)
+@tell_mistakes
+def gap(
+    measured: Measured,
+    model: Reference,
+    out: Out,
+    alpha: Alpha = 0.05,
+    max_effects: MaxEffects = 6,
+    seed: Seed = 1,
+    run_column: RunColumn = None,
+    column_map: ColumnMaps = None,
+    until: Until = "show",
+) -> None:
+    from msp_sim.gap.findings import Settings
 
-    @tell_mistakes
-    def command(
-        measured: Measured,
-        model: Reference,
-        out: Out,
-        alpha: Alpha = 0.05,
-        max_effects: MaxEffects = 6,
-        seed: Seed = 1,
-        run_column: RunColumn = None,
-        column_map: ColumnMaps = None,
-    ) -> None:
-        from msp_sim.gap.findings import Settings
+    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
+    _told(out, lambda steps: steps.all(measured, settings, until))
 
-        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-        _told(out, lambda steps: step(steps, measured, settings))
 
-    return command
+@app.command(help=COMPARE)
+@tell_mistakes
+def compare(
+    measured: Measured,
+    model: Reference,
+    out: Out,
+    alpha: Alpha = 0.05,
+    max_effects: MaxEffects = 6,
+    seed: Seed = 1,
+    run_column: RunColumn = None,
+    column_map: ColumnMaps = None,
+) -> None:
+    from msp_sim.gap.findings import Settings
+
+    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
+    _told(out, lambda steps: steps.compare(measured, settings))
 
 
 def _goes_on(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
@@ -88,8 +105,6 @@ def _told(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
     print_findings(findings, out)
 
 
-app.command("gap", help=GAP)(_begins(lambda steps, measured, settings: steps.all(measured, settings)))
-app.command("compare", help=COMPARE)(_begins(lambda steps, measured, settings: steps.compare(measured, settings)))
 app.command("name", help=NAME)(_goes_on(lambda steps: steps.name()))
 app.command("add", help=ADD)(_goes_on(lambda steps: steps.add()))
 app.command("show", help=SHOW)(_goes_on(lambda steps: steps.show()))

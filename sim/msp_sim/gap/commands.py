@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Literal
 
 from msp_range import __version__
 from msp_range.characterise.column_map import load_map
@@ -58,14 +59,20 @@ class Steps:
         started_s = self.clock.now()
         return self._finish(self._again(), started_s)
 
-    def all(self, paths: Sequence[Path], settings: Settings) -> GapFindings:
-        """Compare, name, add and show."""
+    def all(
+        self, paths: Sequence[Path], settings: Settings, until: Literal["name", "add", "show"] = "show"
+    ) -> GapFindings:
+        """Compare, name, add and show, or only so far."""
         started_s = self.clock.now()
         self._clear()
         compared = self._compared(paths, settings)
         write_findings(compared.findings, self.folder)
+        if until == "name":
+            findings, _ = workflow.name(compared, self.say)
+            return self._written(findings, started_s)
         findings = self._finish(compared, started_s)
-        self._draw(findings, compared.before, compared.table)
+        if until == "show":
+            self._draw(findings, compared.before, compared.table)
         return findings
 
     def show(self) -> GapFindings:

@@ -1,0 +1,67 @@
+"""The commands msp-range and msp-sim without the second or two that each takes to start.
+
+``python -m tests.support.warm_cli`` has imported them once. It reads command lines from standard input, each a JSON
+list on a line of its own, runs each in a fork of itself as the command would run, and answers a line: exit code and the
+end of what it said. It ends with its input.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib import import_module
+
+HEAVY = (
+    "msp_range.characterise.characterise",
+    "msp_range.characterise.gather",
+    "msp_range.characterise.model_file",
+    "msp_range.characterise.show",
+    "msp_sim.gap.commands",
+    "msp_sim.gap.terminal",
+)
+"""What the commands import late."""
+TAIL = 500
+
+
+def main() -> None:
+    """Serve until there is no more to read."""
+    from msp_range.cli import main as msp_range
+    from msp_sim.cli import main as msp_sim
+
+    for module in HEAVY:
+        import_module(module)
+    commands = {"msp-range": msp_range, "msp-sim": msp_sim}
+    for line in sys.stdin:
+        argv = json.loads(line)
+        with tempfile.TemporaryFile() as said:
+            child = os.fork()
+            if child == 0:
+                os.dup2(said.fileno(), 1)
+                os.dup2(said.fileno(), 2)
+                sys.argv = argv
+                os._exit(_exit_code(commands[argv[0]]))
+            _, status = os.waitpid(child, 0)
+            said.seek(0)
+            text = said.read().decode(errors="replace")
+        print(json.dumps([os.waitstatus_to_exitcode(status), text.strip()[-TAIL:]]), flush=True)
+
+
+def _exit_code(command: Callable[[], None]) -> int:
+    try:
+        command()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+        return 1
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    main()
