@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from tests.blind.flight import REGIMES
+from tests.blind.report import score
 from tests.blind.run import Campaign, draw, draw_base, run
-from tests.blind.score import score
 from tests.blind.tables import SHARES, draw_cases, draw_plan
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from tests.blind.flight import Columns, Regime
 from tests.blind.mechanisms import MECHANISMS
 from tests.blind.sound import Array
-from tests.blind.tables import Case, fly_base, fly_case
+from tests.blind.tables import CONFOUNDED, Case, fly_base, fly_case
 
 SENSOR = Path(__file__).parent / "sensor.yaml"
 TOLD_EACH_S = 30.0
@@ -102,7 +102,8 @@ def draw(campaign: Campaign, case: Case) -> None:
     for each in hidden:
         mechanism = MECHANISMS[str(each["mechanism"])]
         each |= {"channel": mechanism.channel, "variables": list(mechanism.variables)}
-    told = {"kind": case.kind, "regime": case.regime, "twist": case.twist, "hidden": hidden}
+    pair = CONFOUNDED[case.twist][0] if case.twist else ()
+    told = {"kind": case.kind, "regime": case.regime, "twist": case.twist, "pair": pair, "hidden": hidden}
     answer.parent.mkdir(parents=True, exist_ok=True)
     answer.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     table.mkdir(parents=True, exist_ok=True)

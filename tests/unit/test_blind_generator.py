@@ -8,9 +8,9 @@ from tests.blind.campaign import over_ranges
 from tests.blind.flight import REGIMES, contexts, fly, habits, land
 from tests.blind.mechanisms import KNOWN, MECHANISMS, UNKNOWN
 from tests.blind.receiver import Receiver
-from tests.blind.score import accepted_names, interval, judge
-from tests.blind.size import measure, stage
-from tests.blind.tables import draw_cases, fly_case
+from tests.blind.score import accepted_names
+from tests.blind.size import fly_plain, measure, stage
+from tests.blind.tables import draw_cases, draw_plan, fly_case
 
 
 @pytest.mark.parametrize(
@@ -112,6 +112,16 @@ def test_size_is_in_standard_errors() -> None:
     assert size.total == pytest.approx(0.3 * np.sqrt(0.95 * 2000 / 4) / 0.78, rel=0.05)
 
 
+@pytest.mark.parametrize("name", ["steep", "transmitter"])
+def test_flights_without_are_flown_again_only_where_the_contexts_change(name: str) -> None:
+    columns = contexts(np.random.default_rng(1), 10, 100)
+    before = fly_plain(columns, habits("iid"), name, 1.5, 1, 2)
+    after = fly_plain(columns, habits("iid"), name, 1.2, 1, 2, before)
+    again = fly_plain(columns, habits("iid"), name, 1.2, 1, 2)
+    assert (after is before) == (name == "transmitter")
+    assert (after.reading_cm == again.reading_cm).all()
+
+
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_every_mechanism_does_something_and_only_while_it_is_there(name: str) -> None:
     mechanism = MECHANISMS[name]
@@ -144,30 +154,14 @@ def test_cases_are_the_seed_s_and_their_answers_are_apart() -> None:
     assert hidden[0]["standard_errors"] == pytest.approx(10.0, rel=0.1)
 
 
-def test_judging() -> None:
-    names = accepted_names()
-    answer = {"kind": "one", "hidden": [{"mechanism": "slow_clock", "wanted": 10.0}]}
-
-    def said(*effects: dict[str, object], **more: object) -> dict[str, object]:
-        return {"effects": list(effects), **more}
-
-    named = {"name": "range_scale", "verdict": "named", "rivals": []}
-    pair = {"name": "thermometer_offset", "verdict": "indistinguishable", "rivals": ["range_scale"], "experiment": "e"}
-    other = {"name": "latency", "verdict": "named"}
-    assert judge(answer, said(named), names).exact
-    assert judge(answer, said(pair), names).exact
-    assert not judge(answer, said(named, other), names).exact
-    assert judge(answer, said(other), names).wrong == ("latency",)
-    assert judge(answer, said(other), names).resolved_wrongly
-    assert not judge(answer, said(pair), names).resolved_wrongly
-    assert not judge(answer, said(), names).exact
-    exhaust = {"kind": "one", "hidden": [{"mechanism": "exhaust", "wanted": 10.0}]}
-    assert judge(exhaust, said(calibration=[{"parameter": "max_growth_per_m"}]), names).exact
-    fog = {"mechanism": "fog", "wanted": 10.0, "channel": "missed", "variables": ["humidity_pct"]}
-    unknown = {"channel": "missed", "variables": ["humidity_pct"]}
-    assert judge({"kind": "unknown", "hidden": [fog]}, said(unknown=[unknown]), names).found_unknown
-    assert not judge(
-        {"kind": "unknown", "hidden": [fog]}, said(unknown=[unknown | {"channel": "bias"}]), names
-    ).found_unknown
-    assert judge({"kind": "null", "hidden": []}, said(), names).exact
-    assert interval(0, 400)[1] == pytest.approx(0.0095, abs=1e-3)
+def test_a_plan_can_be_raised_and_a_part_of_it_is_like_the_whole() -> None:
+    few, many = (draw_plan(3, [f"null={n}", f"one:6={2 * n}", "confounded=8"]) for n in (4, 8))
+    by_number = {case.number: case for case in many}
+    assert len(by_number) == len(many) == 6 * 8 + 16 + 8
+    assert all(by_number[case.number] == case for case in few)
+    half = [case.kind for case in many[: len(many) // 2]]
+    assert 23 <= half.count("null") <= 25
+    assert 7 <= half.count("one") <= 9
+    for wrong in ("one:7=3", "all=3", "one:6", "one:6=x"):
+        with pytest.raises(ValueError, match="expected WHAT=COUNT"):
+            draw_plan(3, [wrong])
