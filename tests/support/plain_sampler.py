@@ -34,9 +34,10 @@ class PlainSensor:
     def readings(self, true_cm: Sequence[float], seed: int) -> list[float]:
         """One reading for each true range."""
         chance = random.Random(seed)
-        return [self._reading(each, chance) for each in true_cm]
+        return [self.reading(each, chance) for each in true_cm]
 
-    def _reading(self, true_cm: float, chance: random.Random) -> float:
+    def reading(self, true_cm: float, chance: random.Random) -> float:
+        """One reading."""
         reach_cm = min(max(true_cm, 0.0), self.maximum_cm)
         max_odds = self.max / (1.0 - self.max) * math.exp(self.max_growth_per_m * (reach_cm - 300.0) / 100.0)
         if chance.random() < max_odds / (1.0 + max_odds):
