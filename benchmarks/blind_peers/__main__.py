@@ -9,7 +9,7 @@ import json
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -47,11 +47,13 @@ def cases(count: int, seed: int) -> list[Case]:
     return [replace(case, number=number) for number, case in enumerate(drawn)]
 
 
-def ask(seed: int, table: Path) -> None:
+def ask(
+    seed: int, table: Path, namers: Iterable[str] = tuple(NAMERS), detectors: Iterable[str] = tuple(DETECTORS)
+) -> None:
     """What each peer says of one table, and its seconds of the processor, into ``peers.json`` beside it."""
     answers = table / "peers.json"
     said: dict[str, Any] = json.loads(answers.read_text(encoding="utf-8")) if answers.exists() else {}
-    if {*NAMERS, *DETECTORS} <= said.keys():
+    if {*namers, *detectors} <= said.keys():
         return
     model = load_model(table.parents[1] / "bases" / f"{(table / 'base').read_text(encoding='utf-8')}.yaml")
     data = read_csv(table / "measured.csv")
@@ -64,16 +66,16 @@ def ask(seed: int, table: Path) -> None:
         start_s = time.process_time()
         return what(), time.process_time() - start_s
 
-    if not NAMERS.keys() <= said.keys():
+    if not set(namers) <= said.keys():
         scores, library_s = timed(lambda: library(model, contexts, chosen["reading_cm"]))
-        for name, namer in NAMERS.items():
-            names, seconds = timed(lambda namer=namer: namer(scores))
+        for name in namers:
+            names, seconds = timed(partial(NAMERS[name], scores))
             said[name] = {"names": sorted(names), "seconds": round(library_s + seconds, 2)}
-    if not DETECTORS.keys() <= said.keys():
+    if not set(detectors) <= said.keys():
         rng = np.random.default_rng((seed, int(table.name), 1))
         compared = compare(model, contexts, chosen["reading_cm"], rng)
-        for name, detector in DETECTORS.items():
-            p_value, seconds = timed(lambda detector=detector: detector(compared, rng))
+        for name in detectors:
+            p_value, seconds = timed(partial(DETECTORS[name], compared, rng))
             said[name] = {"p_value": p_value, "seconds": round(seconds, 2)}
     answers.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.blind_peers import power
 from benchmarks.blind_peers.__main__ import BIAS_ERRORS, FOUND, cases, score, show
 from benchmarks.blind_peers.detectors import classifier, compare, ks_by_slice, pted_as_it_comes
 from benchmarks.blind_peers.detectors import with_pairs_swapped as swapped
@@ -247,3 +248,33 @@ def test_classifier_keeps_still_where_nothing_is_missing(model):
         p_values.append(classifier(compare(model, contexts, model.sample(contexts, rng), rng), rng))
     assert sum(p < 0.05 for p in p_values) <= 2
     assert 0.25 < np.mean(p_values) < 0.75
+
+
+def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path):
+    unit = (0.95 * 2000) ** 0.5
+    number = 0
+    for size, of, found_by_ks in ((0.0, 40, 2), (0.05, 10, 2), (0.1, 10, 6), (0.14, 10, 10)):
+        for k in range(of):
+            table = tmp_path / "tables" / f"{number:04d}"
+            (table / "gap").mkdir(parents=True)
+            (tmp_path / "answers").mkdir(exist_ok=True)
+            hidden = [{"standard_errors": 1.04 * size * unit}] if size else []
+            (tmp_path / "answers" / f"{number:04d}.json").write_text(json.dumps({"hidden": hidden}))
+            gap = {"effects": [{}] if size >= 0.1 else [], "unknown": [], "global_p_value": 0.01 if size else 0.5}
+            (table / "gap" / "gap.json").write_text(json.dumps(gap))
+            peers = {"KS by slice": {"p_value": 0.01 if k < found_by_ks else 0.5, "seconds": 1.0}}
+            (table / "peers.json").write_text(json.dumps(peers))
+            number += 1
+    said = power.found(tmp_path)
+    assert [sum(each) for each in said["KS by slice"].values()] == [2, 2, 6, 10]
+    told = power.show(said)
+    assert "40 with nothing hidden, 10 of 0.05, 10 of 0.1, 10 of 0.14" in told
+    assert "| KS by slice | 0.050 (0.014 to 0.165) | 0.20 | 0.60 | 1.00 | 0.120 (" in told
+    assert "| gap workflow: its first screen, p < 0.05 | 0.000 (0.000 to 0.088) | 1.00 | 1.00 | 1.00 | 0.050 (" in told
+    assert "| gap workflow: names something or calls it unknown | 0.000 (0.000 to 0.088) | 0.00 | 1.00" in told
+
+
+def test_power_draws_each_size_of_each_mechanism():
+    drawn = power.cases(10, 1)
+    assert len({case.number for case in drawn}) == len(drawn) == 10 * (3 + len(power.SIZES))
+    assert len({case.hidden for case in drawn if case.hidden}) == 10 * len(power.SIZES)
