@@ -29,7 +29,7 @@ NULLS_FOR_EACH = 3
 """So many times as many tables with nothing hidden as of a size."""
 POWER = 0.8
 BIASES = (*TOGETHER["bias"], *TOGETHER["bias too"])
-DETECTORS = ("KS by slice", "energy distance, pairs swapped", "PTED, pairs swapped", "classifier, boosted trees")
+DETECTORS = ("KS by slice", "energy distance, pairs swapped", "classifier, boosted trees")
 SCREEN = "gap workflow: its first screen, p < 0.05"
 SAID = "gap workflow: names something or calls it unknown"
 CLOSE = 0.1
