@@ -122,7 +122,9 @@ def measure(
     sigma2 = float(errors[0][hits[0]].var())
     both = hits[0] & hits[1]
     bias2 = _cross(*(_means(error, both) for error in errors)) / sigma2 * both.mean()
-    spread2 = _cross(*(_variances(error, both) / sigma2 for error in errors)) / 2.0 * both.mean()
+    variances = [_variances(error, both) for error in errors]
+    # Of the flights with it: a spread is known the worse the larger it is.
+    spread2 = _cross(*variances) / (2.0 * float(variances[1].mean()) ** 2) * both.mean()
     place_cm = mechanism.place_cm(flight).reshape(shape) if mechanism.place_cm else None
     classes2 = 0.0
     for (one, in_base), (other, _) in zip(

@@ -112,6 +112,15 @@ def test_size_is_in_standard_errors() -> None:
     assert size.total == pytest.approx(0.3 * np.sqrt(0.95 * 2000 / 4) / 0.78, rel=0.05)
 
 
+def test_size_of_a_spread_is_in_standard_errors() -> None:
+    """The variance of a reading goes from v to v + d throttle^4; a variance's standard error is itself sqrt(2 / n)."""
+    columns = contexts(np.random.default_rng(1), 40, 100)
+    added = (0.6 * (np.asarray(columns["throttle"], dtype=float) / 0.5) ** 2) ** 2
+    by_hand = added.std() / (0.78**2 + added.mean()) * np.sqrt(0.95 * 2000 / 2.0)
+    size = measure(columns, habits("iid"), "wash_across_the_path", 0.6, 1)
+    assert size.spread == pytest.approx(by_hand, rel=0.12)
+
+
 @pytest.mark.parametrize("name", ["steep", "transmitter"])
 def test_flights_without_are_flown_again_only_where_the_contexts_change(name: str) -> None:
     columns = contexts(np.random.default_rng(1), 10, 100)
