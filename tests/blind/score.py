@@ -107,7 +107,7 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
         match = next((k for k in free if classes[k] & accepted), None)
         if match is not None:
             free.remove(match)
-            separable += _separable(said[match], accepted, float(hidden.get("standard_errors", hidden["wanted"])))
+            separable += _separable(said[match], accepted, _standard_errors(hidden))
         elif any(words := [word for name in accepted if (word := IN_THE_BASE.get(name, "-")) in calibrated]):
             in_base += words
         met.append(match is not None or any(IN_THE_BASE.get(name, "-") in in_base for name in accepted))
@@ -154,6 +154,11 @@ def _separable(effect: Mapping[str, Any], accepted: frozenset[str], standard_err
         if not {each["name"], effect["name"]} <= accepted
         and standard_errors * math.sqrt(max(1.0 - (each.get("correlation") or 0.0) ** 2, 0.0)) >= SEPARABLE
     ]
+
+
+def _standard_errors(hidden: Mapping[str, Any]) -> float:
+    """Of what is hidden; 0, with which nothing is to be told apart, where the answer does not say."""
+    return float(hidden.get("standard_errors", hidden.get("wanted", 0.0)))
 
 
 def _closed(gap: Mapping[str, Any]) -> Closed | None:
