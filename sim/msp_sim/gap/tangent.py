@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel
-from msp_sim.model.model import CHUNK, LARGEST_SHARE, Active, Model, acts, base_rows, changed
-from msp_sim.model.rows import Added, Faulty, Rows
-from msp_sim.model.slopes import FREE, LEAST, slopes
+from msp_sim.model.model import LARGEST_SHARE, Active, Model, acts, base_rows, changed
+from msp_sim.model.rows import Rows
+from msp_sim.model.slopes import FREE, LEAST, score_of_component, score_of_fault, slopes
 
 _Array = NDArray[np.float64]
 
@@ -26,7 +26,8 @@ LOG_LEAST = float(np.log(LEAST))
 BASE = FREE
 """What of the base is free beside every effect: nuisance."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
-SHARE = 0.5
+CHUNK = 1 << 13
+"""Rows of which all scores are taken at a time: what fits into a processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -232,24 +233,12 @@ def of_entry(entry: Entry, rows: Rows, scene: Scene, reading_cm: _Array, here: C
         share = np.clip(share, 0.0, LARGEST_SHARE)
         some = np.flatnonzero(share > 0.0)
         if some.size:
-            there = rows.take(some)
-            component = change.component.take(some)
-            own = Added(np.full(some.size, SHARE / (1.0 - SHARE)), component, "")
-            mixed = floored(replace(there, added=(*there.added, own)), reading_cm[some])
-            # Odds o on top of others' odds q: p' = (p (1 + q) + o c) / (1 + q + o).
-            others = 1.0 + sum(np.asarray(each.odds) for each in there.added)
-            odds = SHARE / (1.0 - SHARE)
-            ratio = np.exp(np.minimum(mixed - here.log_p[some], 60.0))
-            score[some] = (ratio * (others + odds) - others - odds) / odds / others * share[some] / step
+            own = score_of_component(rows.take(some), reading_cm[some], change.component.take(some), here.log_p[some])
+            score[some] = own * share[some] / step
     if change.fault is not None:
-        mixed = floored(_with_fault(rows, Faulty(SHARE, change.fault, "")), reading_cm)
-        gain = np.expm1(np.minimum(mixed - here.log_p, 60.0)) / SHARE
-        score += gain * np.where(known, change.fault_share, 0.0) / step
+        own = score_of_fault(rows, reading_cm, change.fault, here.log_p)
+        score += own * np.where(known, change.fault_share, 0.0) / step
     return score
-
-
-def _with_fault(rows: Rows, faulty: Faulty) -> Rows:
-    return replace(rows, faults=tuple(sorted((*rows.faults, faulty), key=lambda each: each.fault.order)))
 
 
 def chunks(contexts: Mapping[str, Any], reading_cm: _Array) -> Iterator[tuple[slice, dict[str, Any], _Array]]:

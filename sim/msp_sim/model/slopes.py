@@ -5,15 +5,18 @@ Rows and readings enter; log probabilities and their slopes leave, for fits and 
 as the probability itself is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.reading_model.mixture import log_unexpected
 from msp_range.reading_model.sensor_model import SATURATED_CM
-from msp_sim.effects.component import Hits, hit_slopes
-from msp_sim.model.rows import Faulty, Rows
+from msp_sim.effects.codes import CodeFault
+from msp_sim.effects.component import Component, Hits, hit_slopes
+from msp_sim.model.rows import Added, Faulty, Rows
 
 _Array = NDArray[np.float64]
 
@@ -43,42 +46,87 @@ def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
         In the order of `FREE`: by the centre of the hits [1/cm], the logarithm of their spread, the log odds of short,
         missed and random readings, the logarithm of the rate of the short ones, and the saturated share.
     """
-    code = np.where(np.rint(reading_cm) == reading_cm, reading_cm, -1.0)
-    parts = _after(rows, rows.faults, code, code)
+    parts = _behind(rows, reading_cm, _mixture)
     p = np.maximum(parts[0], LEAST)
     by = np.where(parts[0] > LEAST, parts[1:] / p, 0.0)
     return np.log(p), np.ascontiguousarray(by.T)
 
 
-def _after(rows: Rows, faults: Sequence[Faulty], first: _Array, last: _Array) -> _Array:
-    """Probability of the codes from first to last behind these faults, and its derivatives, (8, n)."""
+def score_of_component(rows: Rows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
+    """Derivative of the log probabilities by the odds of one more component, where it has none, (n,)."""
+    others = 1.0 + sum(np.asarray(each.odds) for each in rows.added)
+    own = _behind(replace(rows, added=(Added(1.0, component, ""),)), reading_cm, _last_added)[0]
+    return _ratio(own, log_p) / others
+
+
+def score_of_fault(rows: Rows, reading_cm: _Array, fault: CodeFault, log_p: _Array) -> _Array:
+    """Derivative of the log probabilities by the share of one more fault, where it has none, (n,)."""
+    faults = sorted((*rows.faults, Faulty(1.0, fault, "")), key=lambda each: each.fault.order)
+    own = _behind(replace(rows, faults=tuple(faults)), reading_cm, _probability)[0]
+    return _ratio(own, log_p)
+
+
+def _ratio(own: _Array, log_p: _Array) -> _Array:
+    """Of what is mixed in to what is there, less 1; what is impossible cannot become less probable."""
+    p = np.exp(log_p)
+    score: _Array = np.maximum(own / p - 1.0, np.where(p > LEAST * (1.0 + 1e-9), -1.0, 0.0))
+    return score
+
+
+Part: TypeAlias = Callable[[Rows, _Array, _Array], _Array]
+"""Of codes from first to last before saturation and faults: probabilities of whatever kind, (m, n)."""
+
+
+def _behind(rows: Rows, reading_cm: _Array, part: Part) -> _Array:
+    """Something linear in the mixture's probability, as it is of the readings that arrive."""
+    code = np.where(np.rint(reading_cm) == reading_cm, reading_cm, -1.0)
+    return _after(rows, rows.faults, code, code, part)
+
+
+def _after(rows: Rows, faults: Sequence[Faulty], first: _Array, last: _Array, part: Part) -> _Array:
+    """The same of the codes from first to last behind these faults."""
     if not faults:
-        return _saturated(rows, first, last)
+        return _saturated(rows, first, last, part)
     share, fault, _ = faults[-1]
-    parts: _Array = (1.0 - share) * _after(rows, faults[:-1], first, last)
-    for origin_first, origin_last in fault.origins(first, last):
-        parts += share * _after(rows, faults[:-1], origin_first, origin_last)
-    return parts
+    befallen = sum(_after(rows, faults[:-1], *origin, part) for origin in fault.origins(first, last))
+    if np.ndim(share) == 0 and share == 1.0:
+        return np.asarray(befallen)
+    return np.asarray((1.0 - share) * _after(rows, faults[:-1], first, last, part) + share * befallen)
 
 
-def _saturated(rows: Rows, first: _Array, last: _Array) -> _Array:
+def _saturated(rows: Rows, first: _Array, last: _Array, part: Part) -> _Array:
     """The mixture, of whose no-echo readings some arrive as 255."""
     first, last = np.maximum(first, rows.minimum_cm), np.minimum(last, rows.maximum_cm)
     inside = np.flatnonzero(first <= last)
     if inside.size < first.size:
-        parts = np.zeros((1 + len(FREE), first.size))
-        if inside.size:
-            parts[:, inside] = _saturated(rows.take(inside), first[inside], last[inside])
+        some = _saturated(rows.take(inside), first[inside], last[inside], part)
+        parts = np.zeros((some.shape[0], first.size))
+        parts[:, inside] = some
         return parts
-    parts = _mixture(rows, first, last)
+    parts = part(rows, first, last)
     has_max = last == rows.maximum_cm
-    some = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
-    if some.size:
-        top = np.full(some.size, float(rows.maximum_cm))
-        moved = _mixture(rows.take(some), top, top) * np.where(has_max[some], -1.0, 1.0)
-        parts[:, some] += rows.saturated_fraction * moved
-        parts[-1, some] = moved[0]
+    moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
+    if moves.size:
+        top = np.full(moves.size, float(rows.maximum_cm))
+        moved = part(rows.take(moves), top, top) * np.where(has_max[moves], -1.0, 1.0)
+        parts[:, moves] += rows.saturated_fraction * moved
+        if len(parts) > len(FREE):
+            parts[-1, moves] = moved[0]
     return parts
+
+
+def _last_added(rows: Rows, first: _Array, last: _Array) -> _Array:
+    """The last component alone."""
+    hits = Hits(rows.centre_cm, rows.sigma_cm, rows.minimum_cm, rows.maximum_cm)
+    with np.errstate(invalid="ignore"):
+        found = np.exp(rows.added[-1].component.log_prob(first, last, hits))
+    # Where it has no share, its parameters may be unknown.
+    return np.nan_to_num(found)[None]
+
+
+def _probability(rows: Rows, first: _Array, last: _Array) -> _Array:
+    """The mixture without derivatives."""
+    return np.exp(rows.log_mixture(first, last))[None]
 
 
 def _mixture(rows: Rows, first: _Array, last: _Array) -> _Array:
