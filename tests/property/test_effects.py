@@ -35,6 +35,7 @@ STRONG: dict[str, dict[str, float]] = {
     "nearest_point": {"share": 1.0},
     "threshold_walk": {"walk_cm_per_10db": 2.0},
     "cycle_slip": {"share": 0.3, "cycles": 20.0},
+    "heavy_tails": {"share": 0.3, "wider": 4.0},
     "warm_up": {"offset_cm": 8.0},
     "bend": {"slope_pct": -5.0},
     "flooring": {"share": 1.0},
