@@ -3,7 +3,7 @@
 Each kind draws and scores one distribution, in whole centimetres clipped to the sensor's limits as hits are.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -74,6 +74,31 @@ def hit_slopes(
     return found
 
 
+def unexpected_slopes(
+    first_cm: _Array, last_cm: _Array, centre_cm: _Array, rate_per_m: Any, minimum_cm: int, maximum_cm: int
+) -> _Array:
+    """Probability of `log_unexpected`, and its derivatives by the centre of the hit and the log of the rate, (3, n)."""
+    rate = rate_per_m / 100.0
+    end = np.fmin(centre_cm, maximum_cm)
+    lower = np.maximum(first_cm - 0.5, minimum_cm)
+    width = np.maximum(np.minimum(last_cm + 0.5, end) - lower, 0.0)
+    length = np.maximum(end - minimum_cm, 1e-9)
+    share, whole = -np.expm1(-rate * width), -np.expm1(-rate * length)
+    before = np.exp(rate * (minimum_cm - lower)) / whole
+    beyond = rate * (1.0 - whole) / whole
+    found = np.empty((3, first_cm.size))
+    p = found[0] = before * share
+    # Where the interval holds the end, a farther end is more of it; and of everything the share becomes less.
+    at_end = rate * before * (1.0 - share)
+    found[1] = np.where((end > lower) & (end < last_cm + 0.5), at_end, 0.0) - p * beyond
+    found[1][~(centre_cm < maximum_cm)] = 0.0
+    found[2] = p * (rate * (minimum_cm - lower) - length * beyond) + at_end * width
+    nothing = end <= minimum_cm
+    found[:, nothing] = 0.0
+    found[0, nothing] = first_cm[nothing] == minimum_cm
+    return found
+
+
 @dataclass(frozen=True)
 class Normal:
     """Normal about a place.
@@ -134,11 +159,10 @@ class FirstBefore:
         return log_unexpected(first_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm, last_cm)
 
     def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        step_cm = 0.03 * hits.sigma_cm
-        further = np.exp(self.log_prob(first_cm, last_cm, replace(hits, centre_cm=hits.centre_cm + step_cm)))
-        nearer = np.exp(self.log_prob(first_cm, last_cm, replace(hits, centre_cm=hits.centre_cm - step_cm)))
-        here = np.exp(self.log_prob(first_cm, last_cm, hits))
-        return np.stack([here, (further - nearer) / (2.0 * step_cm), np.zeros_like(here)])
+        rate = np.maximum(self.rate_per_m, 1e-12)
+        found = unexpected_slopes(first_cm, last_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm)
+        found[2] = 0.0
+        return found
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         rate_per_cm = np.maximum(self.rate_per_m, 1e-12) / 100.0

@@ -115,14 +115,17 @@ def curves_of(contexts: Mapping[str, Any]) -> Asked:
         names = [name for name, knots in coarse.items() if 2 <= len(knots) <= 4]
         asked += [((a, b), (coarse[a], coarse[b])) for a, b in combinations(names, 2)]
     asked = list(dict.fromkeys(asked))
+    single: dict[tuple[str, tuple[Any, ...]], _Array] = {}
     weights = []
     for variables, knots in asked:
-        weight = hats(contexts, variables, knots)
-        unknown = np.zeros(weight.shape[0], dtype=bool)
-        for name in variables:
-            column = np.asarray(contexts[name])
-            unknown |= (column == "") if name in WORD_COLUMNS else ~np.isfinite(column)
-        weight[unknown] = 0.0
+        weight = np.ones((1, 1))
+        for name, its_knots in zip(variables, knots, strict=True):
+            if (name, its_knots) not in single:
+                column = np.asarray(contexts[name])
+                known = (column != "") if name in WORD_COLUMNS else np.isfinite(column)
+                single[name, its_knots] = hats(contexts, [name], [its_knots]) * known[:, None]
+            own = single[name, its_knots]
+            weight = (weight[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
         weights.append(weight)
     return Asked(tuple(asked), tuple(weights))
 

@@ -127,14 +127,12 @@ def refit(
             values[k][p.name] = float(value)
         return tuple(replace(each, values=own) for each, own in zip(effects, values, strict=True))
 
-    def score(at: _Array) -> tuple[Channels, _Array]:
-        return _scores(prepared, at[:nb], placed(at), numbers)
+    def total(at: _Array) -> tuple[float, Channels]:
+        here = channels(prepared.at(at[:nb], placed(at)), prepared.reading_cm)
+        return float(here.log_p.sum()) - 0.5 * float(scale @ at**2), here
 
-    def total(at: _Array) -> float:
-        return float(prepared.log_prob(at[:nb], placed(at)).sum()) - 0.5 * float(scale @ at**2)
-
-    here, scores = score(theta)
-    best = float(here.log_p.sum()) - 0.5 * float(scale @ theta**2)
+    best, here = total(theta)
+    scores = _scores(prepared, theta[:nb], placed(theta), numbers, here)
     damping = 1e-3
     held = np.zeros(theta.size, dtype=bool)
     for _ in range(rounds):
@@ -153,15 +151,15 @@ def refit(
             step = np.zeros(theta.size)
             step[free] = np.linalg.lstsq(own + damping * np.diag(np.diag(own)), gradient[free], rcond=1e-10)[0]
             there = np.clip(theta + step, low, high)
-            value = total(there)
+            value, there_too = total(there)
             if value > best:
-                gained, best, theta, improved = value - best, value, there, True
+                gained, best, theta, here, improved = value - best, value, there, there_too, True
                 damping = max(damping / 10.0, 1e-6)
                 break
             damping = max(damping * 10.0, 1e-2)
         if not improved:
             break
-        here, scores = score(theta)
+        scores = _scores(prepared, theta[:nb], placed(theta), numbers, here)
         if gained < ENOUGH_NATS:
             break
     gradient = scores.sum(axis=0) - scale * theta
@@ -181,12 +179,14 @@ def _off_null(each: Active) -> Active:
 
 
 def _scores(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], numbers: Sequence[tuple[int, Parameter]]
-) -> tuple[Channels, _Array]:
-    rows = prepared.at(base, effects)
-    here = channels(rows, prepared.reading_cm)
+    prepared: Prepared,
+    base: _Array,
+    effects: Sequence[Active],
+    numbers: Sequence[tuple[int, Parameter]],
+    here: Channels,
+) -> _Array:
     columns = [_slope(prepared, base, effects, k, p, here) for k, p in numbers]
-    return here, np.column_stack([here.by, *columns]) if columns else here.by
+    return np.column_stack([here.by, *columns]) if columns else here.by
 
 
 def _slope(

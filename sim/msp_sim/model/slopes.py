@@ -12,10 +12,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.mixture import log_unexpected
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
-from msp_sim.effects.component import Component, Hits, hit_slopes
+from msp_sim.effects.component import Component, Hits, hit_slopes, unexpected_slopes
 from msp_sim.model.rows import Added, Faulty, Rows
 
 _Array = NDArray[np.float64]
@@ -24,8 +23,6 @@ FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds
 """By what is derived; the first five are the channels through which effects act."""
 LEAST = 1e-12
 """A reading that the model cannot give counts as this improbable, and not as ever so improbable."""
-STEP_SIGMAS, STEP_LOG_RATE = 0.03, 0.01
-"""Of numeric derivatives of the short readings, whose end at the hit has no derivative in whole centimetres."""
 
 
 def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
@@ -140,7 +137,8 @@ def _mixture(rows: Rows, first: _Array, last: _Array) -> _Array:
     of_random = (last - first + 1.0) / (highest - lowest + 1.0)
     of_short, by_rate = np.zeros((3, first.size)), np.zeros(first.size)
     if np.any(short > 0.0):
-        of_short, by_rate = _short(rows, first, last)
+        of_short = unexpected_slopes(first, last, hits.centre_cm, rows.rate_per_m, lowest, highest)
+        by_rate, of_short[2] = of_short[2].copy(), 0.0
     odds, added = np.zeros(first.size), np.zeros((3, first.size))
     for each, component, _ in rows.added:
         odds += each
@@ -156,18 +154,3 @@ def _mixture(rows: Rows, first: _Array, last: _Array) -> _Array:
         parts[place] = weight * ((own + added[0]) / norm - parts[0] / total)
     parts[6] = short * by_rate / norm
     return parts
-
-
-def _short(rows: Rows, first: _Array, last: _Array) -> tuple[_Array, _Array]:
-    """Short readings: their probability and its derivatives by centre and spread, (3, n); that by the log rate."""
-
-    def at(centre_cm: _Array, rate_per_m: float) -> _Array:
-        log_p = log_unexpected(first, centre_cm, rate_per_m, rows.minimum_cm, rows.maximum_cm, last)
-        return np.asarray(np.exp(log_p))
-
-    centre_cm, rate = rows.centre_cm, rows.rate_per_m
-    step_cm = STEP_SIGMAS * rows.sigma_cm
-    here = at(centre_cm, rate)
-    by_centre = (at(centre_cm + step_cm, rate) - at(centre_cm - step_cm, rate)) / (2.0 * step_cm)
-    by_rate = (at(centre_cm, rate * (1.0 + STEP_LOG_RATE)) - here) / np.log1p(STEP_LOG_RATE)
-    return np.stack([here, by_centre, np.zeros_like(here)]), by_rate
