@@ -2,19 +2,16 @@
 
 import json
 import signal
-import sys
 from collections.abc import Callable
 from datetime import date as day
-from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, Literal, ParamSpec
+from typing import Annotated, Any, Literal
 
 import typer
 
+from msp_range.mistakes import tell_mistakes
 from msp_range.yaml_file import ConfigError
-
-EXIT_FILE = 3
 
 app = typer.Typer(
     name="msp-range",
@@ -25,32 +22,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Parameters = ParamSpec("Parameters")
-
 MB1242 = Path("configs/sensors/mb1242.yaml")
 """In the repository's folder."""
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
-
-
-def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
-    """Print a user's mistake as a line on standard error and leave with exit code 3; no traceback."""
-
-    @wraps(command)
-    def telling(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
-        # Imported late: --help must not wait for them.
-        from msp_range.bus import BusError
-        from msp_range.recording.error import RecordingError
-        from msp_range.sensors.addressing import AddressError
-
-        try:
-            command(*args, **kwargs)
-        except (ConfigError, RecordingError, AddressError, BusError) as error:
-            print(error, file=sys.stderr)
-            raise typer.Exit(EXIT_FILE) from None
-
-    return telling
 
 
 @app.command()
@@ -74,7 +50,7 @@ def run(
     from msp_range import service
     from msp_range.config import load_airframe
 
-    airframe = with_changes(load_airframe(airframe_file), link=link, bus=bus)
+    airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
     if no_record:
         airframe = airframe.model_copy(update={"recording": None})
         record = None
@@ -83,21 +59,6 @@ def run(
 
 def _leave(signum: int, frame: FrameType | None) -> None:
     raise SystemExit(0)
-
-
-def with_changes(airframe: Any, *, link: str | None = None, bus: str | None = None) -> Any:
-    """The airframe with what the command line says instead."""
-    from msp_range.mavlink.transport import parse_url
-
-    if link is not None:
-        try:
-            parse_url(link)
-        except ValueError as error:
-            raise ConfigError(f"--link: {error}") from None
-        airframe = airframe.model_copy(update={"link": airframe.link.model_copy(update={"url": link})})
-    if bus is not None:
-        airframe = airframe.model_copy(update={"bus": bus_of(bus)})
-    return airframe
 
 
 def bus_of(text: str) -> int | str:
@@ -254,7 +215,7 @@ def replay(
         airframe = load_airframe_from(Recording(file).files, file)
     else:
         raise ConfigError(f"{file}: a table does not say which airframe it is of; name its file with --airframe")
-    airframe = with_changes(airframe, link=link)
+    airframe = airframe.changed(link=link)
     transport = Nowhere() if link is None else open_transport(link, SystemClock())
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)

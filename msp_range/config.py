@@ -175,6 +175,25 @@ class Airframe(Section):
         """Note the texts that this airframe was read from."""
         self._files = files
 
+    def changed(self, *, link: str | None = None, bus: int | str | None = None) -> "Airframe":
+        """The same with what a command line says instead: URL of the link, I2C bus.
+
+        Raises
+        ------
+        ConfigError
+            It is no URL of a link.
+        """
+        changes: dict[str, Any] = {}
+        if link is not None:
+            try:
+                parse_url(link)
+            except ValueError as error:
+                raise ConfigError(f"--link: {error}") from None
+            changes["link"] = self.link.model_copy(update={"url": link})
+        if bus is not None:
+            changes["bus"] = bus
+        return self.model_copy(update=changes) if changes else self
+
     @property
     def files(self) -> dict[str, str]:
         """Text of the airframe file, as ``airframe.yaml``, and of the model files by the names that it gives them."""

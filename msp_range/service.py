@@ -26,7 +26,7 @@ from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
 from msp_range.recording.writer import Recorder
 
-EXIT_OK, EXIT_MISTAKE, EXIT_USAGE, EXIT_FILE = 0, 1, 2, 3
+EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
 
 Log = structlog.typing.FilteringBoundLogger

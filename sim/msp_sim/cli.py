@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from msp_range.cli import tell_mistakes
+from msp_range.mistakes import tell_mistakes
 from msp_range.yaml_file import ConfigError
 from msp_sim.gap.cli import app as gap_app
 

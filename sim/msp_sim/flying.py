@@ -11,7 +11,6 @@ from typing import Any
 
 from rich.live import Live
 
-from msp_range.cli import with_changes
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.config import load_airframe
 from msp_range.mavlink.transport import open_transport, parse_url
@@ -125,7 +124,7 @@ def fly_sitl(
     out: Path | None,
 ) -> None:
     """Fly with an autopilot's own simulator; the parameters are the options of the command."""
-    airframe = with_changes(load_airframe(airframe_file), link=link)
+    airframe = load_airframe(airframe_file).changed(link=link)
     sensor_model = load_sensor_model(model) if model is not None else None
     scenario = load_scenario(ground) if ground is not None else None
     if out is not None:

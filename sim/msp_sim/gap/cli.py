@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from msp_range.cli import tell_mistakes
+from msp_range.mistakes import tell_mistakes
 
 if TYPE_CHECKING:
     from msp_sim.gap.commands import Steps

@@ -1,0 +1,34 @@
+"""What every command does about a user's mistake: a line on standard error, an exit code, no traceback."""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec
+
+import typer
+
+from msp_range.yaml_file import ConfigError
+
+EXIT_FILE = 3
+"""A file, or what it names, cannot be used."""
+
+Parameters = ParamSpec("Parameters")
+
+
+def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
+    """Print a user's mistake as a line on standard error and leave with exit code 3; no traceback."""
+
+    @wraps(command)
+    def telling(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
+        # Imported late: --help must not wait for them.
+        from msp_range.bus import BusError
+        from msp_range.recording.error import RecordingError
+        from msp_range.sensors.addressing import AddressError
+
+        try:
+            command(*args, **kwargs)
+        except (ConfigError, RecordingError, AddressError, BusError) as error:
+            print(error, file=sys.stderr)
+            raise typer.Exit(EXIT_FILE) from None
+
+    return telling
