@@ -18,7 +18,7 @@ from msp_sim.gap.measures import Table
 from msp_sim.gap.model_file import MODEL
 from msp_sim.gap.pictures import draw_curve, draw_path, draw_pit, draw_residuals, draw_slices, subjects
 from msp_sim.gap.tables import measures_table, model_table, parameters_table, shown_slices, slices_table, steps_table
-from msp_sim.gap.words import added_words, headline, listed, name_of
+from msp_sim.gap.words import added_words, capitalised, headline, listed, name_of
 from msp_sim.model.model import Active, Model
 
 
@@ -73,6 +73,7 @@ def write_report(findings: GapFindings, models: Models, table: Table, folder: Pa
         "gap.html",
         findings=findings,
         headline=headline(findings),
+        capitalised=capitalised,
         choosing=listed(findings.choosing),
         confirming=listed(findings.confirming),
         pictures={each.name: each for each in pictures},

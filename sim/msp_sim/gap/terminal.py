@@ -10,7 +10,7 @@ from rich.text import Text
 from msp_range.clock import Clock, SystemClock
 from msp_sim.gap.findings import GapFindings, Measure
 from msp_sim.gap.model_file import MODEL
-from msp_sim.gap.words import plain
+from msp_sim.gap.words import capitalised, plain
 from msp_sim.terminal import Bar, console
 
 COLOURS = {"nothing missing": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
@@ -44,7 +44,7 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
         out.print(_gap_table(findings))
     for each in findings.effects:
         if each.rivals and each.experiment:
-            out.print(f"To tell {each.name} from its rivals: {each.experiment}", markup=False, highlight=False)
+            out.print(capitalised(each.experiment), markup=False, highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"

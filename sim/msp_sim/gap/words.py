@@ -72,12 +72,19 @@ def headline(findings: GapFindings) -> str:
     told = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
         findings.verdict, f"The gap is {findings.verdict}"
     )
-    named = [each.name.replace("_", " ") + (f" of {each.of}" if each.of else "") for each in findings.effects]
+    named = [
+        " or ".join([_called(each.name, each.of), *(_called(rival.name, rival.of) for rival in each.rivals)])
+        for each in findings.effects
+    ]
     named += [
         f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
         for each in findings.unknown
     ]
     return f"{told}: {', '.join(named)}" if named else told
+
+
+def _called(name: str, of: str | None) -> str:
+    return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
 def added_words(findings: GapFindings) -> str:
@@ -103,6 +110,17 @@ def step_name(added: str) -> str:
     if not over:
         return f"+ {added.replace('_', ' ')}"
     return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
+
+
+def capitalised(sentence: str) -> str:
+    """With a capital first, and all else as it is.
+
+    Examples
+    --------
+    >>> capitalised("to tell A from b")
+    'To tell A from b'
+    """
+    return sentence[:1].upper() + sentence[1:]
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:

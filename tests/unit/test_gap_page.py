@@ -1,0 +1,121 @@
+"""The page of a gap says how it was found, and its pictures keep apart what lies close together."""
+
+import html
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from msp_range import __version__
+from msp_range.recording.csv_form import write_csv
+from msp_sim.cli import app
+from msp_sim.gap.cells import Partition, partitions
+from msp_sim.gap.findings import FoundEffect, GapFindings, Rival, Settings, Source, Step, Unknown, Value
+from msp_sim.gap.measures import Table
+from msp_sim.gap.pictures import _apart
+from msp_sim.gap.report import Models, write_report
+from msp_sim.gap.words import headline
+from msp_sim.model.model import load_model
+from tests.support.measured import MODEL, readings
+from tests.unit.test_gap_findings import FULL
+
+FOUND = replace(
+    FULL,
+    effects=(
+        FoundEffect(
+            "range_scale",
+            "indistinguishable",
+            {"scale_pct": Value(0.8, 0.7, 0.9, "%")},
+            0.4,
+            12.0,
+            (Rival("bend", -0.3, 0.97), Rival("thermometer_offset", 1.2, 0.99)),
+            "to tell range_scale from bend: ranges in steps of 20 cm",
+        ),
+    ),
+    unknown=(Unknown("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),),
+    path=(Step("", 0.5, -2.8), Step("calibration", 0.4, -2.7), Step("range_scale", 0.002, -2.3)),
+    choosing=("monday", "tuesday"),
+    confirming=("wednesday", "thursday"),
+    global_p_value=0.0005,
+    sources=(Source("flight.csv", "ab" * 32, 400),),
+    settings=Settings("given.yaml", alpha=0.02, seed=7),
+    model_sha256="cd" * 32,
+    version="9.8.7",
+    could_have_seen="mounting_offset above 0.5 cm; bend above 0.3 %",
+)
+
+
+def page_of(findings: GapFindings, folder: Path) -> str:
+    given = load_model(MODEL)
+    columns = readings(400, 3)
+    contexts = {name: column for name, column in columns.items() if name != "reading_cm"}
+    table = Table(columns["reading_cm"], contexts, np.unique(columns["run"], return_inverse=True)[1])
+    page = write_report(findings, Models(given, given, given), table, folder).read_text(encoding="utf-8")
+    words = html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL))
+    return re.sub(r"\s+", " ", words)
+
+
+def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path) -> None:
+    told = page_of(FOUND, tmp_path)
+    assert "chosen and fitted on: monday, tuesday" in told
+    assert "come from: wednesday, thursday" in told
+    assert "Chance of any false name: 0.02 in all" in told
+    assert "p-value of 0.0005" in told
+    assert "msp-range 9.8.7, seed 7" in told
+    for digest in ("ab" * 32, "cd" * 32):
+        assert digest in told
+
+
+def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: Path) -> None:
+    told = page_of(FOUND, tmp_path)
+    assert "how much too long ranges read 0.8 % 0.7 to 0.9" in told
+    assert "bend (0.3 nats better in all, correlation 0.97)" in told
+    assert "thermometer offset (1.2 nats worse in all, correlation 0.99)" in told
+    assert "To tell range_scale from bend: ranges in steps of 20 cm." in told
+    assert "its numbers fitted again 0.4 -2.7000 +0.1000" in told
+    assert "bend above 0.3 %" in told
+    assert "sigma_cm Standard deviation of a hit" in told
+    names = {each.name for each in tmp_path.glob("*.png")}
+    assert names == {"residuals.png", "path.png", "pit.png", "unknown-1.png"}
+
+
+def test_the_headline_is_short_and_leaves_no_name_out() -> None:
+    assert headline(FOUND) == (
+        "The gap is explained: range scale or bend or thermometer offset, an unknown effect on bias over throttle"
+    )
+    assert headline(GapFindings("nothing missing", 1, 1)) == "Nothing is missing"
+
+
+def test_points_that_would_cover_each_other_are_one() -> None:
+    cell = np.array([0, 0, 0, 1, 2, 2, 3])
+    part = Partition(("x",), ("x 0", "x 100", "x 101", "x unknown"), cell, np.array([0.0, 100.0, 101.0, np.nan]))
+    apart = _apart(part)
+    assert apart.counts.tolist() == [3, 3, 1]
+    assert apart.centres is not None
+    assert apart.centres[:2] == pytest.approx([0.0, 302.0 / 3.0])
+    assert np.isnan(apart.centres[2])
+
+
+def test_ends_of_a_slice_have_the_digits_that_tell_them_apart() -> None:
+    values = np.concatenate([np.linspace(267.50, 267.54, 200), np.linspace(100.0, 120.0, 200)])
+    labels = partitions({"true_range_cm": values}, pairs=False)[1].labels
+    assert all(re.fullmatch(r"true_range_cm [\d.]+ to [\d.]+", each) for each in labels)
+    assert all(len(set(re.findall(r"[\d.]+", each))) == 2 for each in labels)
+
+
+def test_a_model_that_changed_between_steps_is_told(tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(400, 4))
+    model = tmp_path / "given.yaml"
+    model.write_text(MODEL.read_text(encoding="utf-8"), encoding="utf-8")
+    compared = CliRunner().invoke(
+        app, ["compare", str(tmp_path / "flights.csv"), "--model", str(model), "--out", str(tmp_path / "out")]
+    )
+    assert compared.exit_code == 0, compared.output
+    assert f'"version": "{__version__}"' in (tmp_path / "out" / "gap.json").read_text(encoding="utf-8")
+    model.write_text("# Another line.\n" + model.read_text(encoding="utf-8"), encoding="utf-8")
+    named = CliRunner().invoke(app, ["name", str(tmp_path / "out")])
+    assert named.exit_code == 3
+    assert "given.yaml: has changed since 'msp-sim compare'" in named.output
