@@ -137,7 +137,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, table: Table) 
             Picture(
                 "slices",
                 "Slices of context",
-                "Those that differ most from the model as given, the surest first, with 95 % intervals; open circles: "
+                "Those that differ most from the model as given, the surest first, with 95 % intervals; open marks: "
                 "with what was added. In brackets the number of readings.",
                 "Bias and ratios of spread and odds in slices of context, before and after.",
                 png(draw_slices(findings)),

@@ -4,6 +4,7 @@ Findings and models enter, rows of words leave. Nothing is computed or judged he
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -73,9 +74,10 @@ def slices_table(findings: GapFindings) -> Table:
         "slices-table",
         "Slices in numbers",
         ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
-        tuple(_slice_row(each) for each in shown_slices(findings)),
-        "Before, with standard errors, and after an arrow with what was added. Spread and odds as ratios to the "
-        "model. p-values are corrected for the number of slices and measures.",
+        tuple(row for each in shown_slices(findings) for row in _slice_rows(each)),
+        "Against the model as given, with standard errors; below it, what is left with what was added. Spread and odds "
+        "are ratios to the model; few: too few such readings to tell. p-values are corrected for the number of slices "
+        "and measures.",
     )
 
 
@@ -111,7 +113,7 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
             found = judged.get(part + name)
             known = found is not None and found.low is not None and found.high is not None
             interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
-            meaning = (field.description or "").split("\n")[0].rstrip(".")
+            meaning = (field.description or "").split("\n")[0].rstrip(".").replace("`", "")
             rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", interval))
     return Table(
         "model-numbers",
@@ -153,28 +155,29 @@ def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
     return (short(measure.before), short(measure.after), interval, short(measure.floor), short(limit))
 
 
-def _slice_row(each: Slice) -> tuple[str, ...]:
-    bias = _plus_minus(each.bias_cm, each.bias_se_cm)
-    cells = [slice_words(each), _arrow(bias, _signed(each.after.get("bias_cm"), 2))]
+def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
+    """A row before, and one after where there is an after."""
+    cells = [slice_words(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
+    later = ["after", _signed(each.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
-        value, error, later = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)
+        value, error, left = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)
         if value is None or error is None or error > 1.0:
             cells.append("few")
+            later.append("")
             continue
         ratio = float(np.exp(value))
-        cells.append(_arrow(f"{ratio:.2f} ± {ratio * error:.2f}", "" if later is None else f"{np.exp(later):.2f}"))
-    nats_after = each.after.get("nats")
-    cells.append(_arrow(short(max(each.nats or 0.0, 0.0)), "" if nats_after is None else short(max(nats_after, 0.0))))
+        cells.append(f"{ratio:.2f} ± {ratio * error:.2f}")
+        later.append("" if left is None else f"{np.exp(left):.2f}")
+    cells.append(short(max(each.nats or 0.0, 0.0)))
     cells.append("" if each.p_value is None else "≤ 0.001" if each.p_value <= 0.001 else f"{each.p_value:.3f}")
-    return tuple(cells)
+    yield tuple(cells)
+    if each.after:
+        nats = each.after.get("nats")
+        yield (*later, "" if nats is None else short(max(nats, 0.0)), "")
 
 
 def _plus_minus(value: float | None, error: float | None) -> str:
     return "?" if value is None or error is None else f"{value:+z.2f} ± {error:.2f}"
-
-
-def _arrow(text: str, later: str) -> str:
-    return f"{text} → {later}" if later else text
 
 
 def _signed(value: float | None, digits: int) -> str:
