@@ -44,6 +44,7 @@ KEEP = 0.6
 """Share of the gain needed to come in that an effect needs to stay."""
 UNKNOWN_P = 0.02
 """Chance of a curve, of all that are asked for, where nothing is there."""
+TAILS, TAILS_SHARE = "heavy_tails", 0.05
 CURVES_TRIED = 6
 FORM_SHARE = 0.85
 """Of what a free curve gains: a name that gains so much is the effect, though its form may not be exact."""
@@ -287,7 +288,8 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
 def settle(search: Search, chosen: Chosen, say: Say) -> Chosen:
     """Each name against all others in its place, needless ones taken out, and what runs differ by beside them."""
     needed = 0.5 * chosen.first.critical**2
-    fitted, items, of_item = _swaps(search, chosen.fitted, list(chosen.items), needed, say)
+    fitted, items = _beside_tails(search, chosen.fitted, list(chosen.items), needed)
+    fitted, items, of_item = _swaps(search, fitted, items, needed, say)
     fitted, items = _eliminate(search, fitted, items, needed)
     left = search.depends(fitted)
     return replace(
@@ -482,6 +484,26 @@ def _with_curve(search: Search, fitted: Fitted, items: list[Item], form: FreeFor
     item = Item(there.effects[-1], None, float(np.sqrt(2.0 * max(form.gain, 0.0))), form.gain)
     kept = [replace(old, active=each) for old, each in zip(items, there.effects, strict=False)]
     return there, [*kept, item]
+
+
+def _beside_tails(search: Search, fitted: Fitted, items: list[Item], needed: float) -> tuple[Fitted, list[Item]]:
+    """Tails of the noise are taken for a component by the side that has more of them: it has to gain beside them too."""
+    tails = next((entry for entry in search.tested if entry.key == (TAILS, None)), None)
+    for item in [each for each in items if each.entry is not None and each.entry.linear and each.key[0] != TAILS]:
+        if tails is None or any(each.key[0] == TAILS for each in items):
+            break
+        k = next(i for i, each in enumerate(items) if each.key == item.key)
+        both = search.refitted(fitted, tails, TAILS_SHARE)
+        only_tails = search.without(both, k)
+        if search.loss(only_tails, both) - _price(item.entry) >= needed:
+            continue
+        rest = [each for i, each in enumerate(items) if i != k]
+        fitted, items = search.without(fitted, k), rest
+        gained = search.loss(fitted, only_tails)
+        if gained - _price(tails) >= needed:
+            fitted = only_tails
+            items = [*rest, Item(only_tails.effects[-1], tails, float(np.sqrt(2.0 * gained)), gained)]
+    return fitted, [replace(item, active=each) for item, each in zip(items, fitted.effects, strict=True)]
 
 
 def _swaps(
