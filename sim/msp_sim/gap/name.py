@@ -487,7 +487,7 @@ def _with_curve(search: Search, fitted: Fitted, items: list[Item], form: FreeFor
 
 
 def _beside_tails(search: Search, fitted: Fitted, items: list[Item], needed: float) -> tuple[Fitted, list[Item]]:
-    """Tails of the noise are taken for a component by the side that has more of them: it has to gain beside them too."""
+    """Tails of the noise look like a component on the side that has more of them: it has to gain beside them too."""
     tails = next((entry for entry in search.tested if entry.key == (TAILS, None)), None)
     for item in [each for each in items if each.entry is not None and each.entry.linear and each.key[0] != TAILS]:
         if tails is None or any(each.key[0] == TAILS for each in items):
