@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from msp_range.recording.csv_form import CONTEXT_COLUMNS
-from msp_sim.gap.name import Search
+from msp_sim.gap.search import Search
 from msp_sim.gap.units import numbered
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, contexts

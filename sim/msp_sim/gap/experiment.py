@@ -16,7 +16,8 @@ from msp_sim.gap.tangent import CHANNELS
 from msp_sim.model.model import Active, acts
 
 if TYPE_CHECKING:
-    from msp_sim.gap.name import Item, RivalOf, Search
+    from msp_sim.gap.rivals import RivalOf
+    from msp_sim.gap.search import Item, Search
 
 _Array = NDArray[np.float64]
 SEPARABLE = 3.0

@@ -14,10 +14,12 @@ from scipy.stats import t as student
 
 from msp_sim.effects import CATALOGUE
 from msp_sim.gap import adequacy, experiment
-from msp_sim.gap.name import RIDGE, Chosen, Item, RivalOf, Search, name, settle
+from msp_sim.gap.name import Chosen, name, settle
 from msp_sim.gap.prove import Gain, gain
 from msp_sim.gap.refit import ROUNDS, Fitted, extended, hats_of, refit
+from msp_sim.gap.rivals import RivalOf
 from msp_sim.gap.screen import Screen
+from msp_sim.gap.search import RIDGE, Item, Search
 from msp_sim.gap.tangent import BASE, Prepared
 from msp_sim.gap.units import Dependence, Split, numbered, previous
 from msp_sim.model.model import Active, Model
