@@ -16,7 +16,7 @@ AIR_TEMPERATURE = Effect(
     sentence="Sound is slower in cold air, so the sensor reads too far in the cold and too near in the heat.",
     physics="reading = z c(T_C) / c(T), c = 20.05 sqrt(T); T_C the sensor's calibration temperature, T the air's [K]",
     source="report eq 6 and 7; MB1242 datasheet: no compensation of its own",
-    parameters=(Parameter("share", "1", "share of it that nothing compensates; 1 for the bare sensor", -0.5, 1.5),),
+    parameters=(Parameter("share", "1", "share of it that nothing compensates; 1 for the bare sensor", -1.5, 1.5),),
     needs=("true_range_cm", "air_temperature_c"),
     channels=("bias",),
     experiment="the same target at 0 and at 30 deg C: 5 % of the range between them",

@@ -4,15 +4,16 @@ A fit with its items enters, a fit with better ones leaves, and for each its riv
 refit of their own and that these data cannot tell from it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from msp_sim.gap.refit import Fitted
-from msp_sim.gap.screen import Screen
 from msp_sim.gap.search import Item, Search, of_base, price
 from msp_sim.model.model import Active
+
+Key = tuple[str, str | None]
 
 NEAR_NATS = 3.0
 """Rivals: within this of the best."""
@@ -96,17 +97,18 @@ def swap(
             if same and same[0][0] > own:
                 own = same[0][0]
             others = [each for each in scaled if each[1].key != item.key]
-            mine = search.nearest(item)
+            correlated = _correlations([(fitted, k, item), *((there, len(rest), each) for _, each, there in others)])
+            apart = {
+                each.key: float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - correlation**2, 0.0)))
+                for (_, each, _), correlation in zip(others, correlated, strict=True)
+            }
 
-            def apart(other: Item, mine: int = mine, own: float = own, seen: Screen = seen) -> tuple[float, float]:
-                """Correlation with another, and the standard errors that tell it from this one."""
-                correlation = float(seen.correlation[mine, search.nearest(other)])
-                return correlation, float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - correlation**2, 0.0)))
-
-            def ahead(each: tuple[float, Item, Fitted], item: Item = item, own: float = own) -> float:
+            def ahead(
+                each: tuple[float, Item, Fitted], item: Item = item, own: float = own, apart: dict[Key, float] = apart
+            ) -> float:
                 """By how much another does better. A number of the base comes before an effect that is like it."""
                 lead = each[0] - price(each[1].entry) - own + price(item.entry)
-                if apart(each[1])[1] < SEPARABLE:
+                if apart[each[1].key] < SEPARABLE:
                     lead += NEAR_NATS * (of_base(each[1].entry) - of_base(item.entry))
                 return lead
 
@@ -119,14 +121,25 @@ def swap(
                 swapped = True
                 break
             near = []
-            for gained, other, _ in others:
-                if own - gained > NEAR_NATS or other.active.effect.name == item.active.effect.name:
-                    continue
-                correlation, separation = apart(other)
-                if separation < SEPARABLE:
-                    near.append(RivalOf(other.active, float(own - gained), correlation, separation))
+            for (gained, other, _), correlation in zip(others, correlated, strict=True):
+                same_name = other.active.effect.name == item.active.effect.name
+                if own - gained <= NEAR_NATS and apart[other.key] < SEPARABLE and not same_name:
+                    near.append(RivalOf(other.active, float(own - gained), correlation, apart[other.key]))
             rivals[item.key] = () if of_base(item.entry) else tuple(near)
-            items[k] = replace(item, z=float(seen.z[mine]), gain=own)
+            items[k] = replace(item, z=float(seen.z[search.nearest(item)]), gain=own)
         if not swapped:
             break
     return fitted, items, rivals
+
+
+def _correlations(fits: Sequence[tuple[Fitted, int, Item]]) -> list[float]:
+    """Of the first effect's score with each other's, as they were fitted, beside all that else is in the model."""
+    left = []
+    for fit, k, item in fits:
+        assert item.entry is not None
+        others = fit.scores[:, [not name.startswith(f"{k}.") for name in fit.names]]
+        basis = np.linalg.qr(others[:, np.any(others != 0.0, axis=0)])[0]
+        own = fit.scores[:, fit.names.index(f"{k}.{item.entry.parameter.name}")]
+        rest = own - basis @ (basis.T @ own)
+        left.append(rest / max(float(np.linalg.norm(rest)), 1e-12))
+    return [float(left[0] @ each) for each in left[1:]]

@@ -25,9 +25,8 @@ _Array = NDArray[np.float64]
 
 MOST_ROWS = 20_000
 """Rows of a refit while effects are chosen; of more, every k-th."""
-TRIED = 6
 MOST_TRIED = 12
-"""Refits in one go: as many as seem near, and so many at most."""
+"""Refits in one go, at most."""
 SHAPES = 25
 """Values of a shape's number that a refit may begin at."""
 SHAPE_NATS = 0.7
@@ -148,10 +147,11 @@ class Search:
         refits: list[tuple[float, Item, Fitted]] = []
         top = 0.0
         for j in order[:MOST_TRIED]:
-            # What the screen promises is not always there: the best refit so far says what is near.
-            if seen.gain[j] < least or (len(refits) >= TRIED and seen.gain[j] < top - within):
-                break
-            if refits and seen.gain[j] < top - within:
+            # What the screen promises is not always there, and of what is large it promises too little: what is near
+            # is within the nats that are asked for, or within half of the smaller of the best promise and refit.
+            best_so_far = min(top, seen.gain[order[0]])
+            near = best_so_far - max(within, 0.5 * best_so_far)
+            if seen.gain[j] < least or (refits and seen.gain[j] < near):
                 break
             there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]

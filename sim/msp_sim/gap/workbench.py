@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from msp_sim.effects import CATALOGUE
-from msp_sim.gap import adequacy, experiment
+from msp_sim.gap.findings import Calibration, FoundEffect, NotTestable, Unknown, Value
 from msp_sim.gap.name import Chosen, name, settle
 from msp_sim.gap.prove import Gain, gain
-from msp_sim.gap.refit import ROUNDS, Fitted, extended, hats_of, refit
-from msp_sim.gap.rivals import RivalOf
+from msp_sim.gap.quote import calibrated, told
+from msp_sim.gap.refit import ROUNDS, Fitted, extended, refit
 from msp_sim.gap.screen import Screen
 from msp_sim.gap.search import RIDGE, Item, Search
 from msp_sim.gap.tangent import BASE, Prepared
@@ -31,85 +31,7 @@ KEPT_Z = 0.5
 """Standard errors by which an item's gain on the confirming runs has to be above nothing."""
 KEPT_NATS = 2.0
 """And by so much in total."""
-SURE_Z = 4.0
-"""Standard errors by which a base parameter has to move to be told as calibration."""
 MOST_CONFIRM = 60_000
-UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "unexpected_rate_per_m": "1/m"}
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another name that does as well."""
-
-    name: str
-    of: str | None
-    loss_nats: float
-    correlation: float
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect of the catalogue that is missing from the model."""
-
-    name: str
-    of: str | None
-    verdict: Literal["named", "indistinguishable"]
-    parameters: Mapping[str, Estimate]
-    gain_nats: float
-    gain_per_reading: float
-    gain_se: float
-    z: float
-    rivals: tuple[Rival, ...]
-    experiment: str
-    adequate: bool = True
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """Something that no effect of the catalogue explains: a curve."""
-
-    channel: str
-    variables: tuple[str, ...]
-    formula: str
-    gain_nats: float
-    gain_se: float
-    z: float
-    knots: tuple[tuple[Any, ...], ...]
-    values: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Calibrated:
-    """A parameter of the base that is another one."""
-
-    name: str
-    before: float
-    after: float
-    low: float
-    high: float
-    unit: str
-    z: float
-
-
-@dataclass(frozen=True)
-class NotTestable:
-    """An effect that these data cannot show."""
-
-    name: str
-    columns: tuple[str, ...]
-    why: str
 
 
 @dataclass(frozen=True)
@@ -128,9 +50,9 @@ class Explanation:
     model: Model
     model_fit: Model
     model_calibrated: Model
-    effects: tuple[Named, ...]
+    effects: tuple[FoundEffect, ...]
     unknown: tuple[Unknown, ...]
-    calibration: tuple[Calibrated, ...]
+    calibration: tuple[Calibration, ...]
     not_testable: tuple[NotTestable, ...]
     path: tuple[Step, ...]
     unit: Literal["reading", "run"]
@@ -203,14 +125,14 @@ def explain(
     runs = int(np.unique(confirm_unit).size)
     width = float(student.isf(0.025, max(runs - 1, 1))) if by_run else 1.959964
     rivals = dict(zip((item.key for item in chosen.items), chosen.rivals, strict=True))
-    named, unknown, as_base = _told(search, kept, rivals, gains, quoted, covariance * width**2, confirming)
+    named, unknown, as_base = told(search, kept, rivals, gains, quoted, covariance * width**2, confirming)
     null_base = last.base if as_given else search.null.base
     after_base, quoted_effects, last_base, last_effects = quoted.base, quoted.effects, last.base, last.effects
     if chosen.run_offset_cm > 0.0:
         offsets = _run_offsets(search, chosen.run_offset_cm, quoted, confirming, confirm_unit)
         if offsets is not None:
-            told, own = offsets
-            named.append(told)
+            found, own = offsets
+            named.append(found)
             last_base, last_effects = _with_offsets(last, own, confirming)
             after_base, quoted_effects = _with_offsets(quoted, own, confirming)
     whole = gain(confirming.log_prob(last.base, last.effects), confirming.log_prob(null_base, []), confirm_unit)
@@ -220,7 +142,7 @@ def explain(
         extended(model, null_base, []),
         tuple(named),
         tuple(unknown),
-        (*_calibrated(model, search, last, quoted, deviation, width), *as_base),
+        (*calibrated(model, search, last, quoted, deviation, width), *as_base),
         tuple(NotTestable(effect, absent, f"{' and '.join(absent)} not recorded") for effect, absent in search.missing),
         _path(model, search, chosen, kept, last),
         "run" if by_run else "reading",
@@ -235,7 +157,7 @@ def explain(
 
 def _run_offsets(
     search: Search, deviation_cm: float, quoted: Fitted, confirming: Prepared, unit: NDArray[np.intp]
-) -> tuple[Named, Active] | None:
+) -> tuple[FoundEffect, Active] | None:
     """Offsets between runs, if the confirming runs' sums say so too: a run's offset is integrated out."""
     slope = quoted.here.by[:, 0] - quoted.here.by[:, 0].mean()
     sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
@@ -256,17 +178,13 @@ def _run_offsets(
     effect = CATALOGUE["run_offsets"]
     value = float(grid[height.argmax()])
     n = len(confirming)
-    named = Named(
+    named = FoundEffect(
         effect.name,
-        None,
         "named",
-        {"deviation_cm": Estimate(value, float(inside[0]), float(inside[-1]), "cm")},
-        float(gains.sum()),
+        {"deviation_cm": Value(value, float(inside[0]), float(inside[-1]), "cm")},
         float(gains.sum()) / n,
-        se / n,
-        float(np.sqrt(2.0 * max(gains.sum(), 0.0))),
-        (),
-        effect.experiment,
+        float(gains.sum()) / se if se > 0.0 else None,
+        experiment=effect.experiment,
     )
     return named, Active(effect, {"deviation_cm": deviation_cm})
 
@@ -325,116 +243,6 @@ def _prove(
         items = [item for k, item in enumerate(items) if k != worst]
         items = [replace(item, active=each) for item, each in zip(items, fitted.effects, strict=True)]
     return items, gains, dropped
-
-
-def _told(
-    search: Search,
-    items: Sequence[Item],
-    rivals: Mapping[tuple[str, str | None], tuple[RivalOf, ...]],
-    gains: Mapping[tuple[str, str | None], Gain],
-    quoted: Fitted,
-    widened: _Array,
-    confirming: Prepared,
-) -> tuple[list[Named], list[Unknown], list[Calibrated]]:
-    named: list[Named] = []
-    unknown: list[Unknown] = []
-    as_base: list[Calibrated] = []
-    place = len(BASE)
-    half_width = np.sqrt(np.maximum(np.diag(widened), 0.0))
-    for item, active in zip(items, quoted.effects, strict=True):
-        if active.shape is not None:
-            own = slice(place, place + len(active.values))
-            unknown.append(_unknown(active, widened[own, own], gains[item.key], confirming))
-            place = own.stop
-            continue
-        parameters = {}
-        for parameter in active.effect.parameters:
-            value, width = active.values[parameter.name], float(half_width[place])
-            low, high = max(value - width, parameter.low), min(value + width, parameter.high)
-            parameters[parameter.name] = Estimate(value, low, high, parameter.unit)
-            place += 1
-        proof = gains[item.key]
-        base = active.effect.base
-        if base is not None and not rivals.get(item.key):
-            number = next(iter(parameters.values()))
-            as_base.append(Calibrated(base, 0.0, number.value, number.low, number.high, number.unit, item.z))
-            continue
-        near = tuple(
-            Rival(each.active.effect.name, each.active.of, each.loss, each.correlation)
-            for each in rivals.get(item.key, ())
-        )
-        named.append(
-            Named(
-                active.effect.name,
-                active.of,
-                "indistinguishable" if near else "named",
-                parameters,
-                proof.nats,
-                proof.nats_per_reading,
-                proof.se,
-                item.z,
-                near,
-                experiment.to_tell_apart(search, item, rivals[item.key]) if near else active.effect.experiment,
-            )
-        )
-    return named, unknown, as_base
-
-
-def _unknown(active: Active, widened: _Array, proof: Gain, confirming: Prepared) -> Unknown:
-    """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
-    assert active.shape is not None
-    channel, variables, knots = active.shape
-    weights = hats_of(confirming.scene, active.shape).mean(axis=0)
-    about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
-    values = about_mean @ np.array(list(active.values.values()))
-    half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
-    low, high = values - half, values + half
-    text = ""
-    if len(variables) == 1 and not isinstance(knots[0][0], str):
-        text = adequacy.formula(variables[0], np.array(knots[0], dtype=float), values, half / 2.0)
-    elif len(variables) == 1:
-        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
-    return Unknown(
-        channel,
-        variables,
-        text,
-        proof.nats,
-        proof.se,
-        proof.z,
-        knots,
-        tuple(values.tolist()),
-        tuple(low.tolist()),
-        tuple(high.tolist()),
-    )
-
-
-def _calibrated(
-    model: Model, search: Search, last: Fitted, quoted: Fitted, deviation: _Array, width: float
-) -> tuple[Calibrated, ...]:
-    """Base parameters that both halves say are others."""
-    mixture = model.sensor.reading_model
-    shares = mixture.weights
-    covariance = last.covariance(search.some_unit if search.by_run else None)
-    found = []
-    names = ("offset_cm", "sigma_cm", "weights.unexpected", "weights.max", "weights.random", "unexpected_rate_per_m")
-    starts = (0.0, mixture.sigma_cm, shares.unexpected, shares.max, shares.random, mixture.unexpected_rate_per_m)
-    for k, (key, start) in enumerate(zip(names, starts, strict=True)):
-        error = float(np.sqrt(max(covariance[k, k], 0.0) / search.scale))
-        z = float(last.base[k] / error) if error > 0.0 else 0.0
-        if abs(z) < SURE_Z or np.sign(last.base[k]) != np.sign(quoted.base[k]):
-            continue
-        value, half = quoted.base[k], deviation[k] * width
-        turn: Callable[[float], float] = float if k == 0 else _times(start)
-        low, high = turn(float(value - half)), turn(float(value + half))
-        found.append(Calibrated(key, start, turn(float(value)), low, high, UNITS.get(key, "1"), z))
-    return tuple(found)
-
-
-def _times(start: float) -> Callable[[float], float]:
-    def times(log_factor: float) -> float:
-        return max(start, 1e-6) * float(np.exp(min(log_factor, 30.0)))
-
-    return times
 
 
 def _path(model: Model, search: Search, chosen: Chosen, kept: Sequence[Item], last: Fitted) -> tuple[Step, ...]:

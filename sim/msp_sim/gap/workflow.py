@@ -180,26 +180,16 @@ def name(compared: Compared, say: Say) -> tuple[GapFindings, Explanation]:
         max_effects=settings.max_effects,
         progress=lambda what, share: say(what, 0.2 + 0.6 * share),
     )
-    count = max(int(compared.parts.confirm.sum()), 1)
-    effects = tuple(_effect(each) for each in explained.effects)
-    unknown = tuple(_unknown(each, count) for each in explained.unknown)
-    calibration = (
-        *compared.findings.calibration,
-        # What the confirming runs leave open is not said.
-        *(_calibration(each) for each in explained.calibration if not each.low <= each.before <= each.high),
-    )
     could_see = "; ".join(
         f"{effect} above {smallest:.2g} {'' if unit == '1' else unit}".rstrip()
         for effect, _, smallest, unit in explained.detectable
     )
     findings = replace(
         compared.findings,
-        effects=effects,
-        unknown=unknown,
-        calibration=calibration,
-        not_testable=tuple(
-            found.NotTestable(each.name, tuple(each.columns), each.why) for each in explained.not_testable
-        ),
+        effects=explained.effects,
+        unknown=explained.unknown,
+        calibration=(*compared.findings.calibration, *explained.calibration),
+        not_testable=explained.not_testable,
         could_have_seen=could_see,
         global_p_value=explained.global_p_value,
         messages=(
@@ -280,37 +270,3 @@ def _gap(
 
 def _known(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-def _effect(each: Any) -> found.FoundEffect:
-    parameters = {
-        key: found.Value(value.value, value.low, value.high, value.unit) for key, value in each.parameters.items()
-    }
-    rivals = tuple(found.Rival(rival.name, rival.loss_nats, rival.correlation, rival.of) for rival in each.rivals)
-    z = None if not each.gain_se else each.gain_per_reading / each.gain_se
-    return found.FoundEffect(
-        each.name, each.verdict, parameters, each.gain_per_reading, z, rivals, each.experiment, each.of
-    )
-
-
-def _unknown(each: Any, count: int) -> found.Unknown:
-    return found.Unknown(each.channel, tuple(each.variables), each.formula, each.gain_nats / count, _curve(each))
-
-
-def _curve(each: Any) -> tuple[tuple[float, float, float, float], ...]:
-    """Of one variable that is a number: value, effect, ends of its band."""
-    if len(each.variables) != 1:
-        return ()
-    try:
-        knots = [float(knot) for knot in each.knots[0]]
-    except (TypeError, ValueError):
-        return ()
-    values, low, high = (np.ravel(part).tolist() for part in (each.values, each.low, each.high))
-    return tuple(zip(knots, values, low, high, strict=True))
-
-
-def _calibration(each: Any) -> found.Calibration:
-    text = f"{each.name} is {each.after:.4g} {each.unit} ({each.low:.4g} to {each.high:.4g}) and not {each.before:.4g}"
-    return found.Calibration(
-        each.name, text.replace(" 1 (", " ("), each.before, each.after, each.low, each.high, each.unit
-    )
