@@ -141,7 +141,7 @@ def test_slopes_are_the_derivatives_of_log_prob(name: str) -> None:
     def moved(h: float) -> list[tuple[float, Rows]]:
         return [
             (1.0, replace(rows, centre_cm=centre_cm + h * sigma_cm)),
-            (1.0, replace(rows, sigma_cm=sigma_cm * np.exp(h))),
+            (1.0, rows.wider(np.exp(h))),
             (1.0, replace(rows, log_weights=(hit, short + h, missed, random))),
             (1.0, replace(rows, log_weights=(hit, short, missed + h, random))),
             (1.0, replace(rows, log_weights=(hit, short, missed, random + h))),

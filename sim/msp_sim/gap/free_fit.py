@@ -110,9 +110,8 @@ def _moved(rows: Rows, numbers: _Array) -> Rows:
     shift, spread, short, missed, random = numbers.T
     logs = rows.log_weights
     return replace(
-        rows,
+        rows.wider(np.exp(spread)),
         centre_cm=rows.centre_cm + shift * rows.sigma_cm,
-        sigma_cm=rows.sigma_cm * np.exp(spread),
         log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
     )
 

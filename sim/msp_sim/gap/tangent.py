@@ -167,9 +167,8 @@ def shifted(rows: Rows, base: _Array) -> Rows:
     hit, short, missed, random = rows.log_weights
     saturated = rows.saturated_fraction
     return replace(
-        rows,
+        rows.wider(np.exp(base[1])),
         centre_cm=rows.centre_cm + base[0],
-        sigma_cm=rows.sigma_cm * np.exp(base[1]),
         log_weights=(hit, short + base[2], missed + base[3], random + base[4]),
         rate_per_m=rows.rate_per_m * float(np.exp(base[5])),
         saturated_fraction=float(np.clip(saturated + base[6], 0.0, 1.0)),
@@ -227,7 +226,7 @@ def of_entry(entry: Entry, rows: Rows, scene: Scene, reading_cm: _Array, here: C
             template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
             score += here.by[:, i] * template
     if change.run_offset_cm is not None:
-        score += here.by[:, 1] * np.where(known, 0.5 / rows.sigma_cm**2, 0.0)
+        score += here.by[:, 1] * np.where(known, 0.5 / (rows.sigma_cm**2 - rows.between_cm2), 0.0)
     if change.component is not None:
         share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
         share = np.clip(share, 0.0, LARGEST_SHARE)

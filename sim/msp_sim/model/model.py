@@ -196,7 +196,7 @@ def base_rows(model: Model, scene: Scene) -> Rows:
 
 def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
     """Rows with what each of these effects changes."""
-    centre_cm, sigma_cm = rows.centre_cm, rows.sigma_cm
+    centre_cm, log_spread = rows.centre_cm, np.zeros(())
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
     known_offsets = len(offsets)
@@ -209,7 +209,7 @@ def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
         if change.log_spread is not None:
-            sigma_cm = sigma_cm * np.exp(_where(known, change.log_spread))
+            log_spread = log_spread + _where(known, change.log_spread)
         if change.run_offset_cm is not None:
             offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), each.stream))
         odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
@@ -221,6 +221,7 @@ def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
             added.append(Added(share / (1.0 - share), change.component, each.stream))
         if change.fault is not None:
             faults.append(Faulty(_where(known, change.fault_share), change.fault, each.stream))
+    sigma_cm = rows.wider(np.exp(log_spread)).sigma_cm if np.any(log_spread) else rows.sigma_cm
     for deviation_cm, runs, _ in offsets[known_offsets:]:
         sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
     return replace(

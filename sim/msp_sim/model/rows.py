@@ -59,7 +59,7 @@ class Rows:
     Attributes
     ----------
     centre_cm, sigma_cm
-        Of the hits, shape (n,); a centre of NaN is not heard.
+        Of the hits of all runs together, shape (n,); a centre of NaN is not heard.
     log_weights
         log (w_i exp(eta_i)) of hit, unexpected, max, random: numbers or arrays.
     rate_per_m, saturated_fraction, minimum_cm, maximum_cm
@@ -93,6 +93,19 @@ class Rows:
         """log of the probability of all smaller readings, for the probability integral transform."""
         last = np.ceil(reading_cm) - 1.0
         return self._log_after(self.faults, np.full_like(last, -np.inf), last)
+
+    @property
+    def between_cm2(self) -> Any:
+        """The part of the hits' variance that lies between runs [cm^2]."""
+        return sum(np.where(runs != "", deviation_cm**2, 0.0) for deviation_cm, runs, _ in self.run_offsets)
+
+    def wider(self, factor: Any) -> "Rows":
+        """With another spread within runs; what lies between runs stays as it is."""
+        if not self.run_offsets:
+            return replace(self, sigma_cm=self.sigma_cm * factor)
+        between_cm2 = self.between_cm2
+        within_cm2 = np.maximum(self.sigma_cm**2 - between_cm2, 0.0)
+        return replace(self, sigma_cm=np.sqrt(within_cm2 * factor**2 + between_cm2))
 
     def take(self, rows: Any) -> "Rows":
         """Some of the rows."""
@@ -131,13 +144,12 @@ class Rows:
         """Centres that have each run's own offset, and the spread without the offsets' share."""
         if not self.run_offsets:
             return self.centre_cm, self.sigma_cm
-        centre_cm, variance_cm2 = self.centre_cm, self.sigma_cm**2
+        centre_cm = self.centre_cm
         for deviation_cm, runs, stream in self.run_offsets:
             names, index = np.unique(runs, return_inverse=True)
             offset_cm = np.array([streams.normal_of(stream, str(run)) if run else 0.0 for run in names])
             centre_cm = centre_cm + deviation_cm * offset_cm[index]
-            variance_cm2 = variance_cm2 - np.where(runs != "", deviation_cm**2, 0.0)
-        return centre_cm, np.sqrt(variance_cm2)
+        return centre_cm, np.sqrt(np.maximum(self.sigma_cm**2 - self.between_cm2, 0.0))
 
     def _sample_base(self, hits: Hits, streams: Streams) -> _Array:
         n = len(self)

@@ -40,12 +40,14 @@ def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
     log_p : ndarray, shape (n,)
         Not below that of `LEAST`, where the derivatives are 0.
     by : ndarray, shape (n, 7)
-        In the order of `FREE`: by the centre of the hits [1/cm], the logarithm of their spread, the log odds of short,
-        missed and random readings, the logarithm of the rate of the short ones, and the saturated share.
+        In the order of `FREE`: by the centre of the hits [1/cm], the logarithm of their spread within runs, the log
+        odds of short, missed and random readings, the logarithm of the rate of the short ones, and the saturated share.
     """
     parts = _behind(rows, reading_cm, _mixture)
     p = np.maximum(parts[0], LEAST)
     by = np.where(parts[0] > LEAST, parts[1:] / p, 0.0)
+    if rows.run_offsets:
+        by[1] *= 1.0 - rows.between_cm2 / rows.sigma_cm**2
     return np.log(p), np.ascontiguousarray(by.T)
 
 
