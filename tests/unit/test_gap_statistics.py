@@ -197,6 +197,73 @@ def test_offsets_between_runs_are_named() -> None:
     assert "run_offsets" in [each.name for each in found.effects]
 
 
+def test_what_lies_between_runs_is_not_in_the_spread_within_them() -> None:
+    contexts = flown(9)
+    offset_cm = np.random.default_rng(9).permutation(np.linspace(-3.0, 3.0, RUNS))
+    found = explained(contexts, read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS)))
+    assert [each.name for each in found.effects] == ["run_offsets"]
+    assert found.model.sensor.reading_model.sigma_cm == pytest.approx(SENSOR.reading_model.sigma_cm, rel=0.08)
+    deviation = found.effects[0].parameters["deviation_cm"]
+    assert deviation.low < offset_cm.std() < deviation.high
+
+
+def halves(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> units.Split:
+    return units.split(contexts, reading_cm, np.random.default_rng(1))
+
+
+def test_numbers_are_those_of_the_runs_that_confirm() -> None:
+    """On the runs that choose, an effect looks larger than it is; here it is made so."""
+    contexts = flown(4)
+    rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
+    parts = halves(contexts, read(contexts, 4))
+    delay_s = np.where(parts.confirm, 0.012, 0.018)
+    found = explained(contexts, read(contexts, 4, bias_cm=-delay_s * rate))
+    assert [each.name for each in found.effects] == ["latency"]
+    value = found.effects[0].parameters["delay_ms"]
+    hits = 0.96 * parts.confirm.sum()
+    error_ms = 1000.0 * np.hypot(SENSOR.reading_model.sigma_cm, 0.29) / np.sqrt(hits) / rate.std()
+    assert value.value == pytest.approx(12.0, abs=3.5 * error_ms)
+    assert value.high - value.low == pytest.approx(2.0 * 1.96 * error_ms, rel=0.2)
+    quoted, proved = (each.effects[0].values["delay_ms"] for each in (found.model, found.model_fit))
+    assert quoted == pytest.approx(value.value)
+    assert proved == pytest.approx(18.0, abs=3.5 * error_ms)
+    # What could have been seen: 80 % power at the critical value of all entries, on the runs that choose.
+    (smallest_ms,) = (size for name, _, size, _ in found.detectable if name == "latency")
+    assert 3.4 * error_ms < smallest_ms < 5.5 * error_ms
+
+
+def test_what_the_confirming_runs_do_not_have_is_dropped_and_the_rest_is_kept() -> None:
+    contexts = flown(5)
+    rate, throttle = (np.asarray(contexts[name], dtype=float) for name in ("range_rate_cm_s", "throttle"))
+    confirm = halves(contexts, read(contexts, 5)).confirm
+    wider = np.where(confirm, 1.0, 1.0 + 2.0 * throttle)
+    found = explained(contexts, read(contexts, 5, bias_cm=-0.03 * rate, wider=wider))
+    assert [each.name for each in found.effects] == ["latency"]
+    assert [name for name, _ in found.dropped] == ["rotor_noise"]
+    nothing = explained(contexts, read(contexts, 5, wider=wider))
+    assert not nothing.effects
+    assert not nothing.unknown
+    assert abs(nothing.confirm.nats_per_reading) < 1e-3
+
+
+def test_errors_of_dependent_readings_are_those_of_runs() -> None:
+    contexts = flown(8)
+    rng = np.random.default_rng(8)
+    drift, rate = np.zeros(RUNS * ROWS), np.zeros(RUNS * ROWS)
+    for i in range(1, drift.size):
+        drift[i] = (0.9 * drift[i - 1] if i % ROWS else 0.0) + 0.9 * rng.standard_normal()
+        rate[i] = (0.9 * rate[i - 1] if i % ROWS else 0.0) + 25.0 * rng.standard_normal()
+    contexts["range_rate_cm_s"] = rate
+    found = explained(contexts, read(contexts, 8, bias_cm=drift - 0.06 * rate))
+    assert found.unit == "run"
+    latency = next(each for each in found.effects if each.name == "latency")
+    value = latency.parameters["delay_ms"]
+    assert value.low < 60.0 < value.high
+    spread_cm = np.sqrt(SENSOR.reading_model.sigma_cm**2 + drift.var())
+    independent_ms = 1000.0 * spread_cm / np.sqrt(0.96 * 1000) / rate.std()
+    assert value.high - value.low > 1.6 * 2.0 * 1.96 * independent_ms
+
+
 def test_a_refit_finds_the_base_and_stays_within_bounds() -> None:
     contexts = flown(10)
     prepared = Prepared.of(MODEL, contexts, read(contexts, 10, bias_cm=0.7, wider=1.2))

@@ -1,0 +1,166 @@
+"""Joint refits: slopes against finite differences, errors against scatter, and the model file that comes of a fit."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_sim.gap.refit import Fitted, extended, refit, to_sensor
+from msp_sim.gap.tangent import BASE, Prepared
+from msp_sim.model.model import Active, Model, active, active_curve
+from tests.support.measured import MODEL as FILE
+from tests.support.plain_sampler import PlainSensor
+
+Array = NDArray[np.float64]
+Columns = dict[str, NDArray[np.generic]]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+NB = len(BASE)
+
+
+def flown(seed: int, n: int = 2000) -> Columns:
+    rng = np.random.default_rng(seed)
+    return {
+        "true_range_cm": rng.uniform(60.0, 350.0, n),
+        "range_rate_cm_s": 60.0 * rng.standard_normal(n),
+        "throttle": rng.uniform(0.2, 0.9, n),
+        "target": rng.choice(["grass", "asphalt"], n),
+    }
+
+
+def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0, **changes: float) -> Array:
+    """Readings of the base by a sampler that shares no code with it."""
+    mixture = MODEL.sensor.reading_model
+    weights = mixture.weights
+    usual = {
+        "hit": weights.hit,
+        "unexpected": weights.unexpected,
+        "max": weights.max,
+        "random": weights.random,
+        "sigma_cm": mixture.sigma_cm,
+        "unexpected_rate_per_m": mixture.unexpected_rate_per_m,
+        "second_share": mixture.saturated_fraction,
+    }
+    true_cm = np.asarray(contexts["true_range_cm"], dtype=float) + bias_cm
+    return np.array(PlainSensor(**(usual | changes)).readings(true_cm.tolist(), seed))
+
+
+def placed(effects: tuple[Active, ...], values: Array) -> list[Active]:
+    out, at = [], 0
+    for each in effects:
+        names = [parameter.name for parameter in each.effect.parameters]
+        own = dict(zip(names, values[at : at + len(names)].tolist(), strict=True))
+        out.append(Active(each.effect, own, each.of, each.shape))
+        at += len(names)
+    return out
+
+
+EFFECTS = {
+    "latency": active("latency", None, {"delay_ms": 8.0}),
+    "rotor_noise": active("rotor_noise", None, {"growth": 0.8}),
+    "missed_by_target": active("missed_by_target", "grass", {"log_odds": 1.5}),
+    "multipath": active("multipath", None, {"share": 0.1}),
+    "lost_high_byte": active("lost_high_byte", None, {"share": 0.1}),
+    "curve": active_curve("bias", ["throttle"], [[0.2, 0.5, 0.9]], [0.5, -0.5, 1.0]),
+    "spread curve": active_curve("spread", ["target"], [["asphalt", "grass"]], [0.2, 0.4]),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_scores_of_a_fit_are_slopes(name: str) -> None:
+    contexts = flown(1, 600)
+    reading_cm = Model(MODEL.sensor, (EFFECTS[name],)).sample(contexts, np.random.default_rng(3))
+    prepared = Prepared.of(MODEL, contexts, reading_cm)
+    fitted = refit(prepared, [EFFECTS[name]])
+    assert len(fitted.names) == fitted.values.size == NB + len(EFFECTS[name].values)
+    for k in range(fitted.values.size):
+        step = 1e-4
+        ends = []
+        for sign in (1.0, -1.0):
+            values = fitted.values.copy()
+            values[k] += sign * step
+            ends.append(prepared.log_prob(values[:NB], placed(fitted.effects, values[NB:])))
+        slope = (ends[0] - ends[1]) / (2.0 * step)
+        if fitted.held[k] or not np.any(slope):
+            continue
+        usual = np.abs(slope) < 30.0
+        size = np.abs(slope[usual]).max()
+        np.testing.assert_allclose(
+            fitted.scores[usual, k], slope[usual], atol=0.06 * size + 0.01, err_msg=fitted.names[k]
+        )
+
+
+def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> None:
+    contexts = flown(2, 1000)
+    rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
+    found, errors = [], []
+    for seed in range(25):
+        prepared = Prepared.of(MODEL, contexts, read(contexts, seed, bias_cm=-0.008 * rate))
+        fitted = refit(prepared, [EFFECTS["latency"]])
+        found.append(fitted.values[NB])
+        errors.append(float(np.sqrt(fitted.covariance()[NB, NB])))
+        if seed == 0:
+            for less in (-1.0, 1.0):
+                other = prepared.log_prob(fitted.base, [active("latency", None, {"delay_ms": found[0] + less})])
+                assert other.sum() < fitted.here.log_p.sum()
+    assert np.mean(found) == pytest.approx(8.0, abs=4.0 * np.mean(errors) / 5.0)
+    assert np.std(found) == pytest.approx(np.mean(errors), rel=0.45)
+
+
+def test_runs_that_share_an_offset_have_larger_errors() -> None:
+    contexts = flown(3)
+    run = np.repeat(np.arange(20), 100)
+    offset_cm = np.random.default_rng(3).permutation(np.linspace(-3.0, 3.0, 20))
+    prepared = Prepared.of(MODEL, contexts, read(contexts, 3, bias_cm=offset_cm[run]))
+    fitted = refit(prepared, [])
+    alone, by_run = (float(np.sqrt(fitted.covariance(unit)[0, 0])) for unit in (None, run))
+    assert by_run == pytest.approx(offset_cm.std() / np.sqrt(20), rel=0.3)
+    assert alone < 0.4 * by_run
+
+
+def test_a_share_stays_within_its_bounds_and_is_held_there() -> None:
+    contexts = flown(4)
+    prepared = Prepared.of(MODEL, contexts, read(contexts, 4))
+    fitted = refit(prepared, [active("multipath", None, {"share": 0.2})])
+    assert 0.0 <= fitted.values[NB] < 0.01
+    thermometer = Prepared.of(MODEL, contexts, read(contexts, 4, bias_cm=150.0))
+    assert abs(refit(thermometer, []).base[0]) <= 20.0
+
+
+def test_what_readings_do_not_tell_stays_near_the_file() -> None:
+    contexts = flown(5, 60)
+    reading_cm = np.rint(np.asarray(contexts["true_range_cm"], dtype=float))
+    fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
+    # No outlier in 60 readings is no news of a share of 1 or 2 %.
+    assert np.abs(fitted.base[2:5]).max() < 1.5
+    assert np.abs(fitted.base[5:]).max() < 0.5
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_model_of_a_fit_is_what_was_fitted(calibrated: bool) -> None:
+    sensor = MODEL.sensor
+    if calibrated:
+        knots = [{"true_cm": 50.0, "reading_cm": 51.0}, {"true_cm": 300.0, "reading_cm": 303.0}]
+        mixture = sensor.reading_model.model_dump() | {"sigma_growth_cm_per_m": 0.4}
+        sensor = SensorModel.model_validate(sensor.model_dump() | {"calibration": knots, "reading_model": mixture})
+    given = Model.of(sensor)
+    contexts = flown(6)
+    base = np.array([1.5, 0.3, 0.8, -0.7, 1.2, 0.4, 0.1])
+    effects = (EFFECTS["latency"], EFFECTS["curve"], EFFECTS["missed_by_target"])
+    reading_cm = read(contexts, 6)
+    wanted = Prepared.of(given, contexts, reading_cm).log_prob(base, effects)
+    model = extended(given, base, effects)
+    # What grows with range is taken at the range that is read, which the fit leaves where it was.
+    near = 0.03 if calibrated else 1e-6
+    np.testing.assert_allclose(model.log_prob(reading_cm, contexts), wanted, atol=near)
+    read_again = Model.of(SensorModel.model_validate(to_sensor(model).model_dump(mode="json")))
+    np.testing.assert_allclose(read_again.log_prob(reading_cm, contexts), wanted, atol=near)
+
+
+def test_a_fit_from_far_away_ends_where_the_readings_are() -> None:
+    contexts = flown(7)
+    throttle = np.asarray(contexts["throttle"], dtype=float)
+    shape = active_curve("bias", ["throttle"], [[0.2, 0.55, 0.9]], [0.0, 0.0, 0.0])
+    bow_cm = 2.0 * np.maximum(throttle - 0.55, 0.0) / 0.35
+    fitted: Fitted = refit(Prepared.of(MODEL, contexts, read(contexts, 7, bias_cm=bow_cm)), [shape], ridge=0.05)
+    values = fitted.values[NB:] + fitted.base[0]
+    assert values == pytest.approx([0.0, 0.0, 2.0], abs=0.5)
