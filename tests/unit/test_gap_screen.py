@@ -47,7 +47,7 @@ def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) ->
     root = np.linalg.cholesky(information * N / units)
     by_unit = wider * rng.standard_normal((units, information.shape[0])) @ root.T
     k = information.shape[0] - NB
-    return Sums(by_unit, N * information, np.full(k, np.inf), np.full(k, np.nan), N)
+    return Sums(by_unit, information * N, np.full(k, np.inf), np.full(k, np.nan), N)
 
 
 def screened(
@@ -92,7 +92,7 @@ def test_a_number_that_cannot_be_negative_is_not() -> None:
     information = np.eye(NB + 2)
     by_unit = np.zeros((40, NB + 2))
     by_unit[:, NB:] = [-8.0, 8.0]
-    of = Sums(by_unit, N * np.eye(NB + 2), np.full(2, np.inf), np.full(2, np.nan), N)
+    of = Sums(by_unit, information * N, np.full(2, np.inf), np.full(2, np.nan), N)
     seen = screened(of, information, one_sided)
     assert seen.z[0] == 0.0
     assert seen.z[1] == pytest.approx(40 * 8.0 / np.sqrt(N))
@@ -136,8 +136,9 @@ def test_runs_that_scatter_more_than_their_readings_count_less() -> None:
 def test_what_rests_on_a_few_readings_is_worth_what_it_gains() -> None:
     by_unit = np.zeros((40, NB + 4))
     by_unit[:, NB:] = [-8.0, 8.0, -8.0, 8.0]
-    of = Sums(by_unit, N * np.eye(NB + 4), np.array([0.25, 4.0, np.inf, np.inf]), np.full(4, np.nan), N)
-    seen = screened(of, np.eye(NB + 4), TWO_SIDED)
+    information = np.eye(NB + 4)
+    of = Sums(by_unit, information * N, np.array([0.25, 4.0, np.inf, np.inf]), np.full(4, np.nan), N)
+    seen = screened(of, information, TWO_SIDED)
     whole = 40 * 8.0 / np.sqrt(N)
     assert seen.z == pytest.approx([-0.5, 2.0, -whole, whole])
 

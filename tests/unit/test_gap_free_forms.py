@@ -1,0 +1,148 @@
+"""Free forms find what no name explains by channel and variable, and an experiment that is named does what it says."""
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.gap import units
+from msp_sim.gap.adequacy import FreeForm, curves_of, formula, scan
+from msp_sim.gap.refit import refit
+from msp_sim.gap.tangent import Prepared
+from msp_sim.gap.workbench import Named, explain
+from msp_sim.model.model import Model
+from tests.support.measured import MODEL as FILE
+from tests.support.measured import sensor
+
+Array = NDArray[np.float64]
+Columns = dict[str, NDArray[np.generic]]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+SIGMA_CM = MODEL.sensor.reading_model.sigma_cm
+N = 2000
+
+
+def flown(seed: int, n: int = N, runs: int = 20) -> Columns:
+    rng = np.random.default_rng(seed)
+    return {
+        "time_s": 0.1 * np.arange(n),
+        "run": np.array([f"run{k:02d}" for k in np.arange(n) * runs // n]),
+        "true_range_cm": rng.uniform(60.0, 350.0, n),
+        "throttle": rng.uniform(0.2, 0.9, n),
+        "humidity_pct": rng.uniform(20.0, 90.0, n),
+        "target": rng.choice(["grass", "asphalt"], n),
+    }
+
+
+def number(contexts: Columns, name: str) -> Array:
+    return np.asarray(contexts[name], dtype=float)
+
+
+def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0) -> Array:
+    return np.array(sensor().readings((number(contexts, "true_range_cm") + bias_cm).tolist(), seed))
+
+
+def forms(contexts: Columns, reading_cm: Array) -> list[FreeForm]:
+    fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
+    return scan(curves_of(contexts), fitted.scores, fitted.here.shares, None)
+
+
+def hidden(channel: str, contexts: Columns, seed: int) -> Array:
+    """Readings of which something is off above a throttle of 0.6."""
+    rng = np.random.default_rng([seed, 9])
+    true_cm, above = number(contexts, "true_range_cm"), number(contexts, "throttle") > 0.6
+    if channel == "bias":
+        return read(contexts, seed, 0.8 * above)
+    if channel == "spread":
+        return read(contexts, seed, 1.5 * SIGMA_CM * above * rng.standard_normal(N))
+    befallen = above & (rng.random(N) < 0.12)
+    instead = {
+        "short": np.rint(rng.uniform(20.0, np.maximum(true_cm - 20.0, 25.0))),
+        "missed": np.full(N, 765.0),
+        "random": rng.integers(20, 766, N).astype(float),
+    }[channel]
+    return np.where(befallen, instead, read(contexts, seed))
+
+
+@pytest.mark.parametrize("channel", ["bias", "spread", "short", "missed", "random"])
+def test_a_free_form_is_found_in_its_channel_over_its_variable(channel: str) -> None:
+    contexts = flown(1)
+    first = forms(contexts, hidden(channel, contexts, 1))[0]
+    assert (first.channel, first.variables) == (channel, ("throttle",))
+    assert first.log_p < -15.0
+    assert first.gain > 15.0
+
+
+def test_chances_are_even_where_nothing_is_there_and_a_constant_is_the_base_s() -> None:
+    chances = []
+    for seed in range(4):
+        contexts = flown(seed)
+        for form in forms(contexts, read(contexts, seed, bias_cm=0.7)):
+            knots = int(np.prod([len(each) for each in form.knots]))
+            if form.channel == "bias" and form.variables == ("humidity_pct",):
+                # Of as many knots one number is the offset, which is fitted.
+                assert form.degrees == knots - 1
+            chances.append(np.exp(form.log_p))
+    assert 0.02 < np.mean(np.array(chances) < 0.1) < 0.25
+    assert np.mean(chances) == pytest.approx(0.5, abs=0.12)
+
+
+def test_what_is_beyond_all_chance_still_has_an_order() -> None:
+    contexts = flown(3)
+    bias_cm = 8.0 * (number(contexts, "throttle") - 0.5) + 0.02 * (number(contexts, "humidity_pct") - 50.0)
+    found = forms(contexts, read(contexts, 3, bias_cm))
+    assert found[0].variables == ("throttle",)
+    assert found[0].log_p < -50.0
+    other = next(each for each in found if each.variables == ("humidity_pct",))
+    assert found[0].log_p < other.log_p < -3.0
+
+
+@pytest.mark.parametrize(
+    ("curve", "text"),
+    [
+        (lambda x: 1.0 + 3.0 * x, r"1 \+ 3 throttle"),
+        (lambda x: 1.0 - 4.0 * (x - 0.5) ** 2, r".* throttle \- 4 throttle\^2|.*throttle\^2"),
+        (lambda x: np.sin(2.0 * np.pi * x), r".*sin.*cos.*"),
+        (lambda x: 2.0 * (x > 0.5), r".*\[throttle > 0\.5.*\]"),
+    ],
+    ids=["line", "parabola", "wave", "step"],
+)
+def test_a_formula_is_the_shortest_that_goes_through(curve: object, text: str) -> None:
+    at = np.linspace(0.0, 1.0, 12)
+    values: Array = curve(at)  # type: ignore[operator]
+    assert re.fullmatch(text, formula("throttle", at, values, np.full(12, 0.02)))
+
+
+def one_air(seed: int, low_c: float, high_c: float, n: int = N) -> Columns:
+    contexts = flown(seed, n)
+    del contexts["humidity_pct"], contexts["target"]
+    contexts["air_temperature_c"] = low_c + (high_c - low_c) * np.mod(0.5 + 0.6180339887 * np.arange(n), 1.0)
+    return contexts
+
+
+def effect_of(contexts: Columns, seed: int) -> Named:
+    """A clock that is 0.8 % slow."""
+    reading_cm = read(contexts, seed, 0.008 * number(contexts, "true_range_cm"))
+    rng = np.random.default_rng(1)
+    # The reference model is calibrated at 22.5 C, and so are these readings.
+    found = explain(MODEL, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+    (effect,) = found.effects
+    return effect
+
+
+def test_an_experiment_that_is_named_tells_the_two_apart() -> None:
+    together = effect_of(one_air(5, 15.0, 15.0), 5)
+    names = {together.name, *(rival.name for rival in together.rivals)}
+    assert {"range_scale", "air_temperature"} <= names
+    found = re.search(r"air_temperature[^;]*vary air_temperature_c evenly from (\S+) to (\S+) C", together.experiment)
+    assert found is not None, together.experiment
+    low_c, high_c = float(found[1]), float(found[2])
+    # 0.8 % of ranges that scatter by 84 cm are 10.6 standard errors of 1000 readings. Of air about 15 C, 7.5 from that
+    # of the calibration, three are left where its scatter times 221 cm is 0.3 of 7.5 times 84 cm: 0.85 C, which is 3 C
+    # evenly. The steps that are tried are 2.75 C, 5.5 C, 11 C, ...
+    assert high_c - low_c == pytest.approx(5.5, abs=0.1)
+    apart = effect_of(one_air(6, low_c, high_c, 3 * N), 6)
+    names = {apart.name, *(rival.name for rival in apart.rivals)}
+    assert names & {"range_scale", "thermometer_offset"}
+    assert "air_temperature" not in names
