@@ -85,7 +85,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Regime], Path]:
         model = folder / f"{regime}.yaml"
         if not model.exists():
             write(folder / f"{regime}.csv", *fly_base(BASE_SEED, regime))
-            run(range_app, "characterise", folder / f"{regime}.csv", "--sensor", SENSOR, "--out", model)
+            given = ("--sensor", SENSOR, "--set-up-std-cm", "0.02")
+            run(range_app, "characterise", folder / f"{regime}.csv", *given, "--out", model)
         return model
 
     return of
@@ -119,12 +120,18 @@ def late(look: Look) -> Looked:
     return look(flown(1, LATE))
 
 
-@pytest.mark.parametrize("regime", ["iid", "heavy_outliers"])
+@pytest.mark.parametrize("regime", ["iid", "run_offsets", "heavy_outliers"])
 def test_nothing_is_named_where_nothing_is_hidden(look: Look, regime: Regime) -> None:
     looked = look(flown(1, regime=regime))
     assert (looked.found.effects, looked.found.unknown) == ((), ())
     assert looked.found.verdict == "nothing missing"
     assert looked.found.could_have_seen
+
+
+def test_readings_that_depend_on_each_other_have_no_name(look: Look) -> None:
+    looked = look(flown(1, regime="ar1"))
+    assert (looked.found.effects, looked.found.unknown) == ((), ())
+    assert any("the unit is the run" in each for each in looked.found.messages)
 
 
 def test_a_known_effect_has_its_name_and_its_number(late: Looked) -> None:

@@ -85,6 +85,20 @@ def test_what_is_accepted_is_nuisance_to_the_others() -> None:
         assert seen.z[j] == pytest.approx(efficient_z(of, information, j, [*range(NB), NB + 1]), rel=1e-6)
 
 
+def test_what_the_base_does_as_well_cannot_be_seen() -> None:
+    information = informed(4, 1)
+    alike = 0.5 * information[:NB].sum(axis=0)
+    information[NB + 2], information[:, NB + 2] = alike, alike
+    information[NB + 2, NB + 2] = 0.5 * alike[:NB].sum()
+    of = drawn(informed(4, 1), 2)
+    by_unit = of.by_unit.copy()
+    by_unit[:, NB + 2] = 0.5 * by_unit[:, :NB].sum(axis=1) + 1e-7
+    seen = screened(Sums(by_unit, information * N, of.profile, of.best, N), information, TWO_SIDED)
+    assert seen.z[2] == 0.0
+    assert np.isinf(seen.deviation[2])
+    assert np.abs(seen.z[[0, 1, 3]]).min() > 0.0
+
+
 def test_a_number_that_cannot_be_negative_is_not() -> None:
     one_sided = [BY_KEY["multipath", None], BY_KEY["rotor_noise", None]]
     assert all(entry.one_sided for entry in one_sided)
@@ -131,6 +145,23 @@ def test_runs_that_scatter_more_than_their_readings_count_less() -> None:
     alone, by_run = screened(of, information, TWO_SIDED), screened(of, information, TWO_SIDED, True)
     assert by_run.inflation == pytest.approx(np.full(4, 9.0), rel=0.3)
     assert by_run.z == pytest.approx(alone.z / 3.0, rel=0.2)
+
+
+def test_runs_of_readings_that_scatter_more_do_not_count_less_for_it() -> None:
+    information = informed(4, 1)
+    of = drawn(information, 2, 200, 3.0)
+    as_they_are = Sums(of.by_unit, 9.0 * of.products, of.profile, of.best, N)
+    assert screened(as_they_are, information, TWO_SIDED, True).inflation == pytest.approx(np.ones(4), abs=0.25)
+
+
+def test_an_effect_whose_column_is_absent_or_empty_is_not_testable() -> None:
+    contexts = flown(1) | {"humidity_pct": np.full(N, np.nan)}
+    tested, missing = entries(MODEL, contexts)
+    columns = dict(missing)
+    assert columns["humidity"] == ("humidity_pct",)
+    assert columns["stale"] == ("previous_reading_cm",)
+    assert not {"humidity", "stale"} & {entry.key[0] for entry in tested}
+    assert not {"latency", "multipath", "missed_by_target"} & columns.keys()
 
 
 def test_what_rests_on_a_few_readings_is_worth_what_it_gains() -> None:
