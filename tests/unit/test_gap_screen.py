@@ -155,7 +155,7 @@ def test_runs_of_readings_that_scatter_more_do_not_count_less_for_it() -> None:
 
 
 def test_an_effect_whose_column_is_absent_or_empty_is_not_testable() -> None:
-    contexts = flown(1) | {"humidity_pct": np.full(N, np.nan)}
+    contexts = flown(1) | {"humidity_pct": np.full(N, np.nan), "air_temperature_c": np.full(N, 20.0)}
     tested, missing = entries(MODEL, contexts)
     columns = dict(missing)
     assert columns["humidity"] == ("humidity_pct",)
