@@ -90,12 +90,12 @@ def test_chances_are_even_where_nothing_is_there_and_a_constant_is_the_base_s() 
 
 def test_what_is_beyond_all_chance_still_has_an_order() -> None:
     contexts = flown(3)
-    bias_cm = 8.0 * (number(contexts, "throttle") - 0.5) + 0.02 * (number(contexts, "humidity_pct") - 50.0)
+    bias_cm = 50.0 * (number(contexts, "throttle") - 0.5) + 0.1 * (number(contexts, "humidity_pct") - 50.0)
     found = forms(contexts, read(contexts, 3, bias_cm))
     assert found[0].variables == ("throttle",)
-    assert found[0].log_p < -50.0
+    assert found[0].log_p < -650.0
     other = next(each for each in found if each.variables == ("humidity_pct",))
-    assert found[0].log_p < other.log_p < -3.0
+    assert found[0].log_p < other.log_p < -1.0
 
 
 @pytest.mark.parametrize(
@@ -112,6 +112,22 @@ def test_a_formula_is_the_shortest_that_goes_through(curve: object, text: str) -
     at = np.linspace(0.0, 1.0, 12)
     values: Array = curve(at)  # type: ignore[operator]
     assert re.fullmatch(text, formula("throttle", at, values, np.full(12, 0.02)))
+
+
+def test_chance_makes_a_formula_no_longer() -> None:
+    at, rng = np.linspace(0.0, 1.0, 12), np.random.default_rng(4)
+    lines = [formula("throttle", at, 3.0 * at + 0.1 * rng.standard_normal(12), np.full(12, 0.1)) for _ in range(40)]
+    assert np.mean([re.fullmatch(r"\S+ [+-] \S+ throttle", each) is not None for each in lines]) > 0.5
+
+
+def test_a_reading_whose_context_is_not_known_has_no_place_on_the_curve() -> None:
+    contexts = flown(2)
+    contexts["throttle"] = np.where(np.arange(N) % 3 == 0, np.nan, number(contexts, "throttle"))
+    asked = curves_of(contexts)
+    for (variables, _), weights in zip(asked.curves, asked.weights, strict=True):
+        total = weights.sum(axis=1)
+        assert total[1::3] == pytest.approx(1.0)
+        assert total[::3] == pytest.approx(0.0 if "throttle" in variables else 1.0)
 
 
 def one_air(seed: int, low_c: float, high_c: float, n: int = N) -> Columns:
