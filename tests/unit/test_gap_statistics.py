@@ -85,7 +85,13 @@ def test_dependence_is_seen_and_is_not_seen_where_there_is_none() -> None:
         slow[i] = 0.9 * slow[i - 1] + plain[i]
     assert not units.dependence(plain, unit).dependent
     assert units.dependence(slow, unit).dependent
-    assert units.dependence(plain + 0.5 * rng.standard_normal(20)[unit], unit).between_run_share > 0.1
+    between = units.dependence(plain + 0.5 * rng.standard_normal(20)[unit], unit)
+    assert between.dependent
+    assert between.between_run_share > 0.1
+    # Runs that have the same mean, and readings in them that follow one another.
+    within = units.dependence(slow - (np.bincount(unit, slow) / 100.0)[unit], unit)
+    assert within.p_between > 0.5
+    assert within.dependent
 
 
 def test_previous_reading_is_of_the_same_run() -> None:
@@ -244,6 +250,20 @@ def test_what_the_confirming_runs_do_not_have_is_dropped_and_the_rest_is_kept() 
     assert not nothing.effects
     assert not nothing.unknown
     assert abs(nothing.confirm.nats_per_reading) < 1e-3
+
+
+def test_what_the_halves_disagree_about_is_no_calibration() -> None:
+    contexts = flown(12)
+    reading_cm = read(contexts, 12)
+    confirm = halves(contexts, reading_cm).confirm
+    true_cm = np.round(np.asarray(contexts["true_range_cm"], dtype=float))
+    lost = np.random.default_rng([12, 9]).random(RUNS * ROWS) < 0.08
+    more = np.where(lost, SENSOR.maximum_cm, reading_cm)
+    fewer = np.where((reading_cm == SENSOR.maximum_cm) | (reading_cm == 255.0), true_cm, reading_cm)
+    in_both = explained(contexts, more)
+    in_one = explained(contexts, np.where(confirm, fewer, more))
+    assert "weights.max" in [each.name for each in in_both.calibration]
+    assert "weights.max" not in [each.name for each in in_one.calibration]
 
 
 def test_errors_of_dependent_readings_are_those_of_runs() -> None:
