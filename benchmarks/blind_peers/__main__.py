@@ -1,7 +1,8 @@
 """Peers on blind tables: ``python -m benchmarks.blind_peers N SEED`` draws N tables of each kind and asks every peer.
 
-Tables lie in a folder as `tests.blind` lays them out, so that ``--out`` also takes one that ``make blind`` has drawn.
-What is there already is not made again. Needs the extra ``bench``.
+Tables lie in a folder as `tests.blind` lays them out, and are those of its plan with this seed: given ``--out`` with a
+folder in which that was drawn, the first N of each kind are taken from it. What is there already is not made again.
+Needs the extra ``bench``.
 """
 
 import argparse
@@ -11,7 +12,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,24 +27,11 @@ from tests.blind.flight import REGIMES
 from tests.blind.run import Campaign
 from tests.blind.run import run as run_gap
 from tests.blind.score import accepted_names, interval, judge
-from tests.blind.tables import ROWS, RUNS, TOGETHER, Case, draw_cases
+from tests.blind.tables import draw_plan
 
-RMS_BIAS_SIGMA = 0.1
-HIT_SHARE = 0.95
-BIAS_ERRORS = round(RMS_BIAS_SIGMA * (HIT_SHARE * RUNS * ROWS / 2) ** 0.5, 2)
-"""What that bias is in standard errors on the half of the rows that choose."""
 ALPHA = 0.05
-FOUND = f"bias of {RMS_BIAS_SIGMA:g} sigma rms: found"
 OURS = "gap workflow"
-
-
-def cases(count: int, seed: int) -> list[Case]:
-    """Nulls in each regime, single effects of 6 and of 10 standard errors, and weak biases."""
-    drawn = [case for regime in REGIMES for case in draw_cases(seed, count, "null", regime)]
-    drawn += [case for errors in (6.0, 10.0) for case in draw_cases(seed, count, "one", "iid", errors)]
-    biases = [*TOGETHER["bias"], *TOGETHER["bias too"]]
-    drawn += [Case(0, seed, "one", "iid", ((biases[k % len(biases)], BIAS_ERRORS),)) for k in range(count)]
-    return [replace(case, number=number) for number, case in enumerate(drawn)]
+KINDS = ("null", "one:6", "one:10", "three:10")
 
 
 def ask(
@@ -85,13 +72,15 @@ Counts = dict[tuple[str, str], list[bool]]
 
 
 def score(out: Path) -> tuple[Counts, dict[str, list[float]]]:
-    """What every method said, against the answers; and seconds a table."""
+    """What every method said of the tables that peers were asked about, against the answers; and seconds a table."""
     names = accepted_names()
     counts: Counts = defaultdict(list)
     seconds: dict[str, list[float]] = defaultdict(list)
     for path in sorted((out / "answers").glob("*.json")):
         answer = json.loads(path.read_text(encoding="utf-8"))
         table = out / "tables" / path.stem
+        if not (table / "peers.json").exists():
+            continue
         for method, said in json.loads((table / "peers.json").read_text(encoding="utf-8")).items():
             seconds[method].append(said["seconds"])
             gap = {"effects": [{"name": name, "verdict": "named"} for name in said.get("names", ())]}
@@ -116,9 +105,6 @@ def _count(
         counts[method, answer["regime"]].append(alarm)
     elif answer["kind"] in ("one", "three"):
         wanted = max(each["wanted"] for each in answer["hidden"])
-        if wanted == BIAS_ERRORS:
-            counts[method, FOUND].append(alarm)
-            return
         counts[method, f"{answer['kind']}, {wanted:g} s.e.: found"].append(alarm)
         if gap is not None:
             counts[method, f"{answer['kind']}, {wanted:g} s.e.: exact set"].append(judge(answer, gap, names).exact)
@@ -129,7 +115,7 @@ def show(counts: Counts, seconds: Mapping[str, list[float]]) -> str:
     methods = [each for each in (OURS, *NAMERS, *DETECTORS) if each in seconds]
     columns = {column for _, column in counts}
     nulls = [regime for regime in REGIMES if regime in columns]
-    rest = sorted(columns - set(nulls) - {FOUND}) + [FOUND] * (FOUND in columns)
+    rest = sorted(columns - set(nulls))
     parts = []
     for heading, shown in (("Nothing hidden: said that something is", nulls), ("Something hidden", rest)):
         if not shown:
@@ -161,10 +147,11 @@ def main() -> None:
     given = parser.parse_args()
     out = given.out or Path("build") / f"blind-peers-{given.seed}-{given.count}"
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    if not (given.out and (out / "answers").exists()):
-        run_gap(Campaign(out, given.seed), cases(given.count, given.seed), given.at_once)
+    campaign = Campaign(out, given.seed)
+    cases = draw_plan(given.seed, [f"{kind}={given.count}" for kind in KINDS])
+    run_gap(campaign, cases, given.at_once)
     with ProcessPoolExecutor(given.at_once) as pool:
-        list(pool.map(partial(ask, given.seed), sorted((out / "tables").iterdir())))
+        list(pool.map(partial(ask, given.seed), [campaign.table(case) for case in cases]))
     print(show(*score(out)))
 
 
