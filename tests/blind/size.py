@@ -141,7 +141,9 @@ def measure(
     if name == "remounted":
         run = np.unique(np.asarray(before.columns["run"]))
         a_run = shape[1] / run.size
-        runs = size**2 * a_run * both.mean() / sigma2 * np.sqrt(0.5 * counted * run.size)
+        ratio = size**2 * a_run * both.mean() / sigma2
+        # Of the variance of the runs' means, by what the likelihood gains: its standard error grows with it.
+        runs = np.sqrt(counted * run.size * (ratio - np.log1p(ratio)))
         bias2 = 0.0
     return Size(*(float(np.sqrt(max(counted * each, 0.0))) for each in (bias2, spread2, classes2)), float(runs))
 

@@ -121,6 +121,16 @@ def test_size_of_a_spread_is_in_standard_errors() -> None:
     assert size.spread == pytest.approx(by_hand, rel=0.12)
 
 
+def test_size_of_offsets_between_runs_is_what_the_likelihood_gains() -> None:
+    """Means of 20 runs of 95 hits each, whose variance is 1 + 95 (0.3 / 0.78)^2 times what it is without."""
+    columns = contexts(np.random.default_rng(1), 40, 100)
+    rng = np.random.default_rng(2)
+    spread = np.sqrt(1.0 + 95.0 * (0.3 / 0.78) ** 2)
+    means = spread * rng.standard_normal((4000, 20))
+    gained = (0.5 * means**2 - 0.5 * means**2 / spread**2 - np.log(spread)).sum(axis=1).mean()
+    assert measure(columns, habits("iid"), "remounted", 0.3, 1).total == pytest.approx(np.sqrt(2.0 * gained), rel=0.06)
+
+
 @pytest.mark.parametrize("name", ["steep", "transmitter"])
 def test_flights_without_are_flown_again_only_where_the_contexts_change(name: str) -> None:
     columns = contexts(np.random.default_rng(1), 10, 100)
