@@ -119,3 +119,25 @@ def test_a_model_that_changed_between_steps_is_told(tmp_path: Path) -> None:
     named = CliRunner().invoke(app, ["name", str(tmp_path / "out")])
     assert named.exit_code == 3
     assert "given.yaml: has changed since 'msp-sim compare'" in named.output
+
+
+def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(400, 4))
+    taken = tmp_path / "taken"
+    taken.write_text("", encoding="utf-8")
+    told = CliRunner().invoke(
+        app, ["gap", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(taken), "--until", "compare"]
+    )
+    assert told.exit_code == 3
+    assert "this folder cannot be made" in told.output
+
+
+def test_what_an_earlier_comparison_left_does_not_stay(tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(400, 4))
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("report.html", "model.yaml", "unknown-2.png", "notes.txt"):
+        (out / name).write_text("old", encoding="utf-8")
+    told = CliRunner().invoke(app, ["compare", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(out)])
+    assert told.exit_code == 0, told.output
+    assert {each.name for each in out.iterdir()} == {"gap.json", "notes.txt"}

@@ -6,7 +6,7 @@ Options enter, lines on the terminal and files leave. `gap` and `compare` begin 
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
@@ -34,8 +34,8 @@ ColumnMaps = Annotated[
         "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
     ),
 ]
-
-Until = Annotated[Literal["name", "add", "show"], typer.Option(help="the last step; pictures come with 'show'")]
+Last: TypeAlias = Literal["compare", "name", "add", "show"]
+Until = Annotated[Last, typer.Option(help="the last step; pictures come with 'show'")]
 
 GAP = """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes.
 
@@ -48,41 +48,27 @@ ADD = "Step 3 of gap: add what is missing to the model, and measure what it gain
 SHOW = "Step 4 of gap: pictures of the gap before and after, and the page that holds them."
 
 
-@app.command(help=GAP)
-@tell_mistakes
-def gap(
-    measured: Measured,
-    model: Reference,
-    out: Out,
-    alpha: Alpha = 0.05,
-    max_effects: MaxEffects = 6,
-    seed: Seed = 1,
-    run_column: RunColumn = None,
-    column_map: ColumnMaps = None,
-    until: Until = "show",
-) -> None:
-    from msp_sim.gap.findings import Settings
+def _begins(last: Last) -> Callable[..., None]:
+    """A command that takes readings and a model, and goes on to this step."""
 
-    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-    _told(out, lambda steps: steps.all(measured, settings, until))
+    @tell_mistakes
+    def command(
+        measured: Measured,
+        model: Reference,
+        out: Out,
+        alpha: Alpha = 0.05,
+        max_effects: MaxEffects = 6,
+        seed: Seed = 1,
+        run_column: RunColumn = None,
+        column_map: ColumnMaps = None,
+        until: Until = last,
+    ) -> None:
+        from msp_sim.gap.findings import Settings
 
+        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
+        _told(out, lambda steps: steps.all(measured, settings, until))
 
-@app.command(help=COMPARE)
-@tell_mistakes
-def compare(
-    measured: Measured,
-    model: Reference,
-    out: Out,
-    alpha: Alpha = 0.05,
-    max_effects: MaxEffects = 6,
-    seed: Seed = 1,
-    run_column: RunColumn = None,
-    column_map: ColumnMaps = None,
-) -> None:
-    from msp_sim.gap.findings import Settings
-
-    settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-    _told(out, lambda steps: steps.compare(measured, settings))
+    return command
 
 
 def _goes_on(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
@@ -105,6 +91,8 @@ def _told(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
     print_findings(findings, out)
 
 
+app.command("gap", help=GAP)(_begins("show"))
+app.command("compare", help=COMPARE)(_begins("compare"))
 app.command("name", help=NAME)(_goes_on(lambda steps: steps.name()))
 app.command("add", help=ADD)(_goes_on(lambda steps: steps.add()))
 app.command("show", help=SHOW)(_goes_on(lambda steps: steps.show()))

@@ -23,6 +23,9 @@ from msp_sim.gap.workflow import Compared, Say
 from msp_sim.model.model import Model, load_model
 from msp_sim.terminal import make_folder
 
+DRAWN = ("report.html", "residuals.png", "path.png", "pit.png", "slices.png", "unknown-*.png")
+"""The page and its pictures."""
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -42,11 +45,26 @@ class Steps:
     clock: Clock
     say: Say
 
-    def compare(self, paths: Sequence[Path], settings: Settings) -> GapFindings:
-        """Read the data, hold them against the model, and write where they disagree."""
+    def all(
+        self,
+        paths: Sequence[Path],
+        settings: Settings,
+        until: Literal["compare", "name", "add", "show"] = "show",
+    ) -> GapFindings:
+        """Read the data, compare, name, add and show, or only so far."""
         started_s = self.clock.now()
         self._clear()
-        return self._written(self._compared(paths, settings).findings, started_s)
+        compared = self._compared(paths, settings)
+        findings = self._written(compared.findings, started_s)
+        if until == "compare":
+            return findings
+        if until == "name":
+            findings, _ = workflow.name(compared, self.say)
+            return self._written(findings, started_s)
+        findings = self._finish(compared, started_s)
+        if until == "show":
+            self._draw(findings, compared.before, compared.table)
+        return findings
 
     def name(self) -> GapFindings:
         """Name what is missing, and write it with its rivals."""
@@ -58,22 +76,6 @@ class Steps:
         """Add what was named, prove it, and write the extended model."""
         started_s = self.clock.now()
         return self._finish(self._again(), started_s)
-
-    def all(
-        self, paths: Sequence[Path], settings: Settings, until: Literal["name", "add", "show"] = "show"
-    ) -> GapFindings:
-        """Compare, name, add and show, or only so far."""
-        started_s = self.clock.now()
-        self._clear()
-        compared = self._compared(paths, settings)
-        write_findings(compared.findings, self.folder)
-        if until == "name":
-            findings, _ = workflow.name(compared, self.say)
-            return self._written(findings, started_s)
-        findings = self._finish(compared, started_s)
-        if until == "show":
-            self._draw(findings, compared.before, compared.table)
-        return findings
 
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
@@ -110,9 +112,11 @@ class Steps:
         return findings
 
     def _clear(self) -> None:
-        """Take away what an earlier comparison left, so that nothing of it is taken for this one's."""
-        for name in (NUMBERS, MODEL, PROVED):
-            (self.folder / name).unlink(missing_ok=True)
+        """Make the folder; what an earlier comparison left there would be taken for this one's, and goes."""
+        make_folder(self.folder)
+        for name in (NUMBERS, MODEL, PROVED, *DRAWN):
+            for path in self.folder.glob(name):
+                path.unlink()
 
     def _again(self) -> Compared:
         """The comparison of a folder's ``gap.json``, made again from its data."""
@@ -138,7 +142,6 @@ class Steps:
         return compared_with, table
 
     def _compared(self, paths: Sequence[Path], settings: Settings) -> Compared:
-        make_folder(self.folder)
         model = load_model(settings.model)
         self.say("reading", 0.0)
         column_map = load_map(settings.map) if settings.map else None

@@ -61,9 +61,10 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
             markup=False,
             highlight=False,
         )
+    runs = f"{findings.runs} run{'s' if findings.runs != 1 else ''}"
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
     out.print(
-        f"{findings.rows:,} readings, {findings.runs} runs, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
+        f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
         markup=False,
         highlight=False,
         soft_wrap=True,
