@@ -112,10 +112,6 @@ class Fusion:
         self._strange_m: float | None = None
         self._doubtful = False
 
-    def includes(self, sensor: str) -> bool:
-        """True where this sensor's readings belong to the fused stream."""
-        return sensor in self._sensors
-
     @property
     def ground(self) -> Ground | None:
         """Height, climb and slope with their covariance at the time of the newest reading."""

@@ -123,11 +123,6 @@ class FitResult:
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[int, ...] = field(repr=False, compare=False)
 
-    @property
-    def bic(self) -> float:
-        """Bayesian information criterion: smaller is better."""
-        return len(self._moving) * math.log(self.readings) - 2.0 * self.log_likelihood
-
     def log_prob(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> _Array:
         """Natural logarithm of each reading's probability, (n,); -inf for what the sensor cannot report."""
         with np.errstate(divide="ignore"):
