@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_sim.gap.cells import Stack
+from msp_sim.gap.chance import unit_variance
 from msp_sim.model.rows import Rows
 from msp_sim.model.slopes import slopes
 
@@ -131,7 +132,9 @@ def apart(sums: _Array) -> tuple[_Array, _Array]:
     return sums[:, :size], outer
 
 
-def one_step(total: _Array, information: _Array, stack: Stack, sigma_cm: _Array) -> FreeFit:
+def one_step(
+    total: _Array, information: _Array, stack: Stack, sigma_cm: _Array, by_unit: _Array | None = None
+) -> FreeFit:
     """The free fit by one step of Fisher's scoring from the model: right where the gap is small, and quick.
 
     Parameters
@@ -142,14 +145,26 @@ def one_step(total: _Array, information: _Array, stack: Stack, sigma_cm: _Array)
         Of each cell (K, 5, 5), from twins: of outliers that are few the readings say little.
     stack, sigma_cm
         Cells, and the standard deviation of each reading's hit [cm], (n,).
+    by_unit
+        Variance of the sums over units, (K, 5, 5); None: readings are independent.
     """
-    inverse = np.linalg.inv(information + PRIOR)
+    inverse = np.asarray(np.linalg.inv(information + PRIOR), dtype=np.float64)
     step = np.einsum("kij,kj->ki", inverse, total)
-    speaks = np.einsum("kij,kji->k", inverse, information)
-    errors = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+    variance, speaks = _of_units(inverse, information, by_unit)
     scale = _scale(stack, sigma_cm)
     gain = 0.5 * np.einsum("ki,ki->k", step, total)
-    return FreeFit(stack.counts, step * scale, errors * scale, gain, 0.5 * speaks)
+    return FreeFit(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
+
+
+def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> tuple[_Array, _Array]:
+    """Variances of the five numbers (K, 5), and of how many numbers the data speak (K,)."""
+    variance = np.diagonal(inverse, axis1=1, axis2=2)
+    speaks = np.einsum("kij,kji->k", inverse, information)
+    if by_unit is None:
+        return variance, speaks
+    # At least what independent readings would have.
+    variance = np.maximum(np.diagonal(inverse @ by_unit @ inverse, axis1=1, axis2=2), variance)
+    return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), speaks)
 
 
 def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> FreeFit:
@@ -190,16 +205,13 @@ def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stac
             break
     _, scores = scores_of(cells.rows, cells.reading_cm, np.repeat(numbers, stack.counts, axis=0))
     prior = 0.5 * np.einsum("ki,ij,kj->k", numbers, PRIOR, numbers)
-    spread = _unit_variance(scores, unit, stack)
-    inverse = np.linalg.inv(best.information)
-    by_unit = inverse @ spread @ inverse
-    # Of one or two units nothing can be known of what they share, so at least what independent readings would have.
-    variance = np.maximum(np.diagonal(by_unit, axis1=1, axis2=2), np.diagonal(inverse, axis1=1, axis2=2))
-    # Where readings are independent, this is the number of parameters of which the data speak.
-    independent = np.trace(inverse @ (best.information - PRIOR), axis1=1, axis2=2)
-    trace = np.maximum(np.trace(inverse @ spread, axis1=1, axis2=2), independent)
+    inverse = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
+    _, given = scores_of(rows, reading_cm)
+    by_unit = unit_variance(scores, unit, stack, given)
+    variance, speaks = _of_units(inverse, best.information - PRIOR, by_unit)
     scale = _scale(stack, rows.sigma_cm)
-    return FreeFit(stack.counts, numbers * scale, np.sqrt(variance) * scale, best.posterior + prior - base, 0.5 * trace)
+    gain = best.posterior + prior - base
+    return FreeFit(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
 
 
 @dataclass(frozen=True)
@@ -283,18 +295,3 @@ def _scale(stack: Stack, sigma_cm: _Array) -> _Array:
     scale = np.ones((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
     return scale
-
-
-def _unit_variance(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> _Array:
-    """Sum over units of the outer products of a cell's score sums, (K, 5, 5); the scores are cell by cell."""
-    units = int(unit.max(initial=0)) + 1
-    key = np.repeat(np.arange(len(stack)), stack.counts) * units + unit[stack.readings]
-    present, place = np.unique(key, return_inverse=True)
-    sums = np.stack([np.bincount(place, column, present.size) for column in scores.T], axis=1)
-    groups = np.bincount(present // units, minlength=len(stack))
-    found = np.zeros((len(stack), len(CHANNELS), len(CHANNELS)))
-    there = groups > 0
-    outer = sums[:, :, None] * sums[:, None, :]
-    found[there] = np.add.reduceat(outer, (np.cumsum(groups) - groups)[there])
-    correction = np.where(groups > 1, groups / np.maximum(groups - 1, 1), 0.0)
-    return np.asarray(found * correction[:, None, None])

@@ -4,7 +4,7 @@ A model, readings with their contexts and partitions enter. How far the five num
 nothing, less what chance adds, is the gap; what simulated twins show of it is its floor.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_sim.gap.cells import Partition, Stack
+from msp_sim.gap.chance import drawn_sums, unit_sums, unit_variance
 from msp_sim.gap.free_fit import FreeFit, apart, free_fit, one_step, products, scores_of
+from msp_sim.gap.units import dependence
 from msp_sim.model.model import Model
 from msp_sim.model.rows import Rows
 from msp_sim.model.slopes import LEAST
@@ -95,6 +97,8 @@ class Measures:
         return {name: getattr(self, name) for name in names}
 
 
+BY_UNIT = 2
+"""Draws of the units' chance, for each twin."""
 ITERATED = 3
 """Partitions in which the free fit goes all its way, beside the whole: those that differ most in one step."""
 
@@ -108,7 +112,8 @@ class Twins:
     information
         Of each cell's five numbers (K, 5, 5), the partitions' cells one after another.
     floor
-        What 95 of 100 twins are below, by measure.
+        What 95 of 100 twins are below, by measure; where readings depend on each other, at least what the score sums
+        of whole units show by chance.
     """
 
     information: _Array
@@ -134,19 +139,38 @@ def twins(
         Of the twins that are below the floor.
     """
     rows, stack = model.rows(table.contexts), Stack.of(parts)
-    totals, information = [], np.zeros(1)
+    totals, variances, information = [], [], np.zeros(1)
     for _ in range(count):
         _, scores = scores_of(rows, rows.sample(Streams(rng)))
         total, outer = apart(stack.sums(products(scores)))
         totals.append(total)
         information = information + outer / count
+        # What the model itself lets runs share, its twins show.
+        shared = unit_variance(scores[stack.readings], table.unit, stack, scores) if rows.run_offsets else None
+        variances.append(shared)
+
+    def fits(totals: Iterable[_Array], variances: Iterable[_Array | None]) -> list[FreeFit]:
+        pairs = zip(totals, variances, strict=True)
+        return [one_step(total, information, stack, rows.sigma_cm, by_unit) for total, by_unit in pairs]
+
+    floor = _floor(fits(totals, variances), stack, share)
+    _, scores = scores_of(rows, table.reading_cm)
+    if dependence(scores[:, 0], table.unit, table.contexts.get("time_s")).dependent:
+        _, about_mean, there = unit_sums(scores[stack.readings], table.unit, stack)
+        drawn = _floor(fits(*drawn_sums(about_mean, there, BY_UNIT * count, rng)), stack, share)
+        floor = {name: float(np.fmax(value, floor[name])) for name, value in drawn.items()}
+    return Twins(information, floor)
+
+
+def _floor(fits: Sequence[FreeFit], stack: Stack, share: float) -> dict[str, float]:
+    """What this share of the fits are below, by measure."""
     shown: dict[str, list[float]] = {}
-    for total in totals:
-        fits = _by_variables(one_step(total, information, stack, rows.sigma_cm), stack)
-        kept = {key: fits[key] for key in _kept(fits)}
+    for fit in fits:
+        by_variables = _by_variables(fit, stack)
+        kept = {key: by_variables[key] for key in _kept(by_variables)}
         for name, number in _measures(kept, 0.0).numbers().items():
             shown.setdefault(name, []).append(number.value)
-    return Twins(information, {name: _quantile(values, share) for name, values in shown.items()})
+    return {name: _quantile(values, share) for name, values in shown.items()}
 
 
 def _quantile(values: Sequence[float], share: float) -> float:

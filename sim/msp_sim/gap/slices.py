@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_sim.gap.cells import Partition, Stack
+from msp_sim.gap.chance import FEWEST_UNITS, unit_sums
 from msp_sim.gap.findings import Slice
 from msp_sim.gap.free_fit import CHANNELS, FreeFit, one_step, scores_of
 from msp_sim.gap.measures import Table, Twins, free_fits
@@ -24,14 +25,10 @@ from msp_sim.model.rows import Rows
 _Array = NDArray[np.float64]
 
 DRAWS = 999
-MOST_UNITS = 256
-"""Units of the bootstrap: more are put together, which loses nothing that matters."""
 SHOWN = 40
 PAIRS_SHOWN = 2
 """Pairs of variables of which slices are shown: more say the same again."""
 Fits: TypeAlias = Mapping[tuple[str, ...], FreeFit]
-FEWEST_UNITS = 4
-"""In a slice; with fewer, nothing is known of what units share, and it is not judged."""
 
 
 def ranked(
@@ -59,7 +56,7 @@ def ranked(
     rows, stack = model.rows(table.contexts), Stack.of(parts)
     _, scores = scores_of(rows, table.reading_cm)
     step = one_step(stack.sums(scores), twins.information, stack, rows.sigma_cm)
-    z, shares = _contributions(scores, _pooled(table.unit), stack, step, rows.sigma_cm)
+    z, shares = _contributions(scores, table.unit, stack, step, rows.sigma_cm)
     p_value = _step_down(np.abs(z).ravel(), shares.reshape(z.size, -1), rng).reshape(z.shape)
     channel = np.abs(z).argmax(axis=1)
     largest = np.abs(z).max(axis=1)
@@ -110,22 +107,15 @@ def _contributions(
     scores: _Array, unit: NDArray[np.intp], stack: Stack, fit: FreeFit, sigma_cm: _Array
 ) -> tuple[_Array, _Array]:
     """Of each slice and number the statistic (K, 5), and the units' shares in it (K, 5, U)."""
-    cells, units = len(stack), int(unit.max()) + 1
-    key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
-    sums = [np.bincount(key, column[stack.readings], cells * units) for column in scores.T]
-    per_cell = np.stack(sums, axis=1).reshape(cells, units, len(CHANNELS))
-    size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
-    size /= np.maximum(size.sum(axis=1, keepdims=True), 1.0)
-    # About their mean: a gap must not look like scatter.
-    about_mean = per_cell - size[:, :, None] * per_cell.sum(axis=1)[:, None, :]
+    per_cell, about_mean, there = unit_sums(scores[stack.readings], unit, stack)
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
     deviation = np.sqrt((about_mean**2).sum(axis=1))
-    scale = np.zeros((cells, len(CHANNELS)))
+    scale = np.zeros((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
     expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
     # Of a class of which nothing came the units show no spread, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
-    few = (size > 0.0).sum(axis=1) < FEWEST_UNITS
+    few = there < FEWEST_UNITS
     deviation[few] = np.inf
     statistic = per_cell.sum(axis=1) / deviation
     return statistic, np.moveaxis(about_mean / deviation[:, None, :], 1, 2)
@@ -153,13 +143,6 @@ def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _
     p_value = np.empty(statistic.size)
     p_value[order] = np.maximum.accumulate((above + 1.0) / (DRAWS + 1.0))
     return p_value
-
-
-def _pooled(unit: NDArray[np.intp]) -> NDArray[np.intp]:
-    """At most so many units, each of neighbours."""
-    _, index = np.unique(unit, return_inverse=True)
-    count = int(index.max()) + 1
-    return index if count <= MOST_UNITS else (index * MOST_UNITS // count).astype(np.intp)
 
 
 def _numbers(fit: FreeFit, k: int) -> dict[str, float | None]:
