@@ -169,6 +169,8 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
     RecordingError
         In a line, with what to do.
     """
+    if not len(data):
+        raise RecordingError(f"{name}: no readings, only a header")
     if "true_range_cm" not in data or np.isnan(data["true_range_cm"]).all():
         raise RecordingError(
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "

@@ -141,6 +141,21 @@ def test_a_code_that_the_model_does_not_declare_is_set_aside(tmp_path: Path) -> 
     assert not (found.data["reading_cm"] == 511.0).any()
 
 
+def test_what_stands_in_the_beam_is_no_undeclared_code(tmp_path: Path) -> None:
+    columns = readings(2000)
+    strut_cm = np.rint(np.random.default_rng(3).normal(33.0, 0.4, 200))
+    columns["reading_cm"][::10] = strut_cm
+    found = taken(tmp_path, columns)
+    assert found.calibration == ()
+    assert len(found.data) == 2000
+
+
+def test_a_table_without_rows_has_no_readings(tmp_path: Path) -> None:
+    empty = {name: column[:0] for name, column in readings(10).items()}
+    with pytest.raises(RecordingError, match="no readings"):
+        taken(tmp_path, empty)
+
+
 def test_declared_codes_and_far_offsets_are_no_undeclared_codes(tmp_path: Path) -> None:
     columns = readings(1000, max=0.2, hit=0.78)
     assert taken(tmp_path, columns).calibration == ()

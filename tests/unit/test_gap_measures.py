@@ -110,3 +110,26 @@ def test_errors_are_those_of_units_that_share_an_offset() -> None:
     # 40 offsets of 3 cm: 0.47 cm, where independent readings would make it 0.05.
     assert whole["run"] == pytest.approx(0.47, rel=0.4)
     assert whole["reading"] < 0.15
+
+
+def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs() -> None:
+    for seed in range(4):
+        columns = readings(4000, seed=20 + seed, runs=20)
+        rng = np.random.default_rng(seed)
+        drift = np.zeros((20, 200))
+        drift[:, 0] = rng.standard_normal(20)
+        for k in range(1, 200):
+            drift[:, k] = 0.9 * drift[:, k - 1] + np.sqrt(1.0 - 0.81) * rng.standard_normal(20)
+        heard = np.abs(columns["reading_cm"] - columns["true_range_cm"]) < 12.0
+        # Whole centimetres of the drift, with the whole spread as the model has it.
+        shifted = np.rint(columns["true_range_cm"] + 1.9445 * drift.ravel())
+        columns["reading_cm"] = np.where(heard, np.clip(shifted, 20, 764), columns["reading_cm"])
+        unit = np.arange(4000) * 20 // 4000
+        contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
+        contexts["run"] = unit.astype(str)
+        table = Table(columns["reading_cm"], contexts, unit.astype(np.intp))
+        parts = partitions(contexts)
+        drawn = twins(MODEL_GIVEN, table, parts, 10, np.random.default_rng(7))
+        found = measure(MODEL_GIVEN, table, parts, drawn)
+        assert found.bias_cm.value < 1.3 * drawn.floor["bias_cm"]
+        assert found.nats.value < 1.3 * drawn.floor["nats"] + 0.002

@@ -33,6 +33,8 @@ POINT_MASS_SHARE = 0.001
 """Of all readings; a rarer value is no code."""
 POINT_MASS_TIMES = 8.0
 """How many times as frequent as the values beside it a point mass is, among readings that are no hits."""
+NARROW_TIMES = 30.0
+"""And than the more frequent of the two next to it: what stands in the beam is narrow, and no point."""
 FAR_SIGMAS = 6.0
 RELATIVE = 1e-9
 """Of a number: what differs by less does not differ."""
@@ -257,8 +259,10 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
         if value in declared or count < max(5.0, POINT_MASS_SHARE * reading_cm.size):
             continue
         beside = counts[(np.abs(values - value) <= 3.0) & (values != value)].sum() / 6.0
+        next_to = counts[np.abs(values - value) == 1.0].max(initial=0)
         here = data["true_range_cm"][reading_cm == value]
-        if count > POINT_MASS_TIMES * (beside + 1.0) and np.ptp(here) > 0.2 * max(np.ptp(data["true_range_cm"]), 1.0):
+        alone = count > max(POINT_MASS_TIMES * (beside + 1.0), NARROW_TIMES * next_to)
+        if alone and np.ptp(here) > 0.2 * max(np.ptp(data["true_range_cm"]), 1.0):
             codes.append(value)
     if not codes:
         return data, []
