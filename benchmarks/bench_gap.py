@@ -1,4 +1,4 @@
-"""The gap workflow on many readings: the whole of `msp-sim gap`, its screen alone, and how both grow.
+"""The gap workflow on many readings: the whole of `msp-sim gap`, its screen alone, and how its cost grows.
 
 Contexts are those of the flights of the blind tables (`tests/blind`) and every further column that an effect can ask
 for, so that the complete catalogue is tested; no two readings are alike. Two effects are hidden, to be named and
@@ -37,22 +37,22 @@ def run() -> list[dict[str, Any]]:
     """Measure the workflow, its screen, and the growth of its processor time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        wall_s, cpu_s, _ = workflow(folder, READINGS)
+        _, cpu_s, _ = workflow(folder, READINGS)
         _, fewer_cpu_s, _ = workflow(folder, FEWER)
     seconds = screen_s(READINGS)
     growth = cpu_s / fewer_cpu_s
     return [
         {
             "key": "gap_1e5",
-            "value": round(wall_s, 1),
-            "unit": "s for 100,000 readings, complete catalogue: msp-sim gap with its report",
+            "value": round(cpu_s, 1),
+            "unit": "s of the processor for 100,000 readings, complete catalogue: msp-sim gap with its report",
             "goal": "under 20",
-            "met": wall_s < 20.0,
+            "met": cpu_s < 20.0,
         },
         {
             "key": "gap_screen_1e5",
             "value": round(seconds, 2),
-            "unit": "s for 100,000 readings: every effect's score, and the null by runs",
+            "unit": "s of the processor for 100,000 readings: every effect's score, and the null by runs",
             "goal": "under 2",
             "met": seconds < 2.0,
         },
@@ -98,7 +98,7 @@ def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started_s = time.perf_counter()
     command = [MSP_SIM, "gap", path, "--model", SENSOR, "--out", folder / f"{rows}"]
-    subprocess.run([str(each) for each in command], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([str(each) for each in command], check=True, capture_output=True)
     wall_s = time.perf_counter() - started_s
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     path.unlink()
@@ -107,14 +107,14 @@ def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
 
 
 def screen_s(rows: int) -> float:
-    """Seconds of one screen of so many readings at the fitted base."""
+    """Seconds of the processor for one screen of so many readings at the fitted base."""
     columns = measured(rows, 1)
     reading_cm = np.asarray(columns.pop("reading_cm"), dtype=float)
     unit = numbered(np.asarray(columns["run"]))
     search = Search(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1), 0.05)
-    started_s = time.perf_counter()
+    started_s = time.process_time()
     search.screen(search.null, [])
-    return time.perf_counter() - started_s
+    return time.process_time() - started_s
 
 
 def _write(path: Path, rows: int) -> None:
