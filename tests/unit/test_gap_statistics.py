@@ -213,6 +213,19 @@ def test_what_lies_between_runs_is_not_in_the_spread_within_them() -> None:
     assert deviation.low < offset_cm.std() < deviation.high
 
 
+def test_offsets_that_the_spread_of_the_model_holds_already_are_not_named() -> None:
+    """A base that was fitted to readings of many runs takes what they differ by for spread."""
+    contexts = flown(9)
+    offset_cm = np.random.default_rng(9).permutation(np.linspace(-2.0, 2.0, RUNS))
+    reading_cm = read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS))
+    mixture = SENSOR.reading_model
+    wider = mixture.model_copy(update={"sigma_cm": float(np.hypot(mixture.sigma_cm, offset_cm.std()))})
+    rng = np.random.default_rng(1)
+    model = Model.of(SENSOR.model_copy(update={"reading_model": wider}))
+    found = explain(model, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+    assert not found.effects
+
+
 def halves(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> units.Split:
     return units.split(contexts, reading_cm, np.random.default_rng(1))
 
