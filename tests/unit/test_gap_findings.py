@@ -125,6 +125,14 @@ def test_verdicts(effects: tuple[FoundEffect, ...], gap_left: Gap, expected: str
     assert verdict(found, GIVEN) == expected
 
 
+def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
+    """A gap that was within the bound before is no excuse for one that is not any more."""
+    worse = Gap(Measure(0.002, 0.3, 0.003, 0.2, 0.4), Measure(0.05, 0.9, 0.06, 0.5, 1.1), ONE, Odds(ONE, ONE, ONE, ONE))
+    found = replace(FULL, verdict=None, unknown=(), gap=worse)
+    assert verdict(found, GIVEN) == "unexplained"
+    assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"
+
+
 def test_the_sentence_begins_with_the_verdict_and_names_rivals() -> None:
     told = sentence(FULL)
     assert told.startswith("The gap is explained: range_scale, scale_pct 0.8 % (0.7 to 0.9) (or thermometer_offset")

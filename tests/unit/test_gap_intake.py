@@ -156,6 +156,18 @@ def test_a_table_without_rows_has_no_readings(tmp_path: Path) -> None:
         taken(tmp_path, empty)
 
 
+def test_a_fault_at_one_range_is_no_code(tmp_path: Path) -> None:
+    """300 cm without its high byte is 44 again and again, but at that range alone: a name will say so."""
+    rng = np.random.default_rng(3)
+    columns = readings(1200)
+    columns["true_range_cm"] = rng.choice([100.0, 200.0, 300.0], 1200)
+    fault = (columns["true_range_cm"] == 300.0) & (rng.random(1200) < 0.2)
+    columns["reading_cm"] = np.where(fault, 44.0, columns["true_range_cm"])
+    found = taken(tmp_path, columns)
+    assert [each.name for each in found.calibration if each.name == "code"] == []
+    assert (found.data["reading_cm"] == 44.0).sum() == fault.sum()
+
+
 def test_declared_codes_and_far_offsets_are_no_undeclared_codes(tmp_path: Path) -> None:
     columns = readings(1000, max=0.2, hit=0.78)
     assert taken(tmp_path, columns).calibration == ()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from msp_sim.gap.cells import partitions
+from msp_sim.gap.free_fit import FreeFit
 from msp_sim.gap.measures import Measures, Table, measure, twins, usable
 from msp_sim.gap.slices import ranked
 from msp_sim.model.model import load_model
@@ -133,3 +134,27 @@ def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs()
         found = measure(MODEL_GIVEN, table, parts, drawn)
         assert found.bias_cm.value < 1.3 * drawn.floor["bias_cm"]
         assert found.nats.value < 1.3 * drawn.floor["nats"] + 0.002
+
+
+def test_what_chance_adds_to_a_mean_square_is_taken_off() -> None:
+    rng = np.random.default_rng(6)
+    cells, error = 4000, 0.3
+
+    def square(bias_cm: float) -> float:
+        values = np.tile([bias_cm, 0.0, 0.0, 0.0, 0.0], (cells, 1)) + error * rng.standard_normal((cells, 5))
+        errors = np.full((cells, 5), error)
+        fit = FreeFit(np.full(cells, 50, dtype=np.intp), values, errors, np.zeros(cells), np.zeros(cells))
+        found, of_it = fit.mean_square("bias")
+        assert abs(found - bias_cm**2) < 4.0 * of_it
+        return found
+
+    assert abs(square(0.0)) < 0.02
+    assert square(0.5) == pytest.approx(0.25, abs=0.03)
+
+
+def test_of_three_runs_no_slice_is_sure() -> None:
+    rng = np.random.default_rng(7)
+    table = table_of(readings(900, seed=7, bias=lambda c: np.where(c["throttle"] > 0.5, 1.0, 0.0)), units=3)
+    parts = partitions(table.contexts, pairs=False)
+    slices = ranked(MODEL_GIVEN, table, parts, twins(MODEL_GIVEN, table, parts, 3, rng), {}, rng)
+    assert min(each.p_value or 1.0 for each in slices) > 0.05
