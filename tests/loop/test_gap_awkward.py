@@ -42,7 +42,7 @@ def told(findings: GapFindings, text: str) -> bool:
         (lambda c: c | {"reading_cm": c["reading_cm"] / 100.0}, "Is reading_cm in metres?"),
         (lambda c: c | {"true_range_cm": c["true_range_cm"] * 10.0}, "true_range_cm in millimetres?"),
         (lambda c: {name: each[:10] for name, each in c.items()}, "found 10 readings with a true range"),
-        (lambda c: {name: each[:0] for name, each in c.items()}, "true_range_cm"),
+        (lambda c: {name: each[:0] for name, each in c.items()}, "no readings"),
         (lambda c: c | {"true_range_cm": np.full(400, np.nan)}, "no true_range_cm"),
         (lambda c: {name: each for name, each in c.items() if name != "true_range_cm"}, "true_range_cm"),
         (lambda c: c | {"reading_cm": np.full(400, np.nan)}, "found 0 readings with a true range"),
