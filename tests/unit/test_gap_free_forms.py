@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.gap import units
 from msp_sim.gap.adequacy import FreeForm, curves_of, formula, scan
+from msp_sim.gap.findings import FoundEffect
 from msp_sim.gap.refit import refit
 from msp_sim.gap.tangent import Prepared
-from msp_sim.gap.workbench import Named, explain
+from msp_sim.gap.workbench import explain
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
@@ -137,7 +138,7 @@ def one_air(seed: int, low_c: float, high_c: float, n: int = N) -> Columns:
     return contexts
 
 
-def effect_of(contexts: Columns, seed: int) -> Named:
+def effect_of(contexts: Columns, seed: int) -> FoundEffect:
     """A clock that is 0.8 % slow."""
     reading_cm = read(contexts, seed, 0.008 * number(contexts, "true_range_cm"))
     rng = np.random.default_rng(1)
