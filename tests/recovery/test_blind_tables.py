@@ -144,6 +144,9 @@ def test_a_known_effect_has_its_name_and_its_number(late: Looked) -> None:
     assert 5.0 < delay_ms.low < 6.6 < delay_ms.high < 8.2
     assert late.effect.z is not None
     assert late.effect.z > 3.0
+    # What flies is what is quoted: the confirming runs' number.
+    (flies,) = (each for each in load_model(late.folder / "model.yaml").effects if each.effect.name == "latency")
+    assert flies.values["delay_ms"] == pytest.approx(delay_ms.value, rel=1e-4)
 
 
 @pytest.mark.parametrize(
