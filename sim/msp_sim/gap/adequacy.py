@@ -126,7 +126,9 @@ def curves_of(contexts: Mapping[str, Any]) -> Asked:
                 single[name, its_knots] = hats(contexts, [name], [its_knots]) * known[:, None]
             own = single[name, its_knots]
             weight = (weight[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
-        weights.append(weight)
+        # About their mean where the column is known: that it is known is no dependence on it.
+        known = weight.sum(axis=1) > 0.0
+        weights.append(np.where(known[:, None], weight - weight[known].mean(axis=0), 0.0))
     return Asked(tuple(asked), tuple(weights))
 
 
