@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 from scipy.special import gammaincc, gammaln
 
 from msp_sim.effects.base import WORD_COLUMNS
 from msp_sim.effects.curve import CurveChannel, hats
-from msp_sim.gap.refit import sums_by
 from msp_sim.gap.tangent import CHANNELS
 
 _Array = NDArray[np.float64]
@@ -157,6 +157,9 @@ def scan(
     own = nuisance[:, np.sqrt(np.mean(nuisance**2, axis=0)) > 1e-9]
     own = own / np.sqrt((own**2).sum(axis=0))
     inner = np.linalg.pinv(own.T @ own, rcond=1e-8, hermitian=True)
+    sums = own.sum(axis=0)
+    units = None if unit is None else _ones(unit)
+    own_of_units = None if units is None else units @ own
     found = []
     for channel in channels_asked:
         slope = nuisance[:, CHANNELS.index(channel)]
@@ -167,48 +170,59 @@ def scan(
         if channel in RARE:
             share = shares[:, RARE.index(channel)]
             expected = share * (1.0 - share) * told / float((share * (1.0 - share)).sum())
+        # What is rare varies as the fit says where it never came, and as it came where it came more often.
+        variance = 0.5 * (slope**2 + expected)
+        sloped = np.column_stack([slope, own * slope[:, None]])
+        of_units = None if units is None else units.multiply(slope[None, :]).tocsr()
         for (variables, knots), weight in zip(asked.curves, asked.weights, strict=True):
             if weight.shape[1] > MOST_KNOTS[channel] or told < LEAST_EVENTS * weight.shape[1]:
                 continue
-            scores = slope[:, None] * weight
-            # What is rare varies as the fit says where it never came, and as it came where it came more often.
-            squares = 0.5 * (scores.T @ scores + (weight * expected[:, None]).T @ weight)
-            found.append(_judged(channel, variables, knots, scores, squares, own, inner, unit))
+            total, *cross = sloped.T @ weight
+            carried = inner @ np.array(cross)
+            squares = (weight * variance[:, None]).T @ weight
+            by_unit = None if of_units is None else of_units @ weight - own_of_units @ carried
+            statistic, degrees = _judged(
+                total - carried.T @ sums, squares, squares - np.array(cross).T @ carried, by_unit
+            )
+            chance = log_chance(statistic, degrees) if degrees else 0.0
+            found.append(FreeForm(channel, variables, knots, 0.5 * statistic, degrees, chance))
     return sorted(found, key=lambda each: each.log_p + (PAIR_COST if len(each.variables) > 1 else 0.0))
 
 
-def _judged(
-    channel: CurveChannel,
-    variables: tuple[str, ...],
-    knots: tuple[tuple[Any, ...], ...],
-    scores: _Array,
-    squares: _Array,
-    own: _Array,
-    inner: _Array,
-    unit: NDArray[np.intp] | None,
-) -> FreeForm:
-    cross = own.T @ scores
-    efficient = squares - cross.T @ inner @ cross
-    total = scores.sum(axis=0) - cross.T @ (inner @ own.sum(axis=0))
+def _ones(unit: NDArray[np.intp]) -> csr_matrix:
+    """(units, n): which readings are of which."""
+    return csr_matrix((np.ones(unit.size), (unit, np.arange(unit.size))))
+
+
+def _judged(total: _Array, squares: _Array, efficient: _Array, by_unit: _Array | None) -> tuple[float, int]:
+    """A curve's statistic, and how many directions of it the nuisance leaves.
+
+    Parameters
+    ----------
+    total
+        Of the knots' scores without what the nuisance says of them, (k,).
+    squares, efficient
+        Their variance with and without that, (k, k).
+    by_unit
+        Their sums over runs, (units, k), where those are the unit.
+    """
     scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
     values, vectors = np.linalg.eigh(efficient / np.outer(scale, scale))
     clear = values > 0.02
     degrees = int(clear.sum())
     if degrees == 0:
-        return FreeForm(channel, variables, knots, 0.0, 0, 0.0)
+        return 0.0, 0
     turned = vectors[:, clear] / np.sqrt(values[clear])
     z = turned.T @ (total / scale)
-    if unit is not None:
-        residual = scores - own @ (inner @ cross)
-        of_runs = sums_by(unit, (residual / scale) @ turned)
+    if by_unit is not None:
+        of_runs = (by_unit / scale) @ turned
         of_runs = of_runs - of_runs.mean(axis=0)
         units = of_runs.shape[0]
         variance = (of_runs**2).sum(axis=0) * units / max(units - 1, 1)
         # Pooled over the curve's directions: with few runs each alone is known too badly.
         z = z / np.sqrt(np.maximum(np.maximum(variance, variance.mean()), 1.0))
         z = z * np.sqrt(max(units - 1 - degrees, 1) / units)
-    statistic = float(z @ z)
-    return FreeForm(channel, variables, knots, 0.5 * statistic, degrees, log_chance(statistic, degrees))
+    return float(z @ z), degrees
 
 
 def log_chance(statistic: float, degrees: int) -> float:
