@@ -14,7 +14,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 from msp_sim.model.rows import Rows
-from msp_sim.model.slopes import FREE, LEAST, slopes
+from msp_sim.model.slopes import FREE, LEAST, log_prob, slopes
 from msp_sim.model.streams import Streams
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
@@ -135,6 +135,7 @@ def test_slopes_are_the_derivatives_of_log_prob(name: str) -> None:
     reading_cm[:10] += 0.5
     log_p, by = slopes(rows, reading_cm)
     assert log_p == pytest.approx(np.maximum(rows.log_prob(reading_cm), np.log(LEAST)), abs=1e-9)
+    assert log_prob(rows, reading_cm) == pytest.approx(log_p, abs=1e-9)
     hit, short, missed, random = rows.log_weights
     centre_cm, sigma_cm, rate = rows.centre_cm, rows.sigma_cm, rows.rate_per_m
 

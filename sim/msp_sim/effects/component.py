@@ -33,6 +33,10 @@ class Component(Protocol):
         """log of the probability of the codes from first to last, for n readings."""
         ...
 
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        """That probability itself, 0 where it is too small for a float."""
+        ...
+
     def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         """That probability, and its derivatives by the hits' centre [1/cm] and the log of their spread, (3, n)."""
         ...
@@ -51,21 +55,41 @@ def take(values: Any, rows: Any) -> Any:
     return values[rows] if isinstance(values, np.ndarray) else values
 
 
-def hit_slopes(
+def hit_prob(
     first_cm: _Array, last_cm: _Array, centre_cm: _Array, sigma_cm: float | _Array, minimum_cm: int, maximum_cm: int
 ) -> _Array:
-    """Probability of the codes from first to last of a normal, and its derivatives by centre and log spread, (3, n).
+    """Probability of the codes from first to last of a normal, (n,).
 
-    As `log_hit`, which is exact where the probability is too small for a float and this is 0.
+    As `log_hit`, which is exact where the probability is too small for a float and this is 0; and four times as fast.
     """
+    a, b, unheard = _ends(first_cm, last_cm, centre_cm, sigma_cm, minimum_cm, maximum_cm)
+    return np.where(unheard, last_cm == maximum_cm, _between(a, b))
+
+
+def _ends(
+    first_cm: _Array, last_cm: _Array, centre_cm: _Array, sigma_cm: float | _Array, minimum_cm: int, maximum_cm: int
+) -> tuple[_Array, _Array, NDArray[np.bool_]]:
+    """Ends of the codes' intervals in standard deviations, and where nothing is heard."""
     unheard = ~(centre_cm < np.inf)
     centre_cm = np.where(unheard, maximum_cm, centre_cm)
     a = (np.where(first_cm == minimum_cm, -np.inf, first_cm - 0.5) - centre_cm) / sigma_cm
     b = (np.where(last_cm == maximum_cm, np.inf, last_cm + 0.5) - centre_cm) / sigma_cm
+    return a, b, unheard
+
+
+def _between(a: _Array, b: _Array) -> _Array:
     # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): on the left side of the bell both terms are small, and nothing cancels.
     right = a > 0.0
+    return np.asarray(ndtr(np.where(right, -a, b)) - ndtr(np.where(right, -b, a)), dtype=np.float64)
+
+
+def hit_slopes(
+    first_cm: _Array, last_cm: _Array, centre_cm: _Array, sigma_cm: float | _Array, minimum_cm: int, maximum_cm: int
+) -> _Array:
+    """The probability of `hit_prob`, and its derivatives by the centre and by the log of the spread, (3, n)."""
+    a, b, unheard = _ends(first_cm, last_cm, centre_cm, sigma_cm, minimum_cm, maximum_cm)
     found = np.empty((3, first_cm.size))
-    found[0] = ndtr(np.where(right, -a, b)) - ndtr(np.where(right, -b, a))
+    found[0] = _between(a, b)
     at_a, at_b = np.exp(-0.5 * a**2) / ROOT_2_PI, np.exp(-0.5 * b**2) / ROOT_2_PI
     found[1] = (at_a - at_b) / sigma_cm
     found[2] = np.where(np.isinf(a), 0.0, a) * at_a - np.where(np.isinf(b), 0.0, b) * at_b
@@ -120,6 +144,10 @@ class Normal:
         centre_cm, sigma_cm = self._place(hits)
         return log_hit(first_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm, last_cm)
 
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        centre_cm, sigma_cm = self._place(hits)
+        return hit_prob(first_cm, last_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm)
+
     def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         centre_cm, sigma_cm = self._place(hits)
         found = hit_slopes(first_cm, last_cm, centre_cm, sigma_cm, hits.minimum_cm, hits.maximum_cm)
@@ -158,6 +186,10 @@ class FirstBefore:
         rate = np.maximum(self.rate_per_m, 1e-12)
         return log_unexpected(first_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm, last_cm)
 
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        p: _Array = self.slopes(first_cm, last_cm, hits)[0]
+        return p
+
     def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         rate = np.maximum(self.rate_per_m, 1e-12)
         found = unexpected_slopes(first_cm, last_cm, hits.centre_cm, rate, hits.minimum_cm, hits.maximum_cm)
@@ -184,6 +216,10 @@ class Code:
 
     def log_prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         return np.where((self.code_cm >= first_cm) & (self.code_cm <= last_cm), 0.0, -np.inf)
+
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
+        p: _Array = self.slopes(first_cm, last_cm, hits)[0]
+        return p
 
     def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
         found = np.zeros((3, first_cm.size))

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
 from msp_sim.effects.base import Parameter, Scene
 from msp_sim.effects.curve import FIELDS, hats
-from msp_sim.gap.tangent import BASE, CHANNELS, Channels, Prepared, channels, floored
+from msp_sim.gap.tangent import BASE, CHANNELS, Channels, Prepared, channels
 from msp_sim.model.model import Active, Model, acts
+from msp_sim.model.slopes import log_prob
 
 _Array = NDArray[np.float64]
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
@@ -200,7 +201,7 @@ def _slope(
         step = -step
     there = replace(each, values={**each.values, parameter.name: value + step})
     if {"component", "code"} & set(each.effect.channels) or each.effect.name == "run_offsets":
-        moved = floored(prepared.at(base, [*effects[:k], there, *effects[k + 1 :]]), prepared.reading_cm)
+        moved = log_prob(prepared.at(base, [*effects[:k], there, *effects[k + 1 :]]), prepared.reading_cm)
         return (moved - here.log_p) / step
     known = acts(prepared.scene, each)
     if known is False:

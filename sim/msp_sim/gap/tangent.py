@@ -18,11 +18,10 @@ from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Sc
 from msp_sim.effects.curve import FIELDS, CurveChannel
 from msp_sim.model.model import LARGEST_SHARE, Active, Model, acts, base_rows, changed
 from msp_sim.model.rows import Rows
-from msp_sim.model.slopes import FREE, LEAST, score_of_component, score_of_fault, slopes
+from msp_sim.model.slopes import FREE, log_prob, score_of_component, score_of_fault, slopes
 
 _Array = NDArray[np.float64]
 
-LOG_LEAST = float(np.log(LEAST))
 BASE = FREE
 """What of the base is free beside every effect: nuisance."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
@@ -154,7 +153,7 @@ class Prepared:
 
     def log_prob(self, base: _Array, effects: Sequence[Active]) -> _Array:
         """log probability of each reading, not below the least."""
-        return floored(self.at(base, effects), self.reading_cm)
+        return log_prob(self.at(base, effects), self.reading_cm)
 
 
 def _not_never(log_weight: Any) -> Any:
@@ -173,12 +172,6 @@ def shifted(rows: Rows, base: _Array) -> Rows:
         rate_per_m=rows.rate_per_m * float(np.exp(base[5])),
         saturated_fraction=float(np.clip(saturated + base[6], 0.0, 1.0)),
     )
-
-
-def floored(rows: Rows, reading_cm: _Array) -> _Array:
-    """log probability, not below the least."""
-    log_p: _Array = np.maximum(rows.log_prob(reading_cm), LOG_LEAST)
-    return log_p
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ class Rows:
             if inside.size:
                 log_p[inside] = self.take(inside)._log_saturated(first[inside], last[inside])
             return log_p
-        log_p = self.log_mixture(first, last)
+        log_p = self._log_mixture(first, last)
         if self.saturated_fraction > 0.0:
             has_max = last == self.maximum_cm
             has_255 = (first <= SATURATED_CM) & (last >= SATURATED_CM)
@@ -212,13 +212,13 @@ class Rows:
         # What is left of the maximum, or what 255 gets of it; and the other codes.
         share = np.where(has_max, 1.0 - self.saturated_fraction, self.saturated_fraction)
         with np.errstate(divide="ignore"):
-            log_moved = np.log(share) + self.log_mixture(top, top)
+            log_moved = np.log(share) + self._log_mixture(top, top)
         below = np.where(has_max, self.maximum_cm - 1.0, last)
-        log_rest = np.where(first <= below, self.log_mixture(np.minimum(first, below), below), -np.inf)
+        log_rest = np.where(first <= below, self._log_mixture(np.minimum(first, below), below), -np.inf)
         log_p: _Array = np.logaddexp(log_moved, log_rest)
         return log_p
 
-    def log_mixture(self, first: _Array, last: _Array) -> _Array:
+    def _log_mixture(self, first: _Array, last: _Array) -> _Array:
         """log g of the codes from first to last, all within the limits."""
         minimum_cm, maximum_cm = self.minimum_cm, self.maximum_cm
         log_hits, log_nearer, log_max, log_random = self.log_weights

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
-from msp_sim.effects.component import Component, Hits, hit_slopes, unexpected_slopes
+from msp_sim.effects.component import Component, Hits, hit_prob, hit_slopes, unexpected_slopes
 from msp_sim.model.rows import Added, Faulty, Rows
 
 _Array = NDArray[np.float64]
@@ -49,6 +49,11 @@ def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
     if rows.run_offsets:
         by[1] *= 1.0 - rows.between_cm2 / rows.sigma_cm**2
     return np.log(p), np.ascontiguousarray(by.T)
+
+
+def log_prob(rows: Rows, reading_cm: _Array) -> _Array:
+    """Log probabilities alone, (n,): as `Rows.log_prob` and several times as fast, but not below that of `LEAST`."""
+    return np.asarray(np.log(np.maximum(_behind(rows, reading_cm, _probability)[0], LEAST)))
 
 
 def score_of_component(rows: Rows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
@@ -118,14 +123,28 @@ def _last_added(rows: Rows, first: _Array, last: _Array) -> _Array:
     """The last component alone."""
     hits = Hits(rows.centre_cm, rows.sigma_cm, rows.minimum_cm, rows.maximum_cm)
     with np.errstate(invalid="ignore"):
-        found = np.exp(rows.added[-1].component.log_prob(first, last, hits))
+        found = rows.added[-1].component.prob(first, last, hits)
     # Where it has no share, its parameters may be unknown.
     return np.nan_to_num(found)[None]
 
 
 def _probability(rows: Rows, first: _Array, last: _Array) -> _Array:
     """The mixture without derivatives."""
-    return np.exp(rows.log_mixture(first, last))[None]
+    lowest, highest = rows.minimum_cm, rows.maximum_cm
+    hits = Hits(rows.centre_cm, rows.sigma_cm, lowest, highest)
+    hit, short, missed, random = (np.exp(each) for each in rows.log_weights)
+    total = hit + short + missed + random
+    p = hit * hit_prob(first, last, hits.centre_cm, hits.sigma_cm, lowest, highest)
+    p += missed * (last == highest) + random * (last - first + 1.0) / (highest - lowest + 1.0)
+    if np.any(short > 0.0):
+        p += short * unexpected_slopes(first, last, hits.centre_cm, rows.rate_per_m, lowest, highest)[0]
+    odds = np.zeros(first.size)
+    for each, component, _ in rows.added:
+        odds += each
+        with np.errstate(invalid="ignore"):
+            own = component.prob(first, last, hits)
+        p += np.where(each > 0.0, total * each * own, 0.0)
+    return np.asarray(p / (total * (1.0 + odds)))[None]
 
 
 def _mixture(rows: Rows, first: _Array, last: _Array) -> _Array:
