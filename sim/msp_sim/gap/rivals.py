@@ -89,8 +89,10 @@ def swap(
             seen = search.screen(less, rest)
             own = search.loss(less, fitted)
             found = search.candidates(less, rest, seen, max(8.0, 0.25 * own), 0.3 * needed)
+            # Of the rows that are refitted: between two that are alike, more rows are not more certain than they are.
+            own /= search.scale
             scaled = [
-                ((there.log_likelihood - less.log_likelihood) * search.scale / search.common_inflation, other, there)
+                ((there.log_likelihood - less.log_likelihood) / search.common_inflation, other, there)
                 for _, other, there in found
             ]
             same = [each for each in scaled if each[1].key == item.key]
@@ -126,7 +128,7 @@ def swap(
                 if own - gained <= NEAR_NATS and apart[other.key] < SEPARABLE and not same_name:
                     near.append(RivalOf(other.active, float(own - gained), correlation, apart[other.key]))
             rivals[item.key] = () if of_base(item.entry) else tuple(near)
-            items[k] = replace(item, z=float(seen.z[search.nearest(item)]), gain=own)
+            items[k] = replace(item, z=float(seen.z[search.nearest(item)]), gain=own * search.scale)
         if not swapped:
             break
     return fitted, items, rivals

@@ -205,8 +205,10 @@ class Screen:
         Standard error of each entry's number if it were fitted alone.
     correlation
         (entries, entries) of the efficient scores.
-    largest, critical, p_value
-        The largest |z|, the value that it passes with probability alpha where nothing is there, and its p-value.
+    largest, critical
+        The largest |z|, and the value that it passes with probability alpha where nothing is there.
+    p_value
+        Of the largest of those that are no numbers of the base.
     inflation
         Variance of the sums over runs against that of independent readings; 1 where they are independent.
     best
@@ -299,7 +301,10 @@ def screen(
     null = np.where(one_sided & (null < 0.0), 0.0, null)
     maxima = np.abs(null).max(axis=1, initial=0.0)
     critical = float(np.quantile(maxima, 1.0 - alpha))
-    p_value = float((1 + np.sum(maxima >= largest)) / (1 + DRAWS))
+    # A number of the base that is another one is calibration, and nothing missing.
+    missing = np.array([entry.effect.base is None for entry in tested], dtype=bool)
+    beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= np.abs(z[missing]).max(initial=0.0)
+    p_value = float((1 + np.sum(beyond)) / (1 + DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
     return Screen(z, 0.5 * z**2, deviation, correlation, largest, critical, p_value, inflation, measured.best)
 
