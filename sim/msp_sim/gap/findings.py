@@ -101,7 +101,7 @@ class Rival:
     name
         Effect of the catalogue.
     loss_nats
-        By how much its best fit is worse, in log-likelihood over all readings of the fit [nat].
+        By how much its best fit is worse, in log-likelihood over the readings that are refitted [nat].
     correlation
         Of both effects' scores.
     of
