@@ -114,12 +114,13 @@ def _unlikely(form: FreeForm, asked: int) -> bool:
 
 
 def _with_curve(search: Search, fitted: Fitted, items: list[Item], form: FreeForm) -> tuple[Fitted, list[Item]]:
+    """A finer curve over the same columns takes the place of a coarser one."""
     values = [0.0] * int(np.prod([len(each) for each in form.knots]))
     active = active_curve(form.channel, list(form.variables), [list(each) for each in form.knots], values)
-    there = refit(search.prepared, [*fitted.effects, active], fitted.base, ridge=RIDGE)
-    item = Item(there.effects[-1], None, float(np.sqrt(2.0 * max(form.gain, 0.0))), form.gain)
-    kept = [replace(old, active=each) for old, each in zip(items, there.effects, strict=False)]
-    return there, [*kept, item]
+    added = Item(active, None, float(np.sqrt(2.0 * max(form.gain, 0.0))), form.gain)
+    others = [item for item in items if item.key != added.key]
+    there = refit(search.prepared, [*(item.active for item in others), active], fitted.base, ridge=RIDGE)
+    return there, [replace(item, active=each) for item, each in zip([*others, added], there.effects, strict=True)]
 
 
 def _shape(item: Item) -> tuple[tuple[str, float], ...]:
