@@ -4,7 +4,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from msp_range.characterise.column_map import load_map
 from msp_range.recording.csv_form import MeasuredData
@@ -43,11 +42,14 @@ def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
     near = (np.abs(reading_cm - true_cm) < 25.0) & (true_cm > 35.0)
     delays_s = np.arange(0.2, 0.6, 0.01)
     scatter = [np.std((reading_cm - np.interp(time_s - each, time_s, true_cm))[near]) for each in delays_s]
-    assert latency.parameters["delay_ms"].value == pytest.approx(1000.0 * delays_s[np.argmin(scatter)], abs=60.0)
+    # That delay holds what readings that are held add to it, which has its own name.
+    least_ms = 1000.0 * delays_s[np.argmin(scatter)]
+    assert least_ms - 120.0 < latency.parameters["delay_ms"].value < least_ms + 60.0
+    assert {each.name for each in findings.effects} >= {"latency", "stale"}
     gap = findings.gap
     assert gap is not None
-    assert gap.bias_cm.after < 0.25 * gap.bias_cm.before  # type: ignore[operator]
-    # Wheel noise, held readings and the dead zone are left: it says so.
+    assert gap.nats_per_reading.after < 0.1 * gap.nats_per_reading.before  # type: ignore[operator]
+    # Wheel noise and the dead zone are left: it says so.
     assert findings.verdict == "partly explained"
 
 

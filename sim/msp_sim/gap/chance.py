@@ -49,16 +49,21 @@ def unit_variance(scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _
     scores, unit, stack
         As for `unit_sums`.
     given
-        Scores of each reading at the model as it is, (n, m): what few units share is taken to be as usual.
+        Scores of each reading at the model as it is, (n, m), for where all cells have few units. What few units share
+        is taken to be as in the other cells.
     """
     _, about_mean, there = unit_sums(scores, unit, stack)
     found = np.einsum("kui,kuj->kij", about_mean, about_mean, optimize=True)
     found *= (there / np.maximum(there - 1, 1))[:, None, None]
-    number = np.unique(unit, return_inverse=True)[1]
-    units = int(number.max()) + 1
-    sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
-    usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
     few = there < FEWEST_UNITS
+    if few.all():
+        number = np.unique(unit, return_inverse=True)[1]
+        units = int(number.max()) + 1
+        sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
+        usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
+    else:
+        # Of scores at the free fit: at the model as it is, the gap itself would look like scatter.
+        usual = found[~few].sum(axis=0) / stack.counts[~few].sum()
     found[few] = stack.counts[few, None, None] * usual
     return np.asarray(found, dtype=np.float64)
 

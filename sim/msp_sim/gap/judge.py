@@ -1,11 +1,13 @@
 """The verdict on a gap, and the sentence that a person reads first.
 
 Findings enter, words leave. The bound within which a gap counts as closed is that of equivalence: a bias of a tenth of
-a standard deviation, a spread within 5 %, 0.005 nats a reading; or 1.3 times what simulated twins show. To the nats
-comes what fitting costs.
+a standard deviation, a spread within 5 %, 0.005 nats a reading; or 1.3 times what chance shows, up to half a standard
+deviation, 25 % and 0.05 nats. To the nats comes what fitting costs.
 """
 
 from collections.abc import Iterator
+
+import numpy as np
 
 from msp_sim.gap.findings import FoundEffect, GapFindings, Measure, Unknown, Verdict
 from msp_sim.model.model import Model
@@ -16,7 +18,9 @@ NATS = 0.005
 BASE_NUMBERS = 7
 """Of the base model, which are fitted again with whatever is added."""
 FLOORS = 1.3
-"""Times what twins show: their 95 % point is known no better than that from twenty, and three measures are asked."""
+"""Times what chance shows: its 95 % point is known no better than that from twenty, and three measures are asked."""
+MOST_BIAS_SIGMAS, MOST_SPREAD_RATIO, MOST_NATS = 0.5, 1.25, 0.05
+"""Where readings of a few runs depend on each other chance alone may show more; a gap so wide is not closed."""
 
 
 def bounds(findings: GapFindings, model: Model) -> dict[str, float]:
@@ -27,9 +31,12 @@ def bounds(findings: GapFindings, model: Model) -> dict[str, float]:
     # Each number that was fitted on the one half of the readings costs half a nat on the other, and up to twice that.
     cost = fitted / max(findings.rows, 1)
     return {
-        "nats_per_reading": max(NATS, FLOORS * (gap.nats_per_reading.floor or 0.0)) + cost,
-        "bias_cm": max(BIAS_SIGMAS * sigma_cm, FLOORS * (gap.bias_cm.floor or 0.0)),
-        "spread_ratio": max(SPREAD_RATIO, 1.0 + FLOORS * ((gap.spread_ratio.floor or 1.0) - 1.0)),
+        "nats_per_reading": float(np.clip(FLOORS * (gap.nats_per_reading.floor or 0.0), NATS, MOST_NATS)) + cost,
+        "bias_cm": sigma_cm
+        * float(np.clip(FLOORS * (gap.bias_cm.floor or 0.0) / sigma_cm, BIAS_SIGMAS, MOST_BIAS_SIGMAS)),
+        "spread_ratio": float(
+            np.clip(1.0 + FLOORS * ((gap.spread_ratio.floor or 1.0) - 1.0), SPREAD_RATIO, MOST_SPREAD_RATIO)
+        ),
     }
 
 

@@ -116,14 +116,20 @@ def _forward(
     path: list[tuple[str, _Array, tuple[Active, ...]]],
     say: Say,
 ) -> tuple[Fitted, list[Item]]:
+    had: set[frozenset[tuple[str, str | None]]] = set()
     while len(items) < max_effects:
         found = _next(search, fitted, items, seen, needed)
         if found is None:
             break
+        before = fitted, items
         item, fitted = found
-        items = [*items, item]
         say(f"found {item.key[0]}", 0.1 + 0.1 * len(items))
-        fitted, items = eliminate(search, fitted, items, needed)
+        fitted, items = eliminate(search, fitted, [*items, item], needed)
+        now = frozenset(each.key for each in items)
+        if now in had:
+            # Names that take each other's place in turn: none of them is better than what was there.
+            return before
+        had.add(now)
         path.append((item.key[0], fitted.base, fitted.effects))
         _update_unit(search, fitted)
         search.inform(fitted)
