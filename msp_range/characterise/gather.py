@@ -32,6 +32,15 @@ AGAIN = 0.95
 """Of two files of which this share of the smaller one's rows is in both, one was made of the other."""
 AIR_C = (-50.0, 65.0)
 """Air that people and sensors stand [deg C]."""
+CONTEXTS = {
+    "humidity_pct": (0.0, 100.0, "per cent of saturation, 0 to 100"),
+    "incidence_deg": (-90.0, 90.0, "degrees between beam and normal, -90 to 90"),
+    "throttle": (0.0, 1.0, "a share, 0 to 1"),
+    "external_duty": (0.0, 1.0, "a share, 0 to 1"),
+}
+"""Smallest and largest value of a column, and what is expected."""
+STUCK_SHARE, STUCK_CM = 0.98, 30.0
+"""Of the readings that are one number, while the true range goes over so much: they do not follow it."""
 
 
 class Gathered(NamedTuple):
@@ -182,6 +191,17 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
                 f"{name}: found {column} of {_span(data[column][~np.isnan(data[column])])}, expected deg C from "
                 f"{AIR_C[0]:g} to {AIR_C[1]:g}. In deg F or K? --map takes a file that says so (unit: F or K)"
             )
+    for column, (low, high, expected) in CONTEXTS.items():
+        known = data[column][~np.isnan(data[column])] if column in data else np.zeros(0)
+        if known.size and (known.min() < low or known.max() > high):
+            raise RecordingError(
+                f"{name}: found {column} of {_span(known)}, expected {expected}. In another unit? "
+                f"--map {column}=COLUMN*FACTOR"
+            )
+        if known.size and column == "humidity_pct" and 0.0 < known.max() <= 1.0:
+            raise RecordingError(
+                f"{name}: found {column} of {_span(known)}, expected {expected}. A share? --map {column}=COLUMN*100"
+            )
     answered = ~np.isnan(data["reading_cm"])
     usable = answered & ~np.isnan(data["true_range_cm"])
     if usable.sum() < LEAST_READINGS:
@@ -194,6 +214,12 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
     heard = reading_cm != sensor.maximum_cm
     ratios = reading_cm[heard] / np.maximum(true_cm[heard], 1e-9)
     ratio = float(np.median(ratios)) if heard.any() else 1.0
+    values, counts = np.unique(reading_cm[heard], return_counts=True)
+    if values.size and counts.max() > STUCK_SHARE * counts.sum() and np.ptp(true_cm[heard]) > STUCK_CM:
+        raise RecordingError(
+            f"{name}: nearly all readings are {values[counts.argmax()]:g} cm while the true range is {_span(true_cm)} "
+            "cm: they do not follow it. A sensor or a recording that is stuck?"
+        )
     near = ((ratios > 0.5) & (ratios < 2.0)).mean() if heard.any() else 1.0
     if outside.mean() > WRONG_UNIT or near < LEAST_NEAR:
         raise RecordingError(

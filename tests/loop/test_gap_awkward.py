@@ -46,8 +46,15 @@ def told(findings: GapFindings, text: str) -> bool:
         (lambda c: c | {"true_range_cm": np.full(400, np.nan)}, "no true_range_cm"),
         (lambda c: {name: each for name, each in c.items() if name != "true_range_cm"}, "true_range_cm"),
         (lambda c: c | {"reading_cm": np.full(400, np.nan)}, "found 0 readings with a true range"),
+        (lambda c: c | {"reading_cm": np.full(400, 100.0)}, "nearly all readings are 100 cm"),
+        (lambda c: c | {"throttle": np.linspace(0.0, 100.0, 400)}, "expected a share, 0 to 1"),
+        (lambda c: c | {"humidity_pct": np.linspace(0.3, 0.8, 400)}, "A share? --map humidity_pct=COLUMN*100"),
+        (lambda c: c | {"incidence_deg": np.linspace(0.0, 200.0, 400)}, "degrees between beam and normal"),
     ],
-    ids=["truth in m", "readings in m", "truth in mm", "ten", "none", "truth unknown", "no truth", "no reading"],
+    ids=[
+        *("truth in m", "readings in m", "truth in mm", "ten", "none", "truth unknown", "no truth", "no reading"),
+        *("stuck", "throttle in %", "humidity as a share", "incidence of a circle"),
+    ],
 )
 def test_what_cannot_be_compared_is_said_in_a_line(
     tmp_path: Path, change: Callable[[Columns], Columns], message: str
@@ -157,3 +164,9 @@ def test_one_true_range_and_nothing_else_is_judged(tmp_path: Path) -> None:
     findings = found(tmp_path, columns)
     assert told(findings, "All readings are at one true range (200 cm)")
     assert findings.effects == ()
+
+
+def test_nothing_is_added_where_nothing_may_be(tmp_path: Path) -> None:
+    columns = readings(1500, 3, bias=lambda c: 4.0 * np.sin(c["true_range_cm"] / 40.0))
+    named = found(tmp_path, columns, "--max-effects", "0")
+    assert (named.effects, named.unknown) == ((), ())

@@ -35,13 +35,14 @@ def add_curves(
     fitted: Fitted,
     items: list[Item],
     needed: float,
+    most: int,
     path: list[tuple[str, _Array, tuple[Active, ...]]],
     say: Callable[[str, float], None],
 ) -> tuple[Fitted, list[Item], bool]:
-    """Add curves for what no name explains; names that a curve makes needless go."""
+    """Add at most so many curves for what no name explains; names that a curve makes needless go."""
     changed = False
     say("asking for what no name explains", 0.5)
-    for _ in range(3):
+    for _ in range(min(most, 3)):
         forms = search.free_forms(fitted)
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_curve(search, fitted, items, forms, singles)

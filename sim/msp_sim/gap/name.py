@@ -64,7 +64,7 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
     seen = first
     for turn in range(2):
         fitted, items = _forward(search, fitted, items, seen, needed, max_effects, path, say)
-        fitted, items, changed = add_curves(search, fitted, items, needed, path, say)
+        fitted, items, changed = add_curves(search, fitted, items, needed, max_effects - len(items), path, say)
         if not changed or len(items) >= max_effects or turn:
             break
         search.inform(fitted)
