@@ -97,6 +97,7 @@ class Measures:
         return {name: getattr(self, name) for name in names}
 
 
+MOST_WIDENED = 10.0
 BY_UNIT = 2
 """Draws of the units' chance, for each twin."""
 ITERATED = 3
@@ -158,8 +159,14 @@ def twins(
     if dependence(scores[:, 0], table.unit, table.contexts.get("time_s")).dependent:
         _, about_mean, there = unit_sums(scores[stack.readings], table.unit, stack)
         drawn = _floor(fits(*drawn_sums(about_mean, there, BY_UNIT * count, rng)), stack, share)
-        floor = {name: float(np.fmax(value, floor[name])) for name, value in drawn.items()}
+        floor = {name: _widened(name, floor[name], value) for name, value in drawn.items()}
     return Twins(information, floor)
+
+
+def _widened(name: str, plain: float, dependent: float) -> float:
+    """The floor of dependent readings; sums of few runs may show anything, so at most so many times that of twins."""
+    nothing = 0.0 if name in ("nats", "bias_cm") else 1.0
+    return float(np.fmax(plain, np.fmin(dependent, nothing + MOST_WIDENED * (plain - nothing))))
 
 
 def _floor(fits: Sequence[FreeFit], stack: Stack, share: float) -> dict[str, float]:
