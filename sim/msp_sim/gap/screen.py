@@ -271,15 +271,15 @@ def screen(
     total = by_unit.sum(axis=0)
     correlation = efficient / np.sqrt(np.outer(np.where(testable, left, 1.0), np.where(testable, left, 1.0)))
     correlation = np.where(np.outer(testable, testable), correlation, 0.0)
+    turned = np.concatenate([-cross, np.eye(others.size)], axis=1)
+    some = np.concatenate([nuisance, others])
+    single = np.einsum("ij,jk,ik->i", turned, measured.products[np.ix_(some, some)], turned)
     inflation = np.ones(total.size)
     if by_run:
         units = by_unit.shape[0]
         centred = by_unit - total / units
         of_runs = (centred**2).sum(axis=0) * units / max(units - 1, 1)
         # Against single readings as they are, not as the model has them: what is large is not dependent for it.
-        turned = np.concatenate([-cross, np.eye(others.size)], axis=1)
-        some = np.concatenate([nuisance, others])
-        single = np.einsum("ij,jk,ik->i", turned, measured.products[np.ix_(some, some)], turned)
         inflation = np.maximum(of_runs / np.maximum(variance, single), 1.0)
     z = np.where(testable, total / np.sqrt(variance * inflation), 0.0)
     one_sided = np.array([entry.one_sided for entry in tested], dtype=bool)
@@ -303,7 +303,9 @@ def screen(
     critical = float(np.quantile(maxima, 1.0 - alpha))
     # A number of the base that is another one is calibration, and nothing missing.
     missing = np.array([entry.effect.base is None for entry in tested], dtype=bool)
-    beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= np.abs(z[missing]).max(initial=0.0)
+    # Noise with tails makes every score scatter more than the model's own.
+    scattered = np.abs(z) * np.sqrt(variance / np.maximum(variance, single))
+    beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= scattered[missing].max(initial=0.0)
     p_value = float((1 + np.sum(beyond)) / (1 + DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
     return Screen(z, 0.5 * z**2, deviation, correlation, largest, critical, p_value, inflation, measured.best)

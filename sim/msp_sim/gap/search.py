@@ -32,6 +32,8 @@ SHAPES = 25
 SHAPE_NATS = 0.7
 PLACE_NATS = 2.0
 """What a number of a shape gains by chance, and what a place that readings gather at does."""
+MOST_SHARE = 0.98
+"""What befalls all readings is no effect on top of them: such a fit speaks of readings that are not there."""
 RIDGE = 0.05
 """Precision of the prior about 0 for the values of curves."""
 SPECIAL = frozenset({"run_offsets"})
@@ -154,6 +156,8 @@ class Search:
             if seen.gain[j] < least or (refits and seen.gain[j] < near):
                 break
             there = self.refitted(fitted, self.tested[j], self._start(self.tested[j], seen, j))
+            if self.tested[j].linear and there.effects[-1].values[self.tested[j].parameter.name] > MOST_SHARE:
+                continue
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
             gained -= price(self.tested[j])
             top = max(top, gained)
