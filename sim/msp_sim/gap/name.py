@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from msp_sim.gap.curves import add_curves
@@ -21,6 +22,8 @@ from msp_sim.gap.units import Dependence
 from msp_sim.model.model import Active
 
 _Array = NDArray[np.float64]
+SURE_P = 1e-4
+"""Chance below which runs differ by more than the model says."""
 Say = Callable[[str, float], None]
 
 
@@ -95,9 +98,19 @@ def _run_offset_cm(search: Search, fitted: Fitted, left: Dependence) -> float:
     A base that was fitted to readings of many runs takes their offsets for spread: then the whole spread is as it says.
     Where they are missing, the spread within runs is as it says, and the whole is larger.
     """
-    if left.p_between > 1e-4 or left.lag_z > 3.0:
+    if left.p_between > SURE_P or left.lag_z > 3.0:
         return 0.0
     share = min(left.between_run_share, 0.95)
+    rows = search.prepared.at(fitted.base, fitted.effects)
+    if rows.run_offsets:
+        # What the model has already scatters from one set of runs to the next.
+        whole_cm2, known_cm2 = float(np.median(rows.sigma_cm**2)), float(np.median(rows.between_cm2))
+        runs = int(np.unique(search.some_unit).size)
+        of_mean_cm2 = whole_cm2 * runs / len(search.prepared)
+        times = (share * whole_cm2 + of_mean_cm2) / (known_cm2 + of_mean_cm2)
+        if float(chi2.sf(times * (runs - 1), runs - 1)) > SURE_P:
+            return 0.0
+        return float(np.sqrt(share * whole_cm2 - known_cm2))
     whole = float(fitted.base[1])
     within = whole + 0.5 * float(np.log1p(-share))
     if abs(whole) < abs(within):

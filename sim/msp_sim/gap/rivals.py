@@ -15,7 +15,9 @@ from msp_sim.model.model import Active
 
 Key = tuple[str, str | None]
 
-NEAR_NATS = 3.0
+BASE_NATS = 3.0
+"""By so much an effect has to do better than a number of the base that these data cannot tell from it."""
+NEAR_NATS = 5.0
 """Rivals: within this of the best."""
 SEPARABLE = 3.0
 """Standard errors that tell two effects apart."""
@@ -111,7 +113,7 @@ def swap(
                 """By how much another does better. A number of the base comes before an effect that is like it."""
                 lead = each[0] - price(each[1].entry) - own + price(item.entry)
                 if apart[each[1].key] < SEPARABLE:
-                    lead += NEAR_NATS * (of_base(each[1].entry) - of_base(item.entry))
+                    lead += BASE_NATS * (of_base(each[1].entry) - of_base(item.entry))
                 return lead
 
             better = max(others, key=ahead, default=None)

@@ -161,10 +161,16 @@ def _run_offsets(
     """Offsets between runs, if the confirming runs' sums say so too: a run's offset is integrated out."""
     slope = quoted.here.by[:, 0] - quoted.here.by[:, 0].mean()
     sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
+    rows = confirming.at(quoted.base, quoted.effects)
+    known_cm2 = float(np.median(rows.between_cm2)) if rows.run_offsets else 0.0
+    within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
+    mean_cm = sums / np.maximum(information, 1e-12)
 
     def of_runs(deviation: float) -> _Array:
-        told = information * deviation**2
-        each: _Array = -0.5 * np.log1p(told) + 0.5 * sums**2 * deviation**2 / (1.0 + told)
+        """Gain of each run: its mean is off by its offset, the model's own and this one, and by chance."""
+        before = known_cm2 + within / np.maximum(information, 1e-12)
+        after = before + deviation**2
+        each: _Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
         return each
 
     gains = of_runs(deviation_cm)
