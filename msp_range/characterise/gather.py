@@ -30,8 +30,8 @@ of the truth, they are in another unit or of something else."""
 
 AGAIN = 0.95
 """Of two files of which this share of the smaller one's rows is in both, one was made of the other."""
-AIR_C = (-50.0, 65.0)
-"""Air that people and sensors stand [deg C]."""
+TEMPERATURES_C = {"air_temperature_c": (-50.0, 65.0), "target_temperature_c": (-50.0, 85.0)}
+"""Air that people and sensors stand, and what asphalt in the sun comes to [deg C]."""
 CONTEXTS = {
     "humidity_pct": (0.0, 100.0, "per cent of saturation, 0 to 100"),
     "incidence_deg": (-90.0, 90.0, "degrees between beam and normal, -90 to 90"),
@@ -185,11 +185,11 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
             "column, or name the column that it is in with --map true_range_cm=COLUMN"
         )
-    for column in ("air_temperature_c", "target_temperature_c"):
-        if column in data and ((data[column] < AIR_C[0]) | (data[column] > AIR_C[1])).any():
+    for column, (low_c, high_c) in TEMPERATURES_C.items():
+        if column in data and ((data[column] < low_c) | (data[column] > high_c)).any():
             raise RecordingError(
                 f"{name}: found {column} of {_span(data[column][~np.isnan(data[column])])}, expected deg C from "
-                f"{AIR_C[0]:g} to {AIR_C[1]:g}. In deg F or K? --map takes a file that says so (unit: F or K)"
+                f"{low_c:g} to {high_c:g}. In deg F or K? --map takes a file that says so (unit: F or K)"
             )
     for column, (low, high, expected) in CONTEXTS.items():
         known = data[column][~np.isnan(data[column])] if column in data else np.zeros(0)
