@@ -19,7 +19,7 @@ def _act(scene: Scene, values: Mapping[str, float]) -> Change:
 BEYOND_FIELD_OF_VIEW = Effect(
     name="beyond_field_of_view",
     sentence="A surface that is tilted beyond what the beam can hear sends its echo elsewhere, and no echo comes back.",
-    physics="log odds of a missed echo grow by the same for each degree beyond the breakaway angle at that range, to 10",
+    physics="log odds of a missed echo grow by the same for each degree beyond the range's breakaway angle, to 10",
     source="report 4.3.3 (figures 4.9-4.12); the breakaway table of the sensor model; the growth is assumed",
     parameters=(
         Parameter("log_odds_per_deg", "1/deg", "growth of the log odds beyond the breakaway angle", 0.0, 50.0),

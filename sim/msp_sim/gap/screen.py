@@ -303,8 +303,12 @@ def screen(
     critical = float(np.quantile(maxima, 1.0 - alpha))
     # A number of the base that is another one is calibration, and nothing missing.
     missing = np.array([entry.effect.base is None for entry in tested], dtype=bool)
-    # Noise with tails makes every score scatter more than the model's own.
-    scattered = np.abs(z) * np.sqrt(variance / np.maximum(variance, single))
+    # Noise with tails makes every score scatter more than the model's own; what is rare is worth what it gains beyond
+    # the search for its shape.
+    rare = np.isfinite(measured.profile)
+    squares = z**2 * np.where(rare, 1.0, variance / np.maximum(variance, single))
+    squares -= np.where(rare, 2.0 * np.array([entry.price for entry in tested]), 0.0)
+    scattered = np.sqrt(np.maximum(squares, 0.0))
     beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= scattered[missing].max(initial=0.0)
     p_value = float((1 + np.sum(beyond)) / (1 + DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)

@@ -29,9 +29,6 @@ MOST_TRIED = 12
 """Refits in one go, at most."""
 SHAPES = 25
 """Values of a shape's number that a refit may begin at."""
-SHAPE_NATS = 0.7
-PLACE_NATS = 2.0
-"""What a number of a shape gains by chance, and what a place that readings gather at does."""
 MOST_SHARE = 0.98
 """What befalls all readings is no effect on top of them: such a fit speaks of readings that are not there."""
 RIDGE = 0.05
@@ -219,10 +216,7 @@ class Search:
 
 def price(entry: Entry | None) -> float:
     """What the search over an entry's shapes gains by chance [nat]."""
-    if entry is None:
-        return 0.0
-    searched = sum(len(parameter.tried) > 1 for parameter in entry.effect.parameters)
-    return searched * (PLACE_NATS if entry.linear else SHAPE_NATS)
+    return 0.0 if entry is None else entry.price
 
 
 def of_base(entry: Entry | None) -> bool:

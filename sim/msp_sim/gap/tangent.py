@@ -29,6 +29,11 @@ CHUNK = 1 << 13
 """Rows of which all scores are taken at a time: what fits into a processor's cache."""
 
 
+SHAPE_NATS = 0.7
+PLACE_NATS = 2.0
+"""What a number of a shape gains by chance, and what a place that readings gather at does."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """An effect with its shape held, of which one number is asked for.
@@ -69,6 +74,12 @@ class Entry:
     def linear(self) -> bool:
         """It mixes something into the probability."""
         return bool({"component", "code"} & set(self.effect.channels))
+
+    @property
+    def price(self) -> float:
+        """What the search over its shapes gains by chance [nat]."""
+        searched = sum(len(parameter.tried) > 1 for parameter in self.effect.parameters)
+        return searched * (PLACE_NATS if self.linear else SHAPE_NATS)
 
     def at(self, value: float) -> Active:
         """The effect with this value of its number."""
