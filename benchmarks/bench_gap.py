@@ -34,32 +34,32 @@ AT_ONCE = 250_000
 
 
 def run() -> list[dict[str, Any]]:
-    """Measure the workflow, its screen, and the growth of its processor time."""
+    """Measure the workflow, its screen, and the growth of its time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _, cpu_s, _ = workflow(folder, READINGS)
-        _, fewer_cpu_s, _ = workflow(folder, FEWER)
+        wall_s, _, _ = workflow(folder, READINGS)
+        fewer_s, _, _ = workflow(folder, FEWER)
     seconds = screen_s(READINGS)
-    growth = cpu_s / fewer_cpu_s
+    growth = wall_s / fewer_s
     return [
         {
             "key": "gap_1e5",
-            "value": round(cpu_s, 1),
-            "unit": "s of the processor for 100,000 readings, complete catalogue: msp-sim gap with its report",
+            "value": round(wall_s, 1),
+            "unit": "s for 100,000 readings, complete catalogue: msp-sim gap with its report",
             "goal": "under 20",
-            "met": cpu_s < 20.0,
+            "met": wall_s < 20.0,
         },
         {
             "key": "gap_screen_1e5",
             "value": round(seconds, 2),
-            "unit": "s of the processor for 100,000 readings: every effect's score, and the null by runs",
+            "unit": "s for 100,000 readings: every effect's score, and the null by runs",
             "goal": "under 2",
             "met": seconds < 2.0,
         },
         {
             "key": "gap_cost_growth",
             "value": round(growth, 1),
-            "unit": "times the processor time for ten times the readings (10,000 to 100,000)",
+            "unit": "times the time for ten times the readings (10,000 to 100,000)",
             "goal": f"at most {GROWTH:g}",
             "met": growth <= GROWTH,
         },
@@ -107,14 +107,14 @@ def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
 
 
 def screen_s(rows: int) -> float:
-    """Seconds of the processor for one screen of so many readings at the fitted base."""
+    """Seconds for one screen of so many readings at the fitted base."""
     columns = measured(rows, 1)
     reading_cm = np.asarray(columns.pop("reading_cm"), dtype=float)
     unit = numbered(np.asarray(columns["run"]))
     search = Search(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1), 0.05)
-    started_s = time.process_time()
+    started_s = time.perf_counter()
     search.screen(search.null, [])
-    return time.process_time() - started_s
+    return time.perf_counter() - started_s
 
 
 def _write(path: Path, rows: int) -> None:

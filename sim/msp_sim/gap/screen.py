@@ -21,6 +21,8 @@ from msp_sim.model.streams import Streams
 
 _Array = NDArray[np.float64]
 TWIN_ROWS = 6_000
+PRODUCT_ROWS = 20_000
+"""Rows whose products are taken; of more, every k-th."""
 GRID = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """Of what is mixed into the probability, in units of its number."""
 TANGENT = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
@@ -41,7 +43,7 @@ class Sums:
     by_unit
         (units, 7 + entries).
     products
-        (7 + entries, 7 + entries): of the scores with each other, over single readings.
+        (7 + entries, 7 + entries): of the scores with each other, over single readings; of many from a part of them.
     profile
         (entries,): for what mixes into the probability, and for odds, twice the largest gain with all else held [nat];
         infinite for the others.
@@ -72,6 +74,7 @@ def sums(
     units = int(unit.max()) + 1
     total = np.zeros((units, len(BASE) + len(tested)))
     products = np.zeros((total.shape[1], total.shape[1]))
+    stride = max(1, reading_cm.size // PRODUCT_ROWS)
     linear = np.array([entry.linear for entry in tested], dtype=bool)
     rare = np.array([entry.linear or entry.odds is not None for entry in tested], dtype=bool)
     classes = np.array([2, 3, 4])
@@ -90,7 +93,8 @@ def sums(
         scores = _matrix(rows, prepared.scene, reading, here, tested)
         place = csr_matrix((np.ones(reading.size), (unit[part], np.arange(reading.size))), (units, reading.size))
         total += place @ scores
-        products += scores.T @ scores
+        some = scores[::stride]
+        products += stride * (some.T @ some)
         efficient = scores[:, own] - scores[:, classes] @ cross.T
         for i, step in enumerate(steps):
             along[i] += _log_gain(efficient * step).sum(axis=0)
