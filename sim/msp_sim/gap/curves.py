@@ -118,7 +118,7 @@ def _with_curve(search: Search, fitted: Fitted, items: list[Item], form: FreeFor
     """A finer curve over the same columns takes the place of a coarser one."""
     values = [0.0] * int(np.prod([len(each) for each in form.knots]))
     active = active_curve(form.channel, list(form.variables), [list(each) for each in form.knots], values)
-    added = Item(active, None, float(np.sqrt(2.0 * max(form.gain, 0.0))), form.gain)
+    added = Item(active, None)
     others = [item for item in items if item.key != added.key]
     there = refit(search.prepared, [*(item.active for item in others), active], fitted.base, ridge=RIDGE)
     return there, [replace(item, active=each) for item, each in zip([*others, added], there.effects, strict=True)]

@@ -50,7 +50,6 @@ class Chosen:
     fitted: Fitted
     first: Screen
     path: tuple[tuple[str, _Array, tuple[Active, ...]], ...]
-    dependence: Dependence
     dropped: tuple[tuple[str, str], ...] = ()
     run_offset_cm: float = 0.0
 
@@ -72,7 +71,7 @@ def name(search: Search, max_effects: int, say: Say) -> Chosen:
             break
         search.inform(fitted)
         seen = search.screen(fitted, items)
-    return settle(search, Chosen(tuple(items), (), fitted, first, tuple(path), search.depends(fitted)), say)
+    return settle(search, Chosen(tuple(items), (), fitted, first, tuple(path)), say)
 
 
 def settle(search: Search, chosen: Chosen, say: Say) -> Chosen:
@@ -87,7 +86,6 @@ def settle(search: Search, chosen: Chosen, say: Say) -> Chosen:
         items=tuple(items),
         rivals=tuple(of_item.get(item.key, ()) for item in items),
         fitted=fitted,
-        dependence=left,
         run_offset_cm=_run_offset_cm(search, fitted, left) if "run" in search.some else 0.0,
     )
 

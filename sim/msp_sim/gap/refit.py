@@ -75,21 +75,15 @@ def sums_by(unit: NDArray[np.intp], scores: _Array) -> _Array:
     return np.stack([np.bincount(unit, column, count) for column in scores.T], axis=1)
 
 
-def free_numbers(effects: Sequence[Active], with_shapes: bool = True) -> list[tuple[int, Parameter]]:
+def free_numbers(effects: Sequence[Active]) -> list[tuple[int, Parameter]]:
     """Numbers of these effects that a fit may move."""
-    return [
-        (k, parameter)
-        for k, each in enumerate(effects)
-        for parameter in each.effect.parameters
-        if with_shapes or parameter.null is not None
-    ]
+    return [(k, parameter) for k, each in enumerate(effects) for parameter in each.effect.parameters]
 
 
 def refit(
     prepared: Prepared,
     effects: Sequence[Active],
     start: _Array | None = None,
-    with_shapes: bool = True,
     rounds: int = ROUNDS,
     ridge: float = 0.0,
 ) -> Fitted:
@@ -103,8 +97,6 @@ def refit(
         Effects with the values where the search begins.
     start
         Of the base; unchanged unless given.
-    with_shapes
-        Whether the parameters of shapes are free too.
     rounds
         At most.
     ridge
@@ -112,7 +104,7 @@ def refit(
     """
     base = np.zeros(len(BASE)) if start is None else start.copy()
     effects = [_off_null(each) for each in effects]
-    numbers = free_numbers(effects, with_shapes)
+    numbers = free_numbers(effects)
     nb = len(BASE)
     low = np.concatenate([-BASE_BOUND, [p.low for _, p in numbers]])
     high = np.concatenate([BASE_BOUND, [p.high for _, p in numbers]])

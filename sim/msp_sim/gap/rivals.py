@@ -70,7 +70,7 @@ def beside_tails(search: Search, fitted: Fitted, items: list[Item], needed: floa
         gained = search.loss(fitted, only_tails)
         if gained - price(tails) >= needed:
             fitted = only_tails
-            items = [*rest, Item(only_tails.effects[-1], tails, float(np.sqrt(2.0 * gained)), gained)]
+            items = [*rest, Item(only_tails.effects[-1], tails)]
     return fitted, [replace(item, active=each) for item, each in zip(items, fitted.effects, strict=True)]
 
 
@@ -130,7 +130,6 @@ def swap(
                 if own - gained <= NEAR_NATS and apart[other.key] < SEPARABLE and not same_name:
                     near.append(RivalOf(other.active, float(own - gained), correlation, apart[other.key]))
             rivals[item.key] = () if of_base(item.entry) else tuple(near)
-            items[k] = replace(item, z=float(seen.z[search.nearest(item)]), gain=own * search.scale)
         if not swapped:
             break
     return fitted, items, rivals

@@ -43,8 +43,6 @@ class Item:
 
     active: Active
     entry: Entry | None
-    z: float = 0.0
-    gain: float = 0.0
 
     @property
     def key(self) -> tuple[str, str | None]:
@@ -80,8 +78,7 @@ class Search:
         found, self.missing = entries(self.model, self.contexts)
         self.tested = [entry for entry in found if entry.effect.name not in SPECIAL]
         n = self.reading_cm.size
-        self.stride = -(-n // MOST_ROWS)
-        thin = slice(None, None, self.stride)
+        thin = slice(None, None, -(-n // MOST_ROWS))
         self.some = {name: np.asarray(column)[thin] for name, column in self.contexts.items()}
         self.prepared = Prepared.of(self.model, self.some, self.reading_cm[thin])
         self.some_unit = self.unit[thin]
@@ -158,7 +155,7 @@ class Search:
             gained = (there.log_likelihood - fitted.log_likelihood) * self.scale / seen.inflation[j]
             gained -= price(self.tested[j])
             top = max(top, gained)
-            refits.append((gained, Item(there.effects[-1], self.tested[j], float(seen.z[j]), gained), there))
+            refits.append((gained, Item(there.effects[-1], self.tested[j]), there))
         return sorted(refits, key=lambda each: -each[0])
 
     def _start(self, entry: Entry, seen: Screen, j: int) -> float:

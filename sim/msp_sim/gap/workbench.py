@@ -21,7 +21,7 @@ from msp_sim.gap.refit import ROUNDS, Fitted, extended, refit
 from msp_sim.gap.screen import Screen
 from msp_sim.gap.search import RIDGE, Item, Search
 from msp_sim.gap.tangent import BASE, Prepared
-from msp_sim.gap.units import Dependence, Split, numbered, previous
+from msp_sim.gap.units import Split, numbered, previous
 from msp_sim.model.model import Active, Model
 
 _Array = NDArray[np.float64]
@@ -49,14 +49,12 @@ class Explanation:
 
     model: Model
     model_fit: Model
-    model_calibrated: Model
     effects: tuple[FoundEffect, ...]
     unknown: tuple[Unknown, ...]
     calibration: tuple[Calibration, ...]
     not_testable: tuple[NotTestable, ...]
     path: tuple[Step, ...]
     unit: Literal["reading", "run"]
-    dependence: Dependence
     global_p_value: float
     detectable: tuple[tuple[str, str, float, str], ...]
     confirm: Gain
@@ -139,14 +137,12 @@ def explain(
     return Explanation(
         extended(model, after_base, quoted_effects),
         extended(model, last_base, last_effects),
-        extended(model, null_base, []),
         tuple(named),
         tuple(unknown),
         (*calibrated(model, search, last, quoted, deviation, width), *as_base),
         tuple(NotTestable(effect, absent, f"{' and '.join(absent)} not recorded") for effect, absent in search.missing),
         _path(model, search, chosen, kept, last),
         "run" if by_run else "reading",
-        search.depends(last),
         chosen.first.p_value,
         _detectable(search, chosen.first),
         whole,
