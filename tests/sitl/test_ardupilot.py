@@ -52,10 +52,10 @@ RANGEFINDER_PARAMETERS = {
     "RNGFND1_TYPE": 10,
     "RNGFND1_ORIENT": 25,
     # Metres from 4.7 on, before that centimetres.
-    "RNGFND1_MIN": 0.20,
+    "RNGFND1_MIN": 0.19,
     "RNGFND1_MAX": 7.60,
     "RNGFND1_GNDCLR": 0.20,
-    "RNGFND1_MIN_CM": 20,
+    "RNGFND1_MIN_CM": 19,
     "RNGFND1_MAX_CM": 760,
     "RNGFND1_GNDCLEAR": 20,
     "RNGFND1_POS_Z": 0.05,

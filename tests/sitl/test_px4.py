@@ -29,7 +29,6 @@ STANDING_CLEARANCE_M = 0.25
 PARAMETERS = {
     # params_range_finder.yaml, params_terrain.yaml and module.yaml of modules/ekf2
     "EKF2_RNG_CTRL": 2,
-    "EKF2_HGT_REF": 2,
     "EKF2_MIN_RNG": 0.2,
     "EKF2_RNG_POS_Z": 0.05,
     "EKF2_RNG_DELAY": 35,
