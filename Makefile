@@ -3,10 +3,11 @@
 # make check  what CI runs: format, lint, types, layers, then the tests
 # make bench  measure, and write benchmarks/results.json
 # make blind  hide effects in N=200 tables by SEED=1, look for them by the gap workflow, and score what it says
+# make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench blind mavproxy compile clean
+.PHONY: demo test check bench blind faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -32,6 +33,10 @@ N ?= 200
 SEED ?= 1
 blind: .venv/.installed-test compile
 	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED)
+
+FLIGHTS ?= 700
+faults: .venv/.installed-test compile
+	$(BIN)/python -m tests.faults --flights $(FLIGHTS) --seed $(SEED) --out build/faults
 
 # Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
 compile: .venv/.installed

@@ -70,6 +70,9 @@ FAULT_KINDS = {
     "impossible": "the answer is `word`, which no healthy sensor gives",
     "missed_read": "one read of a ranging is not acknowledged, the next one is",
     "stuck": "pings are accepted and the last reading stays",
+    "no_echo": "the ranging receives no echo: it takes the whole cycle and reads 765",
+    "noisy": "ranges scatter about the true one, normally distributed with `spread_cm`",
+    "offset": "ranges are off by `offset_cm`",
     "silent": "nothing is acknowledged",
     "power_cycle": "without power from start_s to end_s, then part info until the next ping",
     "locked_up": "the data line is held low: every transfer of the bus times out, until a re-open after end_s",
@@ -90,15 +93,21 @@ class Fault:
     start_s, end_s
         When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length.
     probability
-        That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck" and
-        "missed_read", one transfer for "silent". A power cycle and a lock-up always happen.
+        That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
+        "missed_read" and those that change the ranging ("no_echo", "noisy", "offset"), one transfer for "silent". A
+        power cycle and a lock-up always happen.
     word
         The 16-bit answer of the kind "impossible".
+    spread_cm
+        Standard deviation of the error of the kind "noisy" [cm].
+    offset_cm
+        Error of the kind "offset" [cm].
 
     Raises
     ------
     ValueError
-        An unknown kind, a window that does not last, or a word that another kind stands for.
+        An unknown kind, a window that does not last, a word that another kind stands for, or a spread that is not
+        positive.
     """
 
     kind: str
@@ -106,6 +115,8 @@ class Fault:
     end_s: float
     probability: float = 1.0
     word: int = 1000
+    spread_cm: float = 100.0
+    offset_cm: float = 100.0
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -120,6 +131,8 @@ class Fault:
                 f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits that are neither a range nor, with bit 15 "
                 'set, a range behind a clock fault (that is the kind "clock_fault")'
             )
+        if not self.spread_cm > 0:
+            raise ValueError(f"fault {self.kind}: spread_cm {self.spread_cm}: expected more than 0")
 
 
 class MB1242:
@@ -139,7 +152,7 @@ class MB1242:
     faults
         What is wrong with it, and when.
     chance
-        Draws for faults with a probability below one.
+        Draws for faults with a probability below one and for the errors of the kind "noisy".
 
     Attributes
     ----------
@@ -151,7 +164,7 @@ class MB1242:
     Raises
     ------
     ValueError
-        A fault has a probability and there is no ``chance``.
+        A fault is drawn and there is no ``chance``.
 
     Examples
     --------
@@ -176,8 +189,10 @@ class MB1242:
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
     ) -> None:
-        if chance is None and any(fault.probability < 1.0 for fault in faults):
-            raise ValueError("a fault has a probability below one: pass the random.Random that draws for it as chance")
+        if chance is None and any(fault.probability < 1.0 or fault.kind == "noisy" for fault in faults):
+            raise ValueError(
+                "a fault has a probability below one, or is noisy: pass the random.Random that draws for it as chance"
+            )
         self.address = address
         self.faults = tuple(faults)
         self.pings = 0
@@ -244,6 +259,8 @@ class MB1242:
         reading_cm = self._echo(now_s)
         if not MIN_CM <= reading_cm <= NO_ECHO_CM:
             raise ValueError(f"echo returned {reading_cm} cm: expected {MIN_CM} to {NO_ECHO_CM}")
+        if self.faults:
+            reading_cm = self._misrange(reading_cm, now_s)
         self.pings += 1
         self._busy_until_s = now_s + self._timing.ranging_s(reading_cm)
         self._may_miss_read = True
@@ -265,6 +282,13 @@ class MB1242:
             return False
         return fault.probability == 1.0 or (self._chance is not None and self._chance.random() < fault.probability)
 
+    def _misrange(self, reading_cm: int, now_s: float) -> int:
+        """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
+        for fault in self.faults:
+            if fault.kind in _MISRANGINGS and self._fault_strikes(fault, now_s):
+                reading_cm = _MISRANGINGS[fault.kind](reading_cm, fault, self._chance)
+        return reading_cm
+
     def _corrupt(self, answer: bytes, now_s: float) -> bytes:
         """Return the answer as the master sees it, each fault on top of those before it in the list."""
         word = int.from_bytes(answer, "big")
@@ -280,6 +304,25 @@ _CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
     "saturated": lambda word, fault: min(word, 0xFF),
     "lost_high_byte": lambda word, fault: word & 0xFF,
     "impossible": lambda word, fault: fault.word,
+}
+
+
+def _shifted(reading_cm: int, by_cm: float) -> int:
+    """A range with an error, within what the sensor can answer; no echo stays no echo."""
+    if reading_cm == NO_ECHO_CM:
+        return reading_cm
+    return round(min(max(reading_cm + by_cm, MIN_CM), NO_ECHO_CM))
+
+
+def _scattered(reading_cm: int, fault: Fault, chance: random.Random | None) -> int:
+    assert chance is not None  # MB1242 refuses a noisy fault without it.
+    return _shifted(reading_cm, chance.gauss(0.0, fault.spread_cm))
+
+
+_MISRANGINGS: dict[str, Callable[[int, Fault, random.Random | None], int]] = {
+    "no_echo": lambda reading_cm, fault, chance: NO_ECHO_CM,
+    "noisy": _scattered,
+    "offset": lambda reading_cm, fault, chance: _shifted(reading_cm, fault.offset_cm),
 }
 
 

@@ -81,6 +81,11 @@ class Simulation:
         A real link to share the flight with.
     tlog
         File for the frames sent.
+
+    Attributes
+    ----------
+    world, vehicle
+        The truth: what is there, and where the vehicle is at any time of the flight.
     """
 
     def __init__(
@@ -99,10 +104,10 @@ class Simulation:
         self._clock = clock
         self._start_s = clock.now()
         self._duration_s = scenario.duration_s
-        self._world = scenario.world()
-        self._vehicle = scenario.vehicle(self._world, default_rng(for_vehicle))
+        self.world = scenario.world()
+        self.vehicle = scenario.vehicle(self.world, default_rng(for_vehicle))
         models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
-        self._log = FlightLog(airframe, models, self._world, self._vehicle.pose, self._start_s, recorder)
+        self._log = FlightLog(airframe, models, self.world, self.vehicle.pose, self._start_s, recorder)
         self.flight = self._log.flight
         faults: dict[str, list[Fault]] = {}
         for planned in scenario.faults:
@@ -110,18 +115,19 @@ class Simulation:
         bus = emulated_bus(
             airframe,
             models,
-            self._world,
-            self._vehicle.pose,
+            self.world,
+            self.vehicle.pose,
             self.now_s,
             for_sensors,
             self._log.keep_truth,
             faults,
         )
+        self._shown_c = scenario.thermometer.reading_c
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
             clock,
-            self._vehicle.pose,
-            lambda pose: self._world.air_temperature_c(-pose.position_ned_m[2]),
+            lambda time_s: plan.sent_pose(self.vehicle.pose(time_s)) if plan else self.vehicle.pose(time_s),
+            lambda pose: self._shown_c(pose.time_s, self._air_c),
             kind=(plan.kind if plan else None) or airframe.link.autopilot,
             heard_from_s=plan.heard_from_s if plan else float("inf"),
             reboots_at_s=plan.reboots_at_s if plan else (),
@@ -144,11 +150,11 @@ class Simulation:
 
     def pose(self) -> Pose:
         """Where the vehicle is now."""
-        return self._vehicle.pose(self.now_s())
+        return self.vehicle.pose(self.now_s())
 
     def height_m(self) -> float:
         """Vertical distance to what is below the vehicle now [m]."""
-        return self._world.height_above_ground(self.pose()).vertical_m
+        return self.world.height_above_ground(self.pose()).vertical_m
 
     def fly(self) -> Steps[list[Step], None, None]:
         """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""
@@ -162,8 +168,12 @@ class Simulation:
             self._finish()
 
     def _thermometer(self, source: FileSource) -> float:
-        """The air about the vehicle, in place of this computer's own files."""
-        return self._world.air_temperature_c(-self.pose().position_ned_m[2]) / source.scale
+        """What the vehicle's thermometers show, in place of this computer's own files."""
+        return self._shown_c(self.now_s(), self._air_c) / source.scale
+
+    def _air_c(self, time_s: float) -> float:
+        """The air at the vehicle at a time of the flight [deg C]."""
+        return self.world.air_temperature_c(-self.vehicle.pose(time_s).position_ned_m[2])
 
     def _finish(self) -> None:
         self._log.finish(self.now_s(), self._bridge)

@@ -5,9 +5,10 @@ fly through the ground, or a fault hit a sensor that the airframe does not have,
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from numpy.random import Generator, default_rng
 from pydantic import Field, model_validator
@@ -18,7 +19,7 @@ from msp_range.yaml_file import Section, load
 from msp_sim import device
 from msp_sim.profiles import Positive
 from msp_sim.surfaces import Ground
-from msp_sim.vehicle import Flight, Vehicle
+from msp_sim.vehicle import Flight, Pose, Vehicle
 from msp_sim.world import Air, World
 
 CHECK_EVERY_S = 0.1
@@ -27,6 +28,9 @@ SCRAPES_M = 0.01
 """The vehicle's feet may be this deep in the ground [m]."""
 
 NotNegative = Annotated[float, Field(ge=0)]
+
+_VALUE_OF_KIND = {"word": "impossible", "spread_cm": "noisy", "offset_cm": "offset"}
+"""Keys of a planned fault that belong to one kind only."""
 
 
 class PlannedFault(Section):
@@ -44,22 +48,76 @@ class PlannedFault(Section):
     """that it shows at one opportunity, more than 0 and at most 1"""
     word: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
     """the answer of the kind impossible: 16 bits that are no range; left out: 1000"""
+    spread_cm: Positive | None = None
+    """standard deviation of the errors of the kind noisy [cm]; left out: 100"""
+    offset_cm: float | None = None
+    """error of the kind offset [cm]; left out: 100"""
 
     @model_validator(mode="after")
     def _possible(self) -> "PlannedFault":
         if self.to_s < self.from_s:
             raise ValueError(f"to_s: found {self.to_s:g}; expected a time after from_s {self.from_s:g}")
-        if self.word is not None and self.kind != "impossible":
-            raise ValueError(
-                f"word: found {self.word}; expected none with the kind {self.kind!r}, only with 'impossible'"
-            )
+        for name, kind in _VALUE_OF_KIND.items():
+            value = getattr(self, name)
+            if value is not None and self.kind != kind:
+                raise ValueError(
+                    f"{name}: found {value:g}; expected none with the kind {self.kind!r}, only with {kind!r}"
+                )
         self.on_device()
         return self
 
     def on_device(self) -> device.Fault:
         """The fault as the emulated sensor takes it."""
         fault = device.Fault(self.kind, self.from_s, self.to_s, self.probability)
-        return fault if self.word is None else replace(fault, word=self.word)
+        given = {name: value for name in _VALUE_OF_KIND if (value := getattr(self, name)) is not None}
+        return replace(fault, **given)
+
+
+class ThermometerFault(Section):
+    """Something that goes wrong for a while with what thermometers read."""
+
+    kind: Literal["jump", "freeze"]
+    """jump: off by by_c at once; freeze: the value at from_s stays"""
+    from_s: NotNegative
+    """when it begins, from the start of the flight [s]"""
+    to_s: NotNegative
+    """when it ends [s]"""
+    by_c: float = 0.0
+    """error of the kind jump [K]"""
+
+
+class Thermometer(Section):
+    """What the vehicle's thermometers read: files of this computer, and what the autopilot sends."""
+
+    warmer_by_c: float = 0.0
+    """constant error, as in the sun or beside a processor [K]"""
+    faults: tuple[ThermometerFault, ...] = ()
+    """what goes wrong, in any order"""
+
+    def reading_c(self, time_s: float, air_c: Callable[[float], float]) -> float:
+        """What is read at a time of the flight [deg C], where ``air_c`` is the air at the vehicle at a time [s]."""
+        active = [fault for fault in self.faults if fault.from_s <= time_s < fault.to_s]
+        frozen_s = [fault.from_s for fault in active if fault.kind == "freeze"]
+        jumps_c = [fault.by_c for fault in active if fault.kind == "jump"]
+        return air_c(min([time_s, *frozen_s])) + self.warmer_by_c + sum(jumps_c)
+
+
+class AttitudeFault(Section):
+    """Attitudes that make no sense, for a while."""
+
+    kind: Literal["roll", "huge", "not_a_number"]
+    """roll: this roll is sent; huge: 1e38 rad; not_a_number: NaN"""
+    from_s: NotNegative
+    """when it begins, from the start of the flight [s]"""
+    to_s: NotNegative
+    """when it ends [s]"""
+    roll_deg: float = 180.0
+    """the roll of the kind roll [deg]"""
+
+    @property
+    def roll_rad(self) -> float:
+        """The roll that is sent [rad]."""
+        return {"roll": math.radians(self.roll_deg), "huge": 1e38, "not_a_number": math.nan}[self.kind]
 
 
 class LoopbackAutopilot(Section):
@@ -71,6 +129,15 @@ class LoopbackAutopilot(Section):
     """when its first heartbeat comes, from the start of the flight [s]"""
     reboots_at_s: tuple[NotNegative, ...] = ()
     """when it starts anew, its clock with it [s]"""
+    attitude_faults: tuple[AttitudeFault, ...] = ()
+    """attitudes that make no sense, in any order"""
+
+    def sent_pose(self, pose: Pose) -> Pose:
+        """The pose that its messages are made of."""
+        for fault in self.attitude_faults:
+            if fault.from_s <= pose.time_s < fault.to_s:
+                pose = pose._replace(roll_rad=fault.roll_rad)
+        return pose
 
 
 class Scenario(Section):
@@ -88,6 +155,8 @@ class Scenario(Section):
     """what lies and stands below"""
     air: Air = Air()
     """air temperature over height"""
+    thermometer: Thermometer = Thermometer()
+    """what the vehicle's thermometers read"""
     faults: tuple[PlannedFault, ...] = ()
     """what goes wrong, in any order"""
     autopilot: LoopbackAutopilot | None = LoopbackAutopilot()

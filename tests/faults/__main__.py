@@ -1,0 +1,85 @@
+"""Fly a fault campaign: ``make faults``, or ``python -m tests.faults``.
+
+Prints a table of all groups, the goals, and the worst flights; OUT/flights.jsonl has a line for each flight. A flight
+that is named there, such as 1:42, is flown again with everything about it written by ``--again 1:42 --out FOLDER``.
+"""
+
+import argparse
+import json
+import re
+import sys
+from itertools import count, islice
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+
+from msp_range.clock import SystemClock
+from msp_sim.terminal import Bar
+from tests.faults.campaign import fly_all, fly_plan
+from tests.faults.plans import SHARES, draw_plan, group_of, row_of
+from tests.faults.report import Line, goals_table, groups_table, worst_table
+
+WIDTH = 220
+"""Of the tables where there is no terminal [characters]."""
+LINE_EACH_S = 30.0
+"""Between two lines on the progress where there is no terminal [s]."""
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.faults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--flights", type=int, default=700, help="how many (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the campaign (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", metavar="GROUP", help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'")
+    parser.add_argument("--out", type=Path, default=Path("build/faults"), help="folder (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument("--again", metavar="SEED:INDEX", help="fly one flight again and write all of it to OUT")
+    given = parser.parse_args()
+    if given.again is not None:
+        if not re.fullmatch(r"\d+:\d+", given.again):
+            parser.error(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
+        seed, index = map(int, given.again.split(":"))
+        print(json.dumps(fly_plan(draw_plan(seed, index), given.out), indent=2))
+        return
+    only = given.only
+    if only is not None:
+        known = {name for index in range(2000) for name in (group_of(index), row_of(index))}
+        for name in only:
+            if name not in known:
+                parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(known))}")
+    wanted = (index for index in count() if only is None or group_of(index) in only or row_of(index) in only)
+    try:
+        lines = _fly(given.seed, list(islice(wanted, given.flights)), given.jobs, given.out)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    console = Console()
+    console = console if console.is_terminal else Console(width=WIDTH)
+    for table in (groups_table(lines), goals_table(lines), worst_table(lines)):
+        console.print(table)
+    print(f"every flight: {given.out / 'flights.jsonl'}")
+
+
+def _fly(seed: int, indices: list[int], jobs: int, out: Path) -> list[Line]:
+    out.mkdir(parents=True, exist_ok=True)
+    clock = SystemClock()
+    started_s = next_line_s = clock.now()
+    lines: list[Line] = []
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (out / "flights.jsonl").open("w", encoding="utf-8") as file, Bar(*columns, total=len(indices)) as bar:
+        for line in fly_all(seed, indices, jobs):
+            lines.append(line)
+            file.write(json.dumps(line) + "\n")
+            bar.show(line["row"], len(lines))
+            if not bar.is_shown and clock.now() >= next_line_s:
+                next_line_s = clock.now() + LINE_EACH_S
+                print(f"{len(lines)} of {len(indices)} flights, {clock.now() - started_s:.0f} s", file=sys.stderr)
+    flown_s = sum(line["verdict"]["flown_s"] for line in lines)
+    print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
+    return lines
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""Fly plans with the real bridge in virtual time, on several processes, and keep what became of each.
+
+Indices enter, dictionaries of a flight leave in their order: what was flown and its `Verdict`, one line each of
+flights.jsonl.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from msp_range.clock import VirtualClock
+from msp_range.config import Airframe
+from msp_range.recording.writer import Recorder
+from msp_sim.autopilot import BOOTED_BEFORE_S, REBOOT_S
+from msp_sim.flight import Simulation
+from msp_sim.scenario import Scenario, load_scenario
+from msp_sim.summary import summarise
+from tests.faults.judge import Conditions, Received, judge
+from tests.faults.plans import Plan, draw_plan
+from tests.faults.truth import Truth
+
+SATURATES_CM = 8
+"""Noise takes readings this close to the sensor's maximum beyond it [cm]: four of its standard deviations."""
+ON_THE_GROUND_M = 0.195
+"""The vehicle stands with 20 cm below the reference point, the sensors' minimum [m]."""
+
+
+def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
+    """Fly one plan; its line in flights.jsonl. With ``out`` everything about the flight is written there."""
+    with TemporaryDirectory() as name:
+        folder = out or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        scenario = load_scenario(plan.write(folder))
+        clock = VirtualClock()
+        recorder = tlog = None
+        if out is not None:
+            recording = out / "flight.mcap"
+            recording.unlink(missing_ok=True)
+            recorder, tlog = Recorder(recording, clock, files=scenario.airframe.files), out / "link.tlog"
+        simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, tlog=tlog)
+        crashed = None
+        try:
+            for _ in simulation.fly():
+                pass
+        except Exception as error:
+            crashed = f"{type(error).__name__}: {error}"
+        if recorder is not None:
+            recorder.close()
+    boots_s = [-BOOTED_BEFORE_S, *(scenario.autopilot.reboots_at_s if scenario.autopilot else ())]
+    received = Received(simulation.received, boots_s)
+    truth = Truth(scenario, simulation.world, simulation.vehicle)
+    verdict = judge(received, truth, conditions_of(scenario))
+    line = {
+        "again": f"{plan.seed}:{plan.index}",
+        "group": plan.group,
+        "row": plan.row,
+        "facts": plan.facts,
+        "faults": plan.scenario["faults"],
+        "crashed": crashed,
+        "verdict": asdict(verdict) | {"wrong": verdict.wrong, "silences": verdict.silences},
+    }
+    if out is not None:
+        _write(out, plan, line, received, truth, simulation)
+    return line
+
+
+def conditions_of(scenario: Scenario) -> Conditions:
+    """Limits of a scenario's airframe in its air, and when its autopilot listens."""
+    airframe = scenario.airframe
+    polling = airframe.polling
+    turns = len(polling.groups or airframe.sensors)
+    interval_s = polling.ping_interval_s or max(each.sensor_model.timing.ping_interval_s for each in airframe.sensors)
+    turn_s = turns * max(interval_s, max(each.sensor_model.timing.deadline_s for each in airframe.sensors))
+    reboots_s = sorted(scenario.autopilot.reboots_at_s) if scenario.autopilot else []
+    starts_s = [0.0, *(each + REBOOT_S for each in reboots_s)]
+    return Conditions(
+        scenario.duration_s,
+        max(1.0, 2.0 * turn_s),
+        ON_THE_GROUND_M,
+        max(_farthest_m(airframe, i, scenario.air.ground_c) for i in range(len(airframe.downward))),
+        list(zip(starts_s, [*reboots_s, scenario.duration_s], strict=True)),
+    )
+
+
+def _farthest_m(airframe: Airframe, i: int, air_c: float) -> float:
+    """How far a sensor can measure along the down axis: in cold air the sound is slower, and less far."""
+    sensor = airframe.downward[i]
+    model = sensor.sensor_model
+    assert airframe.send.fused is not None
+    slower = math.sqrt((273.15 + air_c) / (273.15 + model.calibration_temperature_c))
+    reach_m = (model.maximum_cm - SATURATES_CM) / 100 * slower
+    return reach_m * math.cos(sensor.tilt_from_down_rad) + sensor.position_m[2] - airframe.send.fused.reference_down_m
+
+
+def _write(
+    out: Path, plan: Plan, line: dict[str, Any], received: Received, truth: Truth, simulation: Simulation
+) -> None:
+    """Summary, verdict, texts and messages of a flight that is flown again."""
+    summary = summarise(simulation.flight, plan.row, plan.flight_seed)
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    (out / "verdict.json").write_text(json.dumps(line, indent=2) + "\n", encoding="utf-8")
+    texts = [f"{time_s:8.2f} s  severity {severity}: {text}\n" for time_s, severity, text in received.texts]
+    (out / "texts.txt").write_text("".join(texts), encoding="utf-8")
+    rows = ["time_s,stamp_s,current_m,maximum_m,std_m,quality,true_m\n"]
+    for each in received.distances:
+        true_m = truth.distances_m(each.stamp_s)[0]
+        std = "" if each.std_m is None else f"{each.std_m:.3f}"
+        stated = f"{each.time_s:.3f},{each.stamp_s:.3f},{each.current_m:.2f},{each.maximum_m:.2f},{std},{each.quality}"
+        rows.append(f"{stated},{true_m:.3f}\n")
+    (out / "messages.csv").write_text("".join(rows), encoding="utf-8")
+
+
+def fly_index(seed_and_index: tuple[int, int]) -> dict[str, Any]:
+    """Draw and fly one flight."""
+    return fly_plan(draw_plan(*seed_and_index))
+
+
+def fly_all(seed: int, indices: Sequence[int], jobs: int) -> Iterator[dict[str, Any]]:
+    """Fly many, in the order of their indices, in ``jobs`` processes."""
+    flights = [(seed, index) for index in indices]
+    if jobs == 1:
+        yield from map(fly_index, flights)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        try:
+            yield from pool.map(fly_index, flights)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            raise

@@ -1,0 +1,305 @@
+"""What the autopilot received, compared with the truth.
+
+MAVLink messages as pymavlink parsed them, with the times at which they came, and a `Truth` enter; a `Verdict` leaves.
+Nothing of the bridge's own records or objects is looked at. The rules:
+
+Valid
+    A DISTANCE_SENSOR that looks down (orientation 25) with min < current <= max and a quality other than 1. It holds
+    until the next one of that orientation, and for 0.5 s at most, ArduPilot's time-out.
+Above the maximum
+    current > max, whatever the quality. It is wrong where every true distance is less than the maximum - 0.5 m.
+Wrong distance
+    The held valid distance is over 50 cm off for over 0.5 s without a break. Compared with the truth now.
+Honest, covered
+    A valid message's error is within 3, or 1.96, stated deviations: the root of the covariance in cm^2. Compared with
+    the truth at the message's own time stamp, since a deviation is that of a measurement and not of its age; where the
+    stamp is over 0.5 s from the receipt, at the receipt. Covariance 255 is neither, but where the quality is 0 (both
+    unknown) the message is left out. Shares are of time: a message counts as long as it holds.
+Judged time
+    From the silence limit after the start, and after each time the autopilot came back, while it listens. 'In range' is
+    the part of it in which the true distance lies where a sensor in this air can measure it.
+Silence
+    The time between two usable messages (valid, or above the maximum and right), or from the start, or to the end,
+    where that is longer than the limit: max(1 s, twice the longest time between two readings of one downward sensor).
+Reported
+    A silence: from 1 s before its beginning until the limit + 0.5 s after it a STATUSTEXT of severity WARNING or worse
+    has come that is not on an object, a hole or the air's temperature, or the last HEARTBEAT before that deadline says
+    CRITICAL. A wrong distance: the same from 1 s before its beginning until 2 s after it, texts on temperature
+    included.
+False object
+    A STATUSTEXT with 'object' or 'hole' while none of the grounds of the last 2 s was 8 cm from another.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from tests.faults.truth import Truth, nearest_error_m
+
+TIME_OUT_S = 0.5
+"""ArduPilot's AP_RangeFinder takes a MAVLink range finder for gone after this [s]."""
+WRONG_M, WRONG_S = 0.5, 0.5
+ABOVE_MARGIN_M = 0.5
+LEAST_LIMIT_S = 1.0
+REPORT_AFTER_LIMIT_S = 0.5
+REPORT_WRONG_S = 2.0
+REPORT_BEFORE_S = 1.0
+"""A report may come a little before what it is about: a sensor is found to be bad, and then the others fail [s]."""
+LATEST_STAMP_S = 0.5
+GRID_S = 0.025
+"""Time between two comparisons with the truth [s]; what is shorter is not seen."""
+COVARIANCE_UNKNOWN, QUALITY_INVALID = 255, 1
+
+_ON_OBJECTS = re.compile(r"\b(object|hole|ground below)\b", re.IGNORECASE)
+_ON_AIR = re.compile(r"\b(air temp|temperature|thermometer)", re.IGNORECASE)
+
+
+class Distance(NamedTuple):
+    """A DISTANCE_SENSOR that looks down: time of receipt and of its stamp [s of the flight], and its fields in metres.
+
+    ``std_m`` is None where the covariance is unknown.
+    """
+
+    time_s: float
+    stamp_s: float
+    current_m: float
+    minimum_m: float
+    maximum_m: float
+    std_m: float | None
+    quality: int
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether an autopilot takes it for a distance."""
+        return self.minimum_m < self.current_m <= self.maximum_m and self.quality != QUALITY_INVALID
+
+    @property
+    def is_above(self) -> bool:
+        """Whether it says that nothing is within the maximum."""
+        return self.current_m > self.maximum_m
+
+
+class Event(NamedTuple):
+    """A wrong distance or a silence: when it began and how long it lasted [s], the largest error [m], who reported it.
+
+    ``reported`` is 'text', 'critical' or None.
+    """
+
+    from_s: float
+    for_s: float
+    worst_m: float
+    reported: str | None
+
+
+@dataclass
+class Verdict:
+    """What became of one flight; times in seconds.
+
+    Attributes
+    ----------
+    flown_s, judged_s, in_range_s
+        Of the flight; judged; judged with the truth within the sensors' range.
+    valid_s, honest_s, covered_s
+        With a valid message; within 3 stated deviations; within 1.96.
+    honest_in_range_s
+        Within 3 stated deviations while the truth is within the sensors' range.
+    wrong, silences
+        Events.
+    longest_gap_s
+        Between two usable messages, whether longer than the limit or not.
+    above_wrong, above_wrong_s
+        Wrong messages 'above the maximum', and how long they held.
+    false_objects
+        Texts.
+    messages
+        DISTANCE_SENSOR that look down.
+    """
+
+    flown_s: float
+    judged_s: float = 0.0
+    in_range_s: float = 0.0
+    valid_s: float = 0.0
+    honest_s: float = 0.0
+    covered_s: float = 0.0
+    honest_in_range_s: float = 0.0
+    wrong: list[Event] = field(default_factory=list)
+    silences: list[Event] = field(default_factory=list)
+    longest_gap_s: float = 0.0
+    above_wrong: int = 0
+    above_wrong_s: float = 0.0
+    false_objects: list[str] = field(default_factory=list)
+    messages: int = 0
+
+
+class Received:
+    """What came from the bridge.
+
+    Parameters
+    ----------
+    messages
+        (time of the flight [s], message) in order.
+    boots_s
+        When the autopilot's clock was at zero [s of the flight], in order; the first is before the flight.
+    """
+
+    def __init__(self, messages: Sequence[tuple[float, Any]], boots_s: Sequence[float]) -> None:
+        self.distances: list[Distance] = []
+        self.texts: list[tuple[float, int, str]] = []
+        self._states: list[tuple[float, int]] = []
+        for time_s, message in messages:
+            kind = message.get_type()
+            if kind == "DISTANCE_SENSOR" and message.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270:
+                boot_s = max(each for each in boots_s if each <= time_s)
+                self.distances.append(_distance(time_s, boot_s, message))
+            elif kind == "STATUSTEXT":
+                self.texts.append((time_s, message.severity, message.text))
+            elif kind == "HEARTBEAT":
+                self._states.append((time_s, message.system_status))
+
+    def report(self, from_s: float, to_s: float, *, air_counts: bool) -> str | None:
+        """How something was reported between two times: 'text', 'critical' or None."""
+        for time_s, severity, text in self.texts:
+            about_another = _ON_OBJECTS.search(text) or (_ON_AIR.search(text) and not air_counts)
+            if from_s <= time_s <= to_s and severity <= mavlink.MAV_SEVERITY_WARNING and not about_another:
+                return "text"
+        before = [state for time_s, state in self._states if time_s <= to_s]
+        return "critical" if before and before[-1] == mavlink.MAV_STATE_CRITICAL else None
+
+
+def _distance(time_s: float, boot_s: float, message: Any) -> Distance:
+    stamp_s = max(message.time_boot_ms / 1e3 + boot_s, 0.0)
+    if abs(stamp_s - time_s) > LATEST_STAMP_S:
+        stamp_s = time_s
+    std_m = None if message.covariance == COVARIANCE_UNKNOWN else math.sqrt(message.covariance) / 100
+    return Distance(
+        time_s,
+        stamp_s,
+        message.current_distance / 100,
+        message.min_distance / 100,
+        message.max_distance / 100,
+        std_m,
+        message.signal_quality,
+    )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a flight is judged by, besides its messages.
+
+    Attributes
+    ----------
+    duration_s
+        Of the flight [s].
+    limit_s
+        Longest silence [s].
+    nearest_m, farthest_m
+        True distances that the sensors can measure in this air [m].
+    listens_s
+        From when to when the autopilot listened [s].
+    """
+
+    duration_s: float
+    limit_s: float
+    nearest_m: float
+    farthest_m: float
+    listens_s: Sequence[tuple[float, float]]
+
+
+def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
+    """Compare what was received with the truth."""
+    verdict = Verdict(conditions.duration_s, messages=len(received.distances))
+    distances = received.distances
+    errors_m = [
+        nearest_error_m(each.current_m, truth.distances_m(each.stamp_s)) if each.is_valid else None
+        for each in distances
+    ]
+    rights = [_is_right(each, truth) for each in distances]
+    verdict.above_wrong = sum(each.is_above and not right for each, right in zip(distances, rights, strict=True))
+    off: list[tuple[float, float]] = []
+    index = -1
+    for i in range(round(conditions.duration_s / GRID_S)):
+        time_s = i * GRID_S
+        while index + 1 < len(distances) and distances[index + 1].time_s <= time_s:
+            index += 1
+        held = distances[index] if index >= 0 and time_s - distances[index].time_s < TIME_OUT_S else None
+        trues_m = truth.distances_m(time_s)
+        if held is not None and held.is_valid:
+            error_m = nearest_error_m(held.current_m, trues_m)
+            if abs(error_m) > WRONG_M:
+                off.append((time_s, error_m))
+        if held is not None and held.is_above and not rights[index]:
+            verdict.above_wrong_s += GRID_S
+        if not any(start_s + conditions.limit_s <= time_s < end_s for start_s, end_s in conditions.listens_s):
+            continue
+        _count(verdict, held, errors_m[index], conditions, trues_m[0])
+    verdict.wrong = _wrong(off, received)
+    usable_s = [each.time_s for each, right in zip(distances, rights, strict=True) if right]
+    for start_s, end_s in conditions.listens_s:
+        _silences(verdict, [each for each in usable_s if start_s <= each < end_s], start_s, end_s, received, conditions)
+    verdict.false_objects = [
+        f"{time_s:.1f} s: {text}"
+        for time_s, severity, text in received.texts
+        if severity <= mavlink.MAV_SEVERITY_WARNING and re.search(r"\b(object|hole)\b", text)
+        if not truth.is_uneven(time_s)
+    ]
+    return verdict
+
+
+def _is_right(distance: Distance, truth: Truth) -> bool:
+    """Whether a message is usable: valid, or above the maximum with nothing nearer."""
+    if distance.is_above:
+        return max(truth.distances_m(distance.time_s)) >= distance.maximum_m - ABOVE_MARGIN_M
+    return distance.is_valid
+
+
+def _count(
+    verdict: Verdict, held: Distance | None, error_m: float | None, conditions: Conditions, true_m: float
+) -> None:
+    in_range = conditions.nearest_m <= true_m <= conditions.farthest_m
+    verdict.judged_s += GRID_S
+    verdict.in_range_s += GRID_S * in_range
+    if held is None or error_m is None or (held.std_m is None and held.quality == 0):
+        return
+    verdict.valid_s += GRID_S
+    if held.std_m is not None and abs(error_m) <= 3.0 * held.std_m:
+        verdict.honest_s += GRID_S
+        verdict.honest_in_range_s += GRID_S * in_range
+        verdict.covered_s += GRID_S * (abs(error_m) <= 1.96 * held.std_m)
+
+
+def _wrong(off: Sequence[tuple[float, float]], received: Received) -> list[Event]:
+    events = []
+    if off:
+        times_s, errors_m = np.array(off).T
+        breaks = np.flatnonzero(np.diff(times_s) > 1.5 * GRID_S) + 1
+        for some_s, some_m in zip(np.split(times_s, breaks), np.split(errors_m, breaks), strict=True):
+            from_s, for_s = float(some_s[0]), float(some_s[-1] - some_s[0]) + GRID_S
+            if for_s > WRONG_S:
+                report = received.report(from_s - REPORT_BEFORE_S, from_s + REPORT_WRONG_S, air_counts=True)
+                worst_m = float(some_m[np.argmax(np.abs(some_m))])
+                events.append(Event(round(from_s, 3), round(for_s, 3), round(worst_m, 2), report))
+    return events
+
+
+def _silences(
+    verdict: Verdict,
+    usable_s: Sequence[float],
+    start_s: float,
+    end_s: float,
+    received: Received,
+    conditions: Conditions,
+) -> None:
+    limit_s = conditions.limit_s
+    for from_s, to_s in zip([start_s, *usable_s], [*usable_s, end_s], strict=True):
+        verdict.longest_gap_s = max(verdict.longest_gap_s, round(to_s - from_s, 3))
+        deadline_s = from_s + limit_s + REPORT_AFTER_LIMIT_S
+        if to_s - from_s > limit_s:
+            report = received.report(from_s - REPORT_BEFORE_S, deadline_s, air_counts=False)
+            if report is None and deadline_s > end_s:
+                continue  # There was no time left to report it.
+            verdict.silences.append(Event(round(from_s, 3), round(to_s - from_s, 3), 0.0, report))

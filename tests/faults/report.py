@@ -1,0 +1,189 @@
+"""A campaign as tables: one row for each group, the goals, and the flights that went worst.
+
+Lines of flights.jsonl enter, tables that are Markdown leave.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich import box
+from rich.console import RenderableType
+from rich.table import Table
+
+from tests.faults.plans import AIRFRAMES, SENSOR_KINDS, SHARES, SOURCES
+
+Line = dict[str, Any]
+
+WORST = 4
+"""So many flights are named for each way to go wrong."""
+FROM_S, FOR_S, WORST_M, REPORTED = range(4)
+"""Fields of an event; see `tests.faults.judge.Event`."""
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Several flights together."""
+
+    lines: Sequence[Line]
+
+    def total(self, name: str) -> float:
+        """Sum of a figure of the verdicts."""
+        return float(sum(line["verdict"][name] for line in self.lines))
+
+    def events(self, name: str) -> list[Sequence[Any]]:
+        """Wrong distances or silences of all flights."""
+        return [event for line in self.lines for event in line["verdict"][name]]
+
+    @property
+    def wrong_s(self) -> float:
+        """Time with wrong distances [s]."""
+        return sum(event[FOR_S] for event in self.events("wrong"))
+
+    @property
+    def reported(self) -> int:
+        """Wrong distances that were reported."""
+        return sum(event[REPORTED] is not None for event in self.events("wrong"))
+
+    @property
+    def unreported(self) -> int:
+        """Silences that were not reported."""
+        return sum(event[REPORTED] is None for event in self.events("silences"))
+
+    def share(self, part: str, whole: str) -> float | None:
+        """One sum over another [%]; None: there was no time."""
+        total = self.total(whole)
+        return 100.0 * self.total(part) / total if total else None
+
+    @property
+    def false_objects(self) -> int:
+        """Texts on objects that were not there."""
+        return sum(len(line["verdict"]["false_objects"]) for line in self.lines)
+
+
+_COLUMNS: dict[str, Callable[[Sum], str]] = {
+    "flights": lambda some: str(len(some.lines)),
+    "wrong distances": lambda some: str(len(some.events("wrong"))),
+    "longest, s": lambda some: f"{max((event[FOR_S] for event in some.events('wrong')), default=0.0):.1f}",
+    "all, s": lambda some: f"{some.wrong_s:.1f}",
+    "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
+    "wrong above max.": lambda some: str(round(some.total("above_wrong"))),
+    "valid and within 3 s.d., %": lambda some: _percent(some.share("honest_in_range_s", "in_range_s")),
+    "within 1.96 s.d., %": lambda some: _percent(some.share("covered_s", "valid_s")),
+    "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
+    "unreported silences": lambda some: f"{some.unreported} of {len(some.events('silences'))}",
+    "false objects in 1000 s": lambda some: f"{1000.0 * some.false_objects / some.total('flown_s'):.1f}",
+}
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{share:.1f}"
+
+
+def groups_table(lines: Sequence[Line]) -> RenderableType:
+    """One row for each group and kind."""
+    rows: list[str] = []
+    for group in SHARES:
+        kinds = {"one": SENSOR_KINDS, "airframe": AIRFRAMES}.get(group, [])
+        rows += [f"{group}: {kind}" for kind in kinds] or [group]
+    table = Table("group", box=box.MARKDOWN)
+    for name in _COLUMNS:
+        table.add_column(name, justify="right")
+    for row in rows:
+        _add(table, row, [line for line in lines if line["row"] == row])
+    _add(table, "all", lines)
+    return table
+
+
+def _add(table: Table, name: str, lines: Sequence[Line]) -> None:
+    if lines:
+        table.add_row(name, *(cell(Sum(lines)) for cell in _COLUMNS.values()))
+
+
+def goals_table(lines: Sequence[Line]) -> RenderableType:
+    """The figures to reach and those that were reached; flights that were not flown leave their rows out."""
+    table = Table("figure", "goal", "reached", box=box.MARKDOWN)
+    some = _of(lines, "one", "two")
+    if some.lines:
+        reached = f"{len(some.events('wrong'))} in {len(some.lines)} flights"
+        table.add_row("wrong distances, faults on one or two without a common wrong height", "0 in 700", reached)
+    some = _of(lines, "three or four")
+    if some.lines:
+        share = f"{100.0 * some.wrong_s / some.total('flown_s'):.1f} %"
+        reached = f"{share}, {some.reported} of {len(some.events('wrong'))} reported"
+        table.add_row("wrong distances on three and four: time, reported within 2 s", "at most 1 %, all", reached)
+    for group, goal in (("no fault", 99.5), ("one", 98.0), ("two", 90.0)):
+        some = _of(lines, group)
+        if some.lines:
+            reached = f"{_percent(some.share('honest_in_range_s', 'in_range_s'))} %"
+            table.add_row(f"valid and within three stated deviations: {group}", f"{goal:g} %", reached)
+    some = _of(lines, "temperature")
+    if some.lines:
+        sources = [[line for line in some.lines if line["facts"]["source"] == source] for source in SOURCES]
+        each = ", ".join(
+            f"{name} {_percent(Sum(of).share('covered_s', 'valid_s'))}"
+            for name, of in zip(SOURCES, sources, strict=True)
+            if of
+        )
+        reached = f"{_percent(some.share('covered_s', 'valid_s'))} % ({each})"
+        table.add_row("stated 95 % holds the truth, -20 to 45 C", "90 to 99 %", reached)
+    reached = f"{Sum(lines).unreported} of {len(Sum(lines).events('silences'))}"
+    table.add_row("unreported silences, all flights", "0", reached)
+    some = _of(lines, "hover")
+    if some.lines:
+        reached = f"{some.false_objects} in {some.total('flown_s'):,.0f} s"
+        table.add_row("false objects in hover", "1 in 100,000 s", reached)
+    crashed = [line for line in lines if line["crashed"]]
+    if crashed:
+        table.add_row("flights that the bridge did not survive", "0", str(len(crashed)))
+    return table
+
+
+def _of(lines: Iterable[Line], *groups: str) -> Sum:
+    return Sum([line for line in lines if line["group"] in groups])
+
+
+_WAYS: dict[str, Callable[[Line], tuple[float, str]]] = {
+    "wrong distance": lambda line: _worst_event(line["verdict"]["wrong"]),
+    "wrong 'above the maximum'": lambda line: (
+        line["verdict"]["above_wrong_s"],
+        f"{line['verdict']['above_wrong']} messages, {line['verdict']['above_wrong_s']:.1f} s",
+    ),
+    "unreported silence": lambda line: _worst_event(
+        [event for event in line["verdict"]["silences"] if event[REPORTED] is None]
+    ),
+    "not valid and honest": lambda line: (
+        line["verdict"]["in_range_s"] - line["verdict"]["honest_in_range_s"],
+        f"{line['verdict']['in_range_s'] - line['verdict']['honest_in_range_s']:.1f} of "
+        f"{line['verdict']['in_range_s']:.1f} s",
+    ),
+    "false objects": lambda line: (
+        len(line["verdict"]["false_objects"]),
+        str(len(line["verdict"]["false_objects"])),
+    ),
+    "crash": lambda line: (float(bool(line["crashed"])), str(line["crashed"])),
+}
+
+
+def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
+    if not events:
+        return 0.0, ""
+    worst = max(events, key=lambda event: event[FOR_S])
+    off = f", {worst[WORST_M]:+.1f} m" if worst[WORST_M] else ""
+    return worst[FOR_S], f"{worst[FOR_S]:.1f} s{off} from {worst[FROM_S]:.1f} s"
+
+
+def worst_table(lines: Sequence[Line]) -> RenderableType:
+    """For each way to go wrong the worst flights of different rows."""
+    table = Table("way", "flight", "row", "how bad", "fault", box=box.MARKDOWN)
+    for way, measure in _WAYS.items():
+        rows: set[str] = set()
+        for line in sorted(lines, key=lambda line: measure(line)[0], reverse=True):
+            size, words = measure(line)
+            if size <= 0 or len(rows) == WORST:
+                break
+            if line["row"] not in rows:
+                rows.add(line["row"])
+                kinds = ", ".join(f"{each['kind']} {each.get('probability', 1):g}" for each in line["faults"])
+                table.add_row(way, line["again"], line["row"], words, kinds)
+    return table
