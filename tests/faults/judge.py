@@ -236,7 +236,7 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
             verdict.above_wrong_s += GRID_S
         if not any(start_s + conditions.limit_s <= time_s < end_s for start_s, end_s in conditions.listens_s):
             continue
-        _count(verdict, held, errors_m[index], conditions, trues_m[0])
+        _count(verdict, held, errors_m[index] if held is not None else None, conditions, trues_m[0])
     verdict.wrong = _wrong(off, received)
     usable_s = [each.time_s for each, right in zip(distances, rights, strict=True) if right]
     for start_s, end_s in conditions.listens_s:
@@ -279,7 +279,7 @@ def _wrong(off: Sequence[tuple[float, float]], received: Received) -> list[Event
         breaks = np.flatnonzero(np.diff(times_s) > 1.5 * GRID_S) + 1
         for some_s, some_m in zip(np.split(times_s, breaks), np.split(errors_m, breaks), strict=True):
             from_s, for_s = float(some_s[0]), float(some_s[-1] - some_s[0]) + GRID_S
-            if for_s > WRONG_S:
+            if for_s > WRONG_S + GRID_S / 2:
                 report = received.report(from_s - REPORT_BEFORE_S, from_s + REPORT_WRONG_S, air_counts=True)
                 worst_m = float(some_m[np.argmax(np.abs(some_m))])
                 events.append(Event(round(from_s, 3), round(for_s, 3), round(worst_m, 2), report))

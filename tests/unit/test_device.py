@@ -3,6 +3,7 @@
 import errno
 import os
 import random
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -221,7 +222,34 @@ def test_power_cycles_at_their_times() -> None:
     assert bench.sonar.read(2) == PART_INFO
 
 
-@pytest.mark.parametrize("kind", ["clock_fault", "missed_read", "stuck", "silent"])
+def test_a_missed_echo_takes_the_whole_cycle() -> None:
+    bench = Bench([258, 258], [Fault("no_echo", 1.0, 2.0)])
+    assert bench.range() == 258
+    bench.time_s = 1.5
+    bench.sonar.write(RANGE_COMMAND)
+    bench.time_s = 1.5 + 0.066
+    assert not bench.acknowledges()
+    bench.time_s = 1.5 + 0.068
+    assert bench.word() == 765
+
+
+@pytest.mark.parametrize(
+    ("reading_cm", "offset_cm", "word"), [(258, -80, 178), (258, 40.4, 298), (40, -80, 20), (765, 9, 765)]
+)
+def test_an_offset_stays_within_what_the_sensor_can_answer(reading_cm: int, offset_cm: float, word: int) -> None:
+    assert Bench([reading_cm], [Fault("offset", 0.0, FOR_EVER, offset_cm=offset_cm)]).range() == word
+
+
+def test_noise_has_its_spread_and_leaves_no_echo_alone() -> None:
+    count, spread_cm = 400, 50.0
+    bench = Bench([400] * count + [765], [Fault("noisy", 0.0, FOR_EVER, spread_cm=spread_cm)])
+    errors_cm = [bench.range() - 400 for _ in range(count)]
+    assert abs(sum(errors_cm) / count) < 4 * spread_cm / count**0.5
+    assert statistics.pstdev(errors_cm) == pytest.approx(spread_cm, rel=0.15)
+    assert bench.range() == 765
+
+
+@pytest.mark.parametrize("kind", ["clock_fault", "missed_read", "stuck", "silent", "no_echo", "offset"])
 def test_probability(kind: str) -> None:
     """How often the fault shows lies within five standard deviations of its probability, and a seed repeats it."""
     count, probability = 600, 0.3
@@ -254,6 +282,7 @@ def test_probability(kind: str) -> None:
         ({"kind": "impossible", "word": 765}, "neither a range"),
         ({"kind": "impossible", "word": 0x8014}, "neither a range"),
         ({"kind": "impossible", "word": 0x10000}, "16 bits"),
+        ({"kind": "noisy", "spread_cm": 0.0}, "more than 0"),
     ],
 )
 def test_a_fault_that_makes_no_sense_is_refused(arguments: dict[str, object], message: str) -> None:
@@ -261,9 +290,10 @@ def test_a_fault_that_makes_no_sense_is_refused(arguments: dict[str, object], me
         Fault(**{"kind": "silent", "start_s": 1.0, "end_s": 2.0, **arguments})  # type: ignore[arg-type]
 
 
-def test_chance_has_to_be_given() -> None:
+@pytest.mark.parametrize("fault", [Fault("silent", 0.0, 1.0, 0.5), Fault("noisy", 0.0, 1.0)])
+def test_chance_has_to_be_given(fault: Fault) -> None:
     with pytest.raises(ValueError, match=r"random\.Random"):
-        MB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[Fault("silent", 0.0, 1.0, 0.5)])
+        MB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])
 
 
 @pytest.mark.parametrize("reading_cm", [19, 766])

@@ -9,7 +9,8 @@ import yaml
 
 from msp_range.yaml_file import ConfigError
 from msp_sim.device import FAULT_KINDS
-from msp_sim.scenario import Scenario, load_scenario
+from msp_sim.scenario import LoopbackAutopilot, PlannedFault, Scenario, Thermometer, load_scenario
+from msp_sim.vehicle import Pose
 from msp_sim.world import Beam, Ping
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -118,6 +119,34 @@ def test_every_kind_of_fault_is_planned_once():
         assert (planned.kind, planned.start_s, planned.end_s) == (fault.kind, fault.from_s, fault.to_s)
 
 
+def test_a_planned_fault_keeps_its_size():
+    planned = PlannedFault(sensor="a", kind="noisy", from_s=1.0, to_s=2.0, spread_cm=40.0)
+    assert planned.on_device().spread_cm == 40.0
+    assert PlannedFault(sensor="a", kind="offset", from_s=1.0, to_s=2.0, offset_cm=-30.0).on_device().offset_cm == -30.0
+
+
+def test_a_thermometer_is_warmer_jumps_and_freezes():
+    faults = (
+        {"kind": "freeze", "from_s": 10.0, "to_s": 20.0},
+        {"kind": "jump", "from_s": 15.0, "to_s": 30.0, "by_c": -40.0},
+    )
+    thermometer = Thermometer(warmer_by_c=2.0, faults=faults)
+    read_c = [thermometer.reading_c(time_s, lambda time_s: time_s / 10) for time_s in (9.0, 12.0, 16.0, 25.0, 30.0)]
+    assert read_c == pytest.approx([2.9, 3.0, -37.0, -35.5, 5.0])
+
+
+def test_attitudes_that_make_no_sense():
+    faults = [
+        {"kind": "roll", "from_s": 1.0, "to_s": 2.0, "roll_deg": 120.0},
+        {"kind": "huge", "from_s": 2.0, "to_s": 3.0},
+        {"kind": "not_a_number", "from_s": 3.0, "to_s": 4.0},
+    ]
+    autopilot = LoopbackAutopilot(attitude_faults=faults)
+    poses = [Pose(time_s, (0.0, 0.0, -1.0), 0.1, 0.0, 0.0, (0.0, 0.0, 0.0)) for time_s in (0.5, 1.0, 2.0, 3.0, 4.0)]
+    rolls_rad = [autopilot.sent_pose(pose).roll_rad for pose in poses]
+    assert rolls_rad == pytest.approx([0.1, math.radians(120.0), 1e38, math.nan, 0.1], nan_ok=True)
+
+
 def test_no_autopilot_and_a_late_one():
     assert load_scenario(CONFIGS / "scenarios" / "no_autopilot.yaml").autopilot is None
     assert load_scenario(CONFIGS / "scenarios" / "hover.yaml").autopilot.heard_from_s == 0.0
@@ -174,6 +203,8 @@ def with_segment(**segment):
         (with_fault(from_s=70, to_s=80), ["faults[0].from_s: found 70; expected a time before the end, duration_s 60"]),
         (with_fault(probability=1.5), ["faults[0]", "probability 1.5", "more than 0 and at most 1"]),
         (with_fault(word=900), ["faults[0]: word: found 900; expected none with the kind 'silent'"]),
+        (with_fault(offset_cm=30), ["faults[0]: offset_cm: found 30; expected none with the kind 'silent'"]),
+        (with_fault(kind="noisy", spread_cm=0), ["faults[0].spread_cm: found 0", "greater than 0"]),
         (with_fault(kind="impossible", word=300), ["faults[0]", "0x12c", "expected"]),
         (with_segment(kind="hovver", duration_s=3), ["flight.altitude[0]", "'hovver'", "hold"]),
         (with_segment(kind="hold", duration_s=-3), ["flight.altitude[0].duration_s: found -3", "greater than 0"]),
