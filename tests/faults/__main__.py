@@ -1,7 +1,8 @@
 """Fly a fault campaign: ``make faults``, or ``python -m tests.faults``.
 
-Prints a table of all groups, the goals, and the worst flights; OUT/flights.jsonl has a line for each flight. A flight
-that is named there, such as 1:42, is flown again with everything about it written by ``--again 1:42 --out FOLDER``.
+Prints a table of all groups, the goals, and the worst flights, which OUT/tables.md holds too; OUT/flights.jsonl has a
+line for each flight. A flight that is named there, such as 1:42, is flown again with everything about it written by
+``--again 1:42 --out FOLDER``.
 """
 
 import argparse
@@ -20,8 +21,8 @@ from tests.faults.campaign import fly_all, fly_plan
 from tests.faults.plans import SHARES, draw_plan, group_of, row_of
 from tests.faults.report import Line, goals_table, groups_table, worst_table
 
-WIDTH = 220
-"""Of the tables where there is no terminal [characters]."""
+WIDTH = 260
+"""Of the tables where there is no terminal [characters]: no heading is wrapped, so that they are Markdown."""
 LINE_EACH_S = 30.0
 """Between two lines on the progress where there is no terminal [s]."""
 
@@ -55,11 +56,13 @@ def main() -> None:
         lines = _fly(given.seed, list(islice(wanted, given.flights)), given.jobs, given.out)
     except KeyboardInterrupt:
         sys.exit(130)
-    console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH)
-    for table in (groups_table(lines), goals_table(lines), worst_table(lines)):
-        console.print(table)
-    print(f"every flight: {given.out / 'flights.jsonl'}")
+    terminal = Console()
+    with (given.out / "tables.md").open("w", encoding="utf-8") as file:
+        markdown = Console(file=file, width=WIDTH)
+        for table in (groups_table(lines), goals_table(lines), worst_table(lines)):
+            markdown.print(table)
+            (terminal if terminal.is_terminal else Console(width=WIDTH)).print(table)
+    print(f"tables: {given.out / 'tables.md'}\nevery flight: {given.out / 'flights.jsonl'}")
 
 
 def _fly(seed: int, indices: list[int], jobs: int, out: Path) -> list[Line]:
