@@ -21,7 +21,7 @@ from msp_sim.flight import Simulation
 from msp_sim.scenario import Scenario, load_scenario
 from msp_sim.summary import summarise
 from tests.faults.judge import Conditions, Received, judge
-from tests.faults.plans import Plan, draw_plan
+from tests.faults.plans import Plan, draw_plan, group_of, row_of
 from tests.faults.truth import Truth
 
 SATURATES_CM = 8
@@ -57,8 +57,8 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
     verdict = judge(received, truth, conditions_of(scenario))
     line = {
         "again": f"{plan.seed}:{plan.index}",
-        "group": plan.group,
-        "row": plan.row,
+        "group": group_of(plan.index),
+        "row": row_of(plan.index),
         "facts": plan.facts,
         "faults": plan.scenario["faults"],
         "crashed": crashed,
@@ -84,6 +84,7 @@ def conditions_of(scenario: Scenario) -> Conditions:
         ON_THE_GROUND_M,
         max(_farthest_m(airframe, i, scenario.air.ground_c) for i in range(len(airframe.downward))),
         list(zip(starts_s, [*reboots_s, scenario.duration_s], strict=True)),
+        [(fault.from_s, fault.to_s) for fault in scenario.faults],
     )
 
 
@@ -101,7 +102,7 @@ def _write(
     out: Path, plan: Plan, line: dict[str, Any], received: Received, truth: Truth, simulation: Simulation
 ) -> None:
     """Summary, verdict, texts and messages of a flight that is flown again."""
-    summary = summarise(simulation.flight, plan.row, plan.flight_seed)
+    summary = summarise(simulation.flight, row_of(plan.index), plan.flight_seed)
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     (out / "verdict.json").write_text(json.dumps(line, indent=2) + "\n", encoding="utf-8")
     texts = [f"{time_s:8.2f} s  severity {severity}: {text}\n" for time_s, severity, text in received.texts]

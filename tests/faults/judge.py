@@ -108,6 +108,8 @@ class Verdict:
         With a valid message; within 3 stated deviations; within 1.96.
     honest_in_range_s
         Within 3 stated deviations while the truth is within the sensors' range.
+    faulty_s, faulty_in_range_s, faulty_honest_s
+        Of judged_s, in_range_s and honest_in_range_s the part in which a sensor's fault lasts.
     wrong, silences
         Events.
     longest_gap_s
@@ -127,6 +129,9 @@ class Verdict:
     honest_s: float = 0.0
     covered_s: float = 0.0
     honest_in_range_s: float = 0.0
+    faulty_s: float = 0.0
+    faulty_in_range_s: float = 0.0
+    faulty_honest_s: float = 0.0
     wrong: list[Event] = field(default_factory=list)
     silences: list[Event] = field(default_factory=list)
     longest_gap_s: float = 0.0
@@ -199,8 +204,8 @@ class Conditions:
         Longest silence [s].
     nearest_m, farthest_m
         True distances that the sensors can measure in this air [m].
-    listens_s
-        From when to when the autopilot listened [s].
+    listens_s, faulty_s
+        From when to when the autopilot listened, and when sensors are faulty [s].
     """
 
     duration_s: float
@@ -208,6 +213,7 @@ class Conditions:
     nearest_m: float
     farthest_m: float
     listens_s: Sequence[tuple[float, float]]
+    faulty_s: Sequence[tuple[float, float]] = ()
 
 
 def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
@@ -229,14 +235,17 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         held = distances[index] if index >= 0 and time_s - distances[index].time_s < TIME_OUT_S else None
         trues_m = truth.distances_m(time_s)
         if held is not None and held.is_valid:
-            error_m = nearest_error_m(held.current_m, trues_m)
-            if abs(error_m) > WRONG_M:
-                off.append((time_s, error_m))
+            off_m = nearest_error_m(held.current_m, trues_m)
+            if abs(off_m) > WRONG_M:
+                off.append((time_s, off_m))
         if held is not None and held.is_above and not rights[index]:
             verdict.above_wrong_s += GRID_S
         if not any(start_s + conditions.limit_s <= time_s < end_s for start_s, end_s in conditions.listens_s):
             continue
-        _count(verdict, held, errors_m[index] if held is not None else None, conditions, trues_m[0])
+        error_m = errors_m[index] if held is not None else None
+        in_range = conditions.nearest_m <= trues_m[0] <= conditions.farthest_m
+        faulty = any(start_s <= time_s < end_s for start_s, end_s in conditions.faulty_s)
+        _count(verdict, held, error_m, in_range, faulty)
     verdict.wrong = _wrong(off, received)
     usable_s = [each.time_s for each, right in zip(distances, rights, strict=True) if right]
     for start_s, end_s in conditions.listens_s:
@@ -257,18 +266,19 @@ def _is_right(distance: Distance, truth: Truth) -> bool:
     return distance.is_valid
 
 
-def _count(
-    verdict: Verdict, held: Distance | None, error_m: float | None, conditions: Conditions, true_m: float
-) -> None:
-    in_range = conditions.nearest_m <= true_m <= conditions.farthest_m
+def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_range: bool, faulty: bool) -> None:
+    """Add one moment of the judged time; ``error_m`` is that of the held distance at its own time."""
     verdict.judged_s += GRID_S
     verdict.in_range_s += GRID_S * in_range
+    verdict.faulty_s += GRID_S * faulty
+    verdict.faulty_in_range_s += GRID_S * (faulty and in_range)
     if held is None or error_m is None or (held.std_m is None and held.quality == 0):
         return
     verdict.valid_s += GRID_S
     if held.std_m is not None and abs(error_m) <= 3.0 * held.std_m:
         verdict.honest_s += GRID_S
         verdict.honest_in_range_s += GRID_S * in_range
+        verdict.faulty_honest_s += GRID_S * (faulty and in_range)
         verdict.covered_s += GRID_S * (abs(error_m) <= 1.96 * held.std_m)
 
 

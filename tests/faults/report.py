@@ -11,7 +11,7 @@ from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 
-from tests.faults.plans import AIRFRAMES, SENSOR_KINDS, SHARES, SOURCES
+from tests.faults.plans import ROWS_BY_TURN, SHARES, SOURCES, TURNS
 
 Line = dict[str, Any]
 
@@ -38,7 +38,7 @@ class Sum:
     @property
     def wrong_s(self) -> float:
         """Time with wrong distances [s]."""
-        return sum(event[FOR_S] for event in self.events("wrong"))
+        return float(sum(event[FOR_S] for event in self.events("wrong")))
 
     @property
     def reported(self) -> int:
@@ -69,6 +69,7 @@ _COLUMNS: dict[str, Callable[[Sum], str]] = {
     "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
     "wrong 'above max.'": lambda some: str(round(some.total("above_wrong"))),
     "within 3 s.d., %": lambda some: _percent(some.share("honest_in_range_s", "in_range_s")),
+    "while faulty, %": lambda some: _percent(some.share("faulty_honest_s", "faulty_in_range_s")),
     "within 1.96 s.d., %": lambda some: _percent(some.share("covered_s", "valid_s")),
     "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
     "unreported silences": lambda some: f"{some.unreported} of {len(some.events('silences'))}",
@@ -84,8 +85,7 @@ def groups_table(lines: Sequence[Line]) -> RenderableType:
     """One row for each group and kind."""
     rows: list[str] = []
     for group in SHARES:
-        kinds = {"one": SENSOR_KINDS, "airframe": AIRFRAMES}.get(group, [])
-        rows += [f"{group}: {kind}" for kind in kinds] or [group]
+        rows += [f"{group}: {kind}" for kind in TURNS[group]] if group in ROWS_BY_TURN else [group]
     table = Table("group", box=box.MARKDOWN)
     for name in _COLUMNS:
         table.add_column(name, justify="right")
@@ -109,13 +109,17 @@ def goals_table(lines: Sequence[Line]) -> RenderableType:
         table.add_row("wrong distances, faults on one or two without a common wrong height", "0 in 700", reached)
     some = _of(lines, "three or four")
     if some.lines:
-        share = f"{100.0 * some.wrong_s / some.total('flown_s'):.1f} %"
-        reached = f"{share}, {some.reported} of {len(some.events('wrong'))} reported"
+        shares = [100.0 * some.wrong_s / some.total(whole) for whole in ("faulty_s", "judged_s")]
+        reported = f"{some.reported} of {len(some.events('wrong'))} reported"
+        reached = f"{shares[0]:.1f} % while faulty ({shares[1]:.1f} % of the flights), {reported}"
         table.add_row("wrong distances on three and four: time, reported within 2 s", "at most 1 %, all", reached)
     for group, goal in (("no fault", 99.5), ("one", 98.0), ("two", 90.0)):
         some = _of(lines, group)
         if some.lines:
             reached = f"{_percent(some.share('honest_in_range_s', 'in_range_s'))} %"
+            if group != "no fault":
+                faulty = _percent(some.share("faulty_honest_s", "faulty_in_range_s"))
+                reached = f"{faulty} % while faulty ({reached} of the flights)"
             table.add_row(f"valid and within three stated deviations: {group}", f"{goal:g} %", reached)
     some = _of(lines, "temperature")
     if some.lines:

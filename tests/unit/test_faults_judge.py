@@ -131,6 +131,13 @@ def test_stated_deviations(
     assert (verdict.valid_s, verdict.honest_s, verdict.covered_s) == pytest.approx((valid_s, honest_s, covered_s))
 
 
+def test_the_time_with_a_fault_is_counted_by_itself() -> None:
+    verdict = verdict_on(stream(lambda time_s: 200 + 20 * (time_s >= 7.0)), faulty_s=[(0.0, 2.0), (6.0, 8.0)])
+    assert (verdict.faulty_s, verdict.faulty_in_range_s) == pytest.approx((3.0, 3.0))
+    assert verdict.faulty_honest_s == pytest.approx(2.0)
+    assert verdict.honest_in_range_s == pytest.approx(6.0)
+
+
 def test_a_deviation_is_that_of_the_echo_and_not_of_the_receipt() -> None:
     """At 3 m/s the vehicle moves 12 cm in the 40 ms between them."""
     truth = StatedTruth(lambda time_s: 1.0 + 0.5 * time_s)
@@ -243,5 +250,3 @@ def test_a_plan_depends_on_seed_and_index_alone_and_every_group_has_its_share() 
     assert {group: groups.count(group) for group in SHARES} == {group: 2 * share for group, share in SHARES.items()}
     rows = [row_of(index) for index in range(700)]
     assert min(rows.count(row) for row in set(rows)) >= 7
-    for index in range(60):
-        assert draw_plan(1, index).group == group_of(index)
