@@ -112,6 +112,8 @@ def test_above_the_maximum_is_wrong_over_a_near_ground_and_usable_over_a_far_one
     assert (verdict_on(messages, near).above_wrong, len(verdict_on(messages, near).silences)) == (99, 1)
     assert verdict_on(messages, near).above_wrong_s == pytest.approx(9.9)
     assert (verdict_on(messages, far).above_wrong, verdict_on(messages, far).silences) == (0, [])
+    either = StatedTruth(lambda time_s: 7.0, lambda time_s: 9.0)
+    assert verdict_on(messages, either).above_wrong == 0
 
 
 @pytest.mark.parametrize(
@@ -140,14 +142,19 @@ def test_the_time_with_a_fault_is_counted_by_itself() -> None:
 
 def test_a_deviation_is_that_of_the_echo_and_not_of_the_receipt() -> None:
     """At 3 m/s the vehicle moves 12 cm in the 40 ms between them."""
-    truth = StatedTruth(lambda time_s: 1.0 + 0.5 * time_s)
-    verdict = verdict_on(stream(lambda time_s: round(100 + 50 * (time_s - 0.04))), truth)
-    assert verdict.covered_s == pytest.approx(9.0)
-    at_receipt = [
-        (time_s, distance(time_s + 99.0, message.current_distance)[1])
-        for time_s, message in stream(lambda time_s: round(100 + 50 * (time_s - 0.2)))
-    ]
-    assert verdict_on(at_receipt, truth).covered_s == 0.0
+    truth = StatedTruth(lambda time_s: 1.0 + 3.0 * time_s)
+    at_echo = stream(lambda time_s: round(100 + 300 * (time_s - 0.04)), to_s=2.0)
+    at_receipt = stream(lambda time_s: round(100 + 300 * time_s), to_s=2.0)
+    assert verdict_on(at_echo, truth, end_s=2.0).covered_s == pytest.approx(1.0)
+    assert verdict_on(at_receipt, truth, end_s=2.0).covered_s == 0.0
+
+
+def test_a_stamp_that_is_far_off_is_not_believed() -> None:
+    truth = StatedTruth(lambda time_s: 1.0 + 3.0 * time_s)
+    messages = stream(lambda time_s: round(100 + 300 * time_s), to_s=2.0)
+    for _, message in messages:
+        message.time_boot_ms += 5000
+    assert verdict_on(messages, truth, end_s=2.0).covered_s == pytest.approx(1.0)
 
 
 SILENT_FROM_S = 4.0
@@ -188,6 +195,11 @@ def test_a_stream_that_never_starts_is_a_silence_from_the_start() -> None:
     assert verdict_on([]).silences == [(0.0, 10.0, 0.0, None)]
 
 
+def test_a_silence_at_the_end_counts_where_there_was_time_to_report_it() -> None:
+    assert verdict_on(stream(lambda time_s: 200, to_s=8.7)).silences == []
+    assert len(verdict_on(stream(lambda time_s: 200, to_s=8.4)).silences) == 1
+
+
 def test_a_wrong_distance_is_reported_within_two_seconds_or_not() -> None:
     wrong = stream(lambda time_s: 300 if time_s >= 5.0 else 200)
     for time_s, reported in ((6.9, "text"), (7.1, None)):
@@ -226,6 +238,17 @@ def test_the_truth_over_a_slope_is_along_the_down_axis() -> None:
     rate = math.cos(pitch_rad) + math.tan(math.radians(5.0)) * math.sin(pitch_rad)
     assert below_m == pytest.approx(2.75 / rate - 0.05)
     assert not truth.is_uneven(3.0)
+
+
+def test_the_ground_behind_a_step_on_a_slope_is_the_slope_and_the_step() -> None:
+    """Downhill at 1 m/s: a second behind the edge the height is the slope's alone, which has fallen by 12.2 cm/m."""
+    legs = [{"duration_s": 25, "speed_m_s": 1.0, "heading_deg": 0.0}]
+    ground = {"slope_deg": 7.0, "uphill_deg": 180.0, "steps": [{"at_m": 10.0, "rise_m": 0.5}]}
+    truth = flown(ground, track={"legs": legs, "acceleration_m_s2": 100})
+    own_m, *others_m = truth.distances_m(14.0)
+    assert own_m == pytest.approx(2.7 + 14.0 * math.tan(math.radians(7.0)) - 0.5, abs=0.02)
+    assert others_m == pytest.approx([own_m] * len(others_m), abs=0.011)
+    assert len(set(others_m)) > 0
 
 
 def test_before_and_behind_a_step_both_heights_are_true_for_a_second() -> None:
