@@ -19,10 +19,10 @@ from msp_range.clock import SystemClock
 from msp_sim.terminal import Bar
 from tests.faults.campaign import fly_all, fly_plan
 from tests.faults.plans import SHARES, draw_plan, group_of, row_of
-from tests.faults.report import Line, goals_table, groups_table, worst_table
+from tests.faults.report import Line, goals_table, groups_table, markdown, shown, worst_table
 
 WIDTH = 260
-"""Of the tables where there is no terminal [characters]: no heading is wrapped, so that they are Markdown."""
+"""Of the tables where there is no terminal [characters]: no heading is wrapped."""
 LINE_EACH_S = 30.0
 """Between two lines on the progress where there is no terminal [s]."""
 
@@ -56,12 +56,12 @@ def main() -> None:
         lines = _fly(given.seed, list(islice(wanted, given.flights)), given.jobs, given.out)
     except KeyboardInterrupt:
         sys.exit(130)
-    terminal = Console()
-    with (given.out / "tables.md").open("w", encoding="utf-8") as file:
-        markdown = Console(file=file, width=WIDTH)
-        for table in (groups_table(lines), goals_table(lines), worst_table(lines)):
-            markdown.print(table)
-            (terminal if terminal.is_terminal else Console(width=WIDTH)).print(table)
+    console = Console()
+    console = console if console.is_terminal else Console(width=WIDTH)
+    tables = [groups_table(lines), goals_table(lines), worst_table(lines)]
+    for table in tables:
+        console.print(shown(table))
+    (given.out / "tables.md").write_text("\n".join(map(markdown, tables)), encoding="utf-8")
     print(f"tables: {given.out / 'tables.md'}\nevery flight: {given.out / 'flights.jsonl'}")
 
 

@@ -1,6 +1,6 @@
 """A campaign as tables: one row for each group, the goals, and the flights that went worst.
 
-Lines of flights.jsonl enter, tables that are Markdown leave.
+Lines of flights.jsonl enter; tables leave, as lists of cells with the headings first.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from rich import box
-from rich.console import RenderableType
 from rich.table import Table
 
 from tests.faults.plans import ROWS_BY_TURN, SHARES, SOURCES, TURNS
 
 Line = dict[str, Any]
+Cells = list[list[str]]
 
 WORST = 4
 """So many flights are named for each way to go wrong."""
@@ -81,38 +81,44 @@ def _percent(share: float | None) -> str:
     return "" if share is None else f"{share:.1f}"
 
 
-def groups_table(lines: Sequence[Line]) -> RenderableType:
+def shown(cells: Cells) -> Table:
+    """A table for a terminal."""
+    table = Table(*cells[0], box=box.SIMPLE)
+    for row in cells[1:]:
+        table.add_row(*row)
+    return table
+
+
+def markdown(cells: Cells) -> str:
+    """A table for a document."""
+    return "".join(f"| {' | '.join(row)} |\n" for row in [cells[0], ["---"] * len(cells[0]), *cells[1:]])
+
+
+def groups_table(lines: Sequence[Line]) -> Cells:
     """One row for each group and kind."""
     rows: list[str] = []
     for group in SHARES:
         rows += [f"{group}: {kind}" for kind in TURNS[group]] if group in ROWS_BY_TURN else [group]
-    table = Table("group", box=box.MARKDOWN)
-    for name in _COLUMNS:
-        table.add_column(name, justify="right")
-    for row in rows:
-        _add(table, row, [line for line in lines if line["row"] == row])
-    _add(table, "all", lines)
-    return table
+    parts = [(row, [line for line in lines if line["row"] == row]) for row in rows] + [("all", list(lines))]
+    return [
+        ["group", *_COLUMNS],
+        *([name, *(cell(Sum(some)) for cell in _COLUMNS.values())] for name, some in parts if some),
+    ]
 
 
-def _add(table: Table, name: str, lines: Sequence[Line]) -> None:
-    if lines:
-        table.add_row(name, *(cell(Sum(lines)) for cell in _COLUMNS.values()))
-
-
-def goals_table(lines: Sequence[Line]) -> RenderableType:
+def goals_table(lines: Sequence[Line]) -> Cells:
     """The figures to reach and those that were reached; flights that were not flown leave their rows out."""
-    table = Table("figure", "goal", "reached", box=box.MARKDOWN)
+    table = [["figure", "goal", "reached"]]
     some = _of(lines, "one", "two")
     if some.lines:
         reached = f"{len(some.events('wrong'))} in {len(some.lines)} flights"
-        table.add_row("wrong distances, faults on one or two without a common wrong height", "0 in 700", reached)
+        table.append(["wrong distances, faults on one or two without a common wrong height", "0 in 700", reached])
     some = _of(lines, "three or four")
     if some.lines:
         shares = [100.0 * some.wrong_s / some.total(whole) for whole in ("faulty_s", "judged_s")]
         reported = f"{some.reported} of {len(some.events('wrong'))} reported"
         reached = f"{shares[0]:.1f} % while faulty ({shares[1]:.1f} % of the flights), {reported}"
-        table.add_row("wrong distances on three and four: time, reported within 2 s", "at most 1 %, all", reached)
+        table.append(["wrong distances on three and four: time, reported within 2 s", "at most 1 %, all", reached])
     for group, goal in (("no fault", 99.5), ("one", 98.0), ("two", 90.0)):
         some = _of(lines, group)
         if some.lines:
@@ -120,7 +126,7 @@ def goals_table(lines: Sequence[Line]) -> RenderableType:
             if group != "no fault":
                 faulty = _percent(some.share("faulty_honest_s", "faulty_in_range_s"))
                 reached = f"{faulty} % while faulty ({reached} of the flights)"
-            table.add_row(f"valid and within three stated deviations: {group}", f"{goal:g} %", reached)
+            table.append([f"valid and within three stated deviations: {group}", f"{goal:g} %", reached])
     some = _of(lines, "temperature")
     if some.lines:
         sources = [[line for line in some.lines if line["facts"]["source"] == source] for source in SOURCES]
@@ -130,16 +136,16 @@ def goals_table(lines: Sequence[Line]) -> RenderableType:
             if of
         )
         reached = f"{_percent(some.share('covered_s', 'valid_s'))} % ({each})"
-        table.add_row("stated 95 % holds the truth, -20 to 45 C", "90 to 99 %", reached)
+        table.append(["stated 95 % holds the truth, -20 to 45 C", "90 to 99 %", reached])
     reached = f"{Sum(lines).unreported} of {len(Sum(lines).events('silences'))}"
-    table.add_row("unreported silences, all flights", "0", reached)
+    table.append(["unreported silences, all flights", "0", reached])
     some = _of(lines, "hover")
     if some.lines:
         reached = f"{some.false_objects} in {some.total('flown_s'):,.0f} s"
-        table.add_row("false objects in hover", "1 in 100,000 s", reached)
+        table.append(["false objects in hover", "1 in 100,000 s", reached])
     crashed = [line for line in lines if line["crashed"]]
     if crashed:
-        table.add_row("flights that the bridge did not survive", "0", str(len(crashed)))
+        table.append(["flights that the bridge did not survive", "0", str(len(crashed))])
     return table
 
 
@@ -177,9 +183,9 @@ def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
     return worst[FOR_S], f"{worst[FOR_S]:.1f} s{off} from {worst[FROM_S]:.1f} s"
 
 
-def worst_table(lines: Sequence[Line]) -> RenderableType:
+def worst_table(lines: Sequence[Line]) -> Cells:
     """For each way to go wrong the worst flights of different rows."""
-    table = Table("way", "flight", "row", "how bad", "fault", box=box.MARKDOWN)
+    table = [["way", "flight", "row", "how bad", "fault"]]
     for way, measure in _WAYS.items():
         rows: set[str] = set()
         for line in sorted(lines, key=lambda line: measure(line)[0], reverse=True):
@@ -189,5 +195,5 @@ def worst_table(lines: Sequence[Line]) -> RenderableType:
             if line["row"] not in rows:
                 rows.add(line["row"])
                 kinds = ", ".join(f"{each['kind']} {each.get('probability', 1):g}" for each in line["faults"])
-                table.add_row(way, line["again"], line["row"], words, kinds)
+                table.append([way, line["again"], line["row"], words, kinds])
     return table
