@@ -1,17 +1,16 @@
 """tcp and tcpin against plain sockets: late, vanishing, silent and several peers."""
 
 import contextlib
-import random
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
-from pymavlink.dialects.v20 import common
 
 from msp_range.clock import SystemClock
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S
-from msp_range.mavlink.transport.tcp import CONNECT_DEADLINE_S, MOST_CLIENTS, STUCK_AFTER_S, take_whole_frames
+from msp_range.mavlink.transport.tcp import CONNECT_DEADLINE_S, MOST_CLIENTS, STUCK_AFTER_S
+from tests.support.mavlink_ends import Component
 from tests.support.transports import (
     FRAME_BYTES,
     SendTimer,
@@ -102,41 +101,6 @@ def test_frames_of_two_clients_do_not_cut_each_other() -> None:
         second.sendall(numbered_frame(2)[1:])
         received += received_by(link, FRAME_BYTES)
         assert frame_numbers(received) == [1, 0, 2]
-
-
-@pytest.mark.parametrize("signed", [False, True])
-@pytest.mark.parametrize("version", [1, 2])
-def test_frames_are_cut_where_pymavlink_begins_and_ends_them(version: int, signed: bool) -> None:
-    mav = common.MAVLink(None, srcSystem=1, srcComponent=191)
-    if signed and version == 2:
-        mav.signing.secret_key = bytes(32)
-        mav.signing.link_id = 0
-        mav.signing.timestamp = 1
-        mav.signing.sign_outgoing = True
-    frames = [
-        common.MAVLink_statustext_message(6, b"x" * length).pack(mav, force_mavlink1=version == 1)
-        for length in (1, 3, 50)
-    ]
-    stream = b"".join(frames)
-    for split in range(len(stream) + 1):
-        arrived = bytearray(stream[:split])
-        whole = take_whole_frames(arrived)
-        ends = [sum(map(len, frames[:count])) for count in range(len(frames) + 1)]
-        assert len(whole) == max(end for end in ends if end <= split)
-        arrived += stream[split:]
-        assert whole + take_whole_frames(arrived) == stream
-        assert not arrived
-
-
-def test_bytes_that_are_no_frames_are_passed_on_and_do_not_pile_up() -> None:
-    chance = random.Random(1)
-    arrived, passed = bytearray(), b""
-    noise = chance.randbytes(20000)
-    for start in range(0, len(noise), 100):
-        arrived += noise[start : start + 100]
-        passed += take_whole_frames(arrived)
-        assert len(arrived) <= 12 + 255 + 13
-    assert passed + arrived == noise
 
 
 def test_tcp_finds_a_server_that_comes_late_and_backs_off_until_then() -> None:
@@ -327,15 +291,84 @@ def test_a_client_that_never_reads_costs_the_others_nothing() -> None:
         assert link.stats.dropped_frames > (STUCK_AFTER_S - FRAME_DEADLINE_S) / 0.005
 
 
-def test_tcpin_accepts_a_bounded_number_of_clients() -> None:
+class Clients:
+    """Clients of one ``tcpin`` link."""
+
+    def __init__(self, link: Transport, port: int) -> None:
+        self._link = link
+        self._port = port
+        self.sockets: list[socket.socket] = []
+
+    def connect(self, count: int = 1) -> list[socket.socket]:
+        new = [socket.create_connection(("127.0.0.1", self._port)) for _ in range(count)]
+        self.sockets += new
+        self._link.receive()
+        return new
+
+    def send(self, client: socket.socket, content: bytes) -> None:
+        client.sendall(content)
+        self._link.receive()
+
+    def answered(self, clients: list[socket.socket]) -> list[bool]:
+        """Who of them gets what the link sends; the others have been cut off."""
+        self._link.send(numbered_frame(0))
+        return [_gets_a_frame(client) for client in clients]
+
+
+def _gets_a_frame(client: socket.socket) -> bool:
+    client.settimeout(5.0)
+    try:
+        return bool(client.recv(FRAME_BYTES))
+    except ConnectionError:
+        return False
+
+
+@pytest.fixture
+def tcpin() -> Iterator[tuple[StepClock, Clients]]:
     port = free_port(socket.SOCK_STREAM)
-    with opened(f"tcpin:127.0.0.1:{port}", StepClock()) as link:
-        clients = [socket.create_connection(("127.0.0.1", port)) for _ in range(MOST_CLIENTS + 2)]
-        link.receive()
-        link.send(numbered_frame(0))
-        assert link.stats.sent_frames == MOST_CLIENTS
-        for client in clients:
+    clock = StepClock()
+    with opened(f"tcpin:127.0.0.1:{port}", clock) as link:
+        clients = Clients(link, port)
+        yield clock, clients
+        for client in clients.sockets:
             client.close()
+
+
+def test_tcpin_accepts_a_bounded_number_of_clients(tcpin: tuple[StepClock, Clients]) -> None:
+    _, clients = tcpin
+    clients.connect(MOST_CLIENTS + 2)
+    clients._link.send(numbered_frame(0))
+    assert clients._link.stats.sent_frames == MOST_CLIENTS
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 20, b"\xfd" * 20])
+def test_tcpin_drops_a_client_that_sends_no_mavlink(tcpin: tuple[StepClock, Clients], content: bytes) -> None:
+    """Eight connections that said nothing kept the autopilot out for ever."""
+    clock, clients = tcpin
+    (idle,) = clients.connect()
+    (talker,) = clients.connect()
+    for number in range(12):
+        clients.send(idle, content)
+        clients.send(talker, numbered_frame(number))
+        if number < 9:
+            assert clients.answered([idle, talker]) == [True, True]
+        clock.now_s += 1.0
+    assert clients.answered([idle, talker]) == [False, True]
+    assert clients._link.last_error is not None
+    assert "a client has sent no MAVLink for 10 s" in clients._link.last_error
+
+
+def test_tcpin_never_gives_up_the_autopilot_for_a_newcomer(tcpin: tuple[StepClock, Clients]) -> None:
+    clock, clients = tcpin
+    silent = clients.connect(MOST_CLIENTS)
+    (autopilot,) = clients.connect()
+    beat = Component(7).heartbeat()
+    clients.send(autopilot, beat)
+    assert clients.answered([silent[0], autopilot, silent[-1]]) == [False, True, True]
+    clock.now_s += 1.0
+    clients.connect(2 * MOST_CLIENTS)
+    clients._link.receive()
+    assert clients.answered([autopilot, silent[-1]]) == [True, False]
 
 
 def test_tcpin_waits_for_a_port_that_another_program_has() -> None:

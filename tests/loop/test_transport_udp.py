@@ -8,9 +8,13 @@ from collections.abc import Iterator
 import pytest
 
 from msp_range.clock import SystemClock
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
-from msp_range.mavlink.transport.udp import MOST_PEERS
+from msp_range.mavlink.transport.udp import _MOST_DATAGRAMS, MOST_PEERS
+from tests.support.mavlink_ends import Component
 from tests.support.transports import (
+    FRAME_BYTES,
     SendTimer,
     StepClock,
     frame_numbers,
@@ -144,17 +148,107 @@ def test_udpin_answers_everyone_it_has_heard_lately() -> None:
         assert link.stats.sent_frames == 5
 
 
-def test_udpin_answers_a_bounded_number_of_peers_the_latest_ones() -> None:
+def autopilot_heartbeat() -> bytes:
+    return Component(7).heartbeat()
+
+
+def ground_station_heartbeat() -> bytes:
+    beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    return Component(255, 190).frame(beat)
+
+
+class Crowd:
+    """Sockets of many senders to one ``udpin`` link."""
+
+    def __init__(self, link: Transport, port: int) -> None:
+        self._link = link
+        self._address = ("127.0.0.1", port)
+        self.sockets: list[socket.socket] = []
+
+    def send(self, content: bytes, count: int = 1) -> list[socket.socket]:
+        """Datagrams with this content from ``count`` new sockets."""
+        senders = [bound() for _ in range(count)]
+        self.sockets += senders
+        for sender in senders:
+            self.again(sender, content)
+        return senders
+
+    def again(self, sender: socket.socket, content: bytes) -> None:
+        sender.sendto(content, self._address)
+        self._link.receive()
+
+    def answered(self, senders: list[socket.socket]) -> list[bool]:
+        """Who of them gets what the link sends."""
+        for sender in senders:
+            datagrams(sender)
+        self._link.send(numbered_frame(0))
+        return [bool(datagrams(sender)) for sender in senders]
+
+
+@pytest.fixture
+def udpin() -> Iterator[tuple[StepClock, Crowd]]:
     port = free_port(socket.SOCK_DGRAM)
-    with opened(f"udpin:127.0.0.1:{port}", StepClock()) as link:
-        peers = [bound() for _ in range(MOST_PEERS + 4)]
-        for peer in peers:
-            peer.sendto(b"x", ("127.0.0.1", port))
-        received_by(link, len(peers))
-        assert link.send(numbered_frame(0))
-        assert [bool(datagrams(peer)) for peer in peers] == [False] * 4 + [True] * MOST_PEERS
-        for peer in peers:
-            peer.close()
+    clock = StepClock()
+    with opened(f"udpin:127.0.0.1:{port}", clock) as link:
+        crowd = Crowd(link, port)
+        yield clock, crowd
+        for each in crowd.sockets:
+            each.close()
+
+
+BROKEN = ground_station_heartbeat()[:-1] + b"\0"
+
+
+@pytest.mark.parametrize("content", [b"", b"x", b"\xfd" * 300, BROKEN, ground_station_heartbeat()[:-1]])
+def test_udpin_sends_nothing_to_who_does_not_speak_mavlink(udpin: tuple[StepClock, Crowd], content: bytes) -> None:
+    _, crowd = udpin
+    (autopilot,) = crowd.send(autopilot_heartbeat())
+    strangers = crowd.send(content, 16)
+    assert crowd.answered([autopilot, *strangers]) == [True] + [False] * 16
+
+
+def test_udpin_passes_on_only_frames(udpin: tuple[StepClock, Crowd], peer: socket.socket) -> None:
+    _, crowd = udpin
+    peer.sendto(b"noise" + numbered_frame(1) + b"\xfd", crowd._address)
+    assert received_by(crowd._link, FRAME_BYTES) == numbered_frame(1)
+
+
+def test_udpin_has_few_peers_and_keeps_those_that_it_has(udpin: tuple[StepClock, Crowd]) -> None:
+    clock, crowd = udpin
+    first = crowd.send(ground_station_heartbeat(), MOST_PEERS)
+    late = crowd.send(ground_station_heartbeat(), 12)
+    assert crowd.answered(first + late) == [True] * MOST_PEERS + [False] * 12
+    clock.now_s += 11.0
+    crowd.again(late[0], ground_station_heartbeat())
+    assert crowd.answered([*first, late[0]]) == [False] * MOST_PEERS + [True]
+
+
+def test_udpin_drops_the_frames_of_who_is_no_peer(udpin: tuple[StepClock, Crowd], peer: socket.socket) -> None:
+    _, crowd = udpin
+    crowd.send(ground_station_heartbeat(), MOST_PEERS)
+    peer.sendto(numbered_frame(1), crowd._address)
+    assert crowd._link.receive() == b""
+
+
+def test_the_autopilot_comes_in_where_there_are_peers_enough(udpin: tuple[StepClock, Crowd]) -> None:
+    clock, crowd = udpin
+    others = crowd.send(ground_station_heartbeat(), MOST_PEERS)
+    clock.now_s += 1.0
+    for each in others[1:]:
+        crowd.again(each, ground_station_heartbeat())
+    (autopilot,) = crowd.send(autopilot_heartbeat())
+    assert crowd.answered([*others, autopilot]) == [False] + [True] * MOST_PEERS
+
+
+def test_the_autopilot_that_is_received_is_never_given_up(udpin: tuple[StepClock, Crowd]) -> None:
+    clock, crowd = udpin
+    (autopilot,) = crowd.send(autopilot_heartbeat())
+    for _ in range(30):
+        clock.now_s += 1.0
+        crowd.send(ground_station_heartbeat(), 8)
+        crowd.send(autopilot_heartbeat(), 8)
+        crowd.again(autopilot, autopilot_heartbeat())
+        assert crowd.answered([autopilot]) == [True]
 
 
 def test_udpin_waits_for_a_port_that_another_program_has() -> None:
@@ -190,7 +284,7 @@ def test_one_receive_does_not_keep_the_loop_for_ever(kind: str, peer: socket.soc
         first = link.receive()
         assert RECEIVE_BOUND_BYTES <= len(first) < RECEIVE_BOUND_BYTES + 4 * 52
         assert first + link.receive() == b"".join(frames)
-        for datagram in [b""] * 100 + frames[:1]:
+        for datagram in [b""] * _MOST_DATAGRAMS + frames[:1]:
             peer.sendto(datagram, target)
         assert link.receive() == b""
         assert link.receive() == frames[0]
@@ -216,7 +310,7 @@ def test_a_name_that_takes_long_to_look_up_stops_nothing(kind: str, monkeypatch:
             answer.set()
             if kind == "udpin":
                 with bound() as client:
-                    until(lambda: bool(client.sendto(b"x", ("127.0.0.1", port))) and bool(link.receive()))
+                    until(lambda: bool(client.sendto(numbered_frame(0), ("127.0.0.1", port))) and bool(link.receive()))
             elif kind == "tcpin":
 
                 def let_in() -> bool:

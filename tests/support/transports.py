@@ -4,8 +4,9 @@ import contextlib
 import socket
 import struct
 import time
-import zlib
 from collections.abc import Callable, Iterator
+
+from pymavlink.dialects.v20 import common
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport import Transport, open_transport
@@ -32,11 +33,12 @@ class StepClock:
 
 
 def numbered_frame(number: int) -> bytes:
-    """52 bytes shaped like a MAVLink 2 frame, with a number in them and a checksum over everything else."""
+    """A valid MAVLink 2 frame of 52 bytes, a DISTANCE_SENSOR by its id, with a number in it."""
     payload_bytes = FRAME_BYTES - _HEADER_BYTES - _CHECKSUM_BYTES
     payload = struct.pack("<I", number) + bytes((number + i) % 256 for i in range(payload_bytes - 4))
     body = struct.pack("<BBBBBBBHB", 0xFD, payload_bytes, 0, 0, number % 256, 1, 191, 132, 0) + payload
-    return body + struct.pack("<H", zlib.crc32(body) & 0xFFFF)
+    covered = body[1:] + bytes([common.MAVLink_distance_sensor_message.crc_extra])
+    return body + struct.pack("<H", common.x25crc(covered).crc)
 
 
 def frame_numbers(received: bytes) -> list[int]:

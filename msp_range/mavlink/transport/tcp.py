@@ -3,9 +3,11 @@
 import errno
 import os
 import socket
+from contextlib import suppress
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
+from msp_range.mavlink.transport.peer import PEER_SILENT_S, Peer, longest_silent
 from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.stream import FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import NetworkUrl
@@ -75,17 +77,21 @@ class TcpOut(StreamTransport):
         super()._release()
 
 
-class _Client:
-    """One accepted connection, its way out, and what has arrived of a frame that is not complete."""
+class _Client(Peer):
+    """One accepted connection and its way out."""
 
-    def __init__(self, tcp: socket.socket, stream: FrameStream) -> None:
+    def __init__(self, tcp: socket.socket, stream: FrameStream, now_s: float) -> None:
+        super().__init__(now_s)
         self.tcp = tcp
         self.stream = stream
-        self.incomplete = bytearray()
 
 
 class TcpIn(Reconnecting):
-    """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received."""
+    """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
+
+    A client that sends no valid frame for 10 s is dropped. Where there are as many as there may be, a newcomer takes
+    the place of the longest silent one that is not an autopilot.
+    """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
         super().__init__(str(url), clock)
@@ -118,17 +124,18 @@ class TcpIn(Reconnecting):
             self._try_open()
         if self._listener is not None:
             self._accept(self._listener)
+        now_s = self._clock.now()
         received: list[bytes] = []
         for client in self._clients.copy():
             try:
                 client.stream.flush()
-                arrived = client.tcp.recv(RECEIVE_BOUND_BYTES)
-                if not arrived:
-                    raise ConnectionError("a client has left")
-                client.incomplete += arrived
-                received.append(take_whole_frames(client.incomplete))
-            except BlockingIOError:
-                pass
+                with suppress(BlockingIOError):
+                    arrived = client.tcp.recv(RECEIVE_BOUND_BYTES // len(self._clients))
+                    if not arrived:
+                        raise ConnectionError("a client has left")
+                    received.append(client.read(arrived, now_s))
+                if client.is_silent(now_s):
+                    raise TimeoutError(f"a client has sent no MAVLink for {PEER_SILENT_S:.0f} s")
             except OSError as error:
                 self._part(client, error)
         return b"".join(received)
@@ -152,7 +159,11 @@ class TcpIn(Reconnecting):
             self._listener = None
 
     def _accept(self, listener: socket.socket) -> None:
-        while len(self._clients) < MOST_CLIENTS:
+        for _ in range(MOST_CLIENTS):
+            now_s = self._clock.now()
+            given_up = longest_silent(self._clients, now_s)
+            if len(self._clients) >= MOST_CLIENTS and given_up is None:
+                return
             try:
                 tcp, _ = listener.accept()
                 _prepare(tcp)
@@ -161,7 +172,9 @@ class TcpIn(Reconnecting):
             except OSError as error:  # the client has gone again, or this program has no file handles left
                 self._remember(error)
                 return
-            self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S)))
+            if len(self._clients) >= MOST_CLIENTS and given_up is not None:
+                self._drop(given_up)
+            self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s))
             self.last_error = None
 
     def _part(self, client: _Client, error: OSError) -> None:
@@ -172,33 +185,3 @@ class TcpIn(Reconnecting):
         client.tcp.close()
         client.stream.abandon()
         self._clients.remove(client)
-
-
-def take_whole_frames(arrived: bytearray) -> bytes:
-    """Remove and return the longest start of ``arrived`` that does not end inside a MAVLink frame.
-
-    The bytes of several clients become one stream, in which the frames of one must not be cut by those of another.
-    A frame is as long as its header says (MAVLink 1: 8 bytes and the payload, MAVLink 2: 12 and the payload, and 13
-    more with a signature); what belongs to no frame is passed on for the parser to judge.
-
-    Examples
-    --------
-    >>> arrived = bytearray.fromhex("00 fe01000000aa01bbbb fd02")
-    >>> take_whole_frames(arrived).hex(), arrived.hex()
-    ('00fe01000000aa01bbbb', 'fd02')
-    """
-    end = 0
-    while end < len(arrived):
-        start = arrived[end : end + 3]
-        if start[0] == 0xFD:
-            length = 12 + start[1] + 13 * (start[2] & 1) if len(start) == 3 else 3
-        elif start[0] == 0xFE:
-            length = 8 + start[1] if len(start) >= 2 else 2
-        else:
-            length = 1
-        if end + length > len(arrived):
-            break
-        end += length
-    whole = bytes(arrived[:end])
-    del arrived[:end]
-    return whole

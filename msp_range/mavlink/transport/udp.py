@@ -1,4 +1,4 @@
-"""MAVLink over UDP: one datagram a frame, to a fixed address or to whoever has been heard.
+"""MAVLink over UDP: one datagram a frame, to a fixed address or to whoever has sent a frame.
 
 UDP knows no connection. A frame counts as sent when the operating system took it.
 """
@@ -9,19 +9,20 @@ from abc import abstractmethod
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
+from msp_range.mavlink.transport.peer import Peer, longest_silent
 from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.url import NetworkUrl
 
-#: ``udpin`` answers whom it heard within this time: ten heartbeats of a MAVLink component.
-PEER_HEARD_S = 10.0
-#: A computer that scans ports must not multiply the work of every send.
-MOST_PEERS = 16
+MOST_PEERS = 4
+"""``udpin`` sends every frame to at most this many: the autopilot and three ground stations or routers. Each costs a
+system call for every frame, so that more would make a port scan costly, and fewer leave out a second ground station."""
 #: ``udpout`` counts as not connected for this long after a refusal: longer than the bridge's heartbeat takes.
 REFUSED_FOR_S = 1.5
 
-_DATAGRAM_BYTES = 65535
-#: Empty datagrams never reach the bound in bytes.
-_MOST_DATAGRAMS = 64
+_MOST_DATAGRAMS = 200
+"""Datagrams after which one ``receive`` returns: 40,000 a second at the link's 5 ms. With fewer a flood fills the
+socket's buffer, which holds some 250, and the autopilot's own datagrams are lost; more make one call longer (200 take
+0.6 ms on a desktop computer)."""
 #: The operating system has no room just now: this frame is lost, the socket is good.
 _NO_ROOM = (errno.EAGAIN, errno.ENOBUFS)
 
@@ -46,22 +47,22 @@ class _Udp(Reconnecting):
             if self._socket is None or count >= RECEIVE_BOUND_BYTES:
                 break
             try:
-                datagram, peer = self._socket.recvfrom(_DATAGRAM_BYTES)
+                datagram, peer = self._socket.recvfrom(RECEIVE_BOUND_BYTES)
             except BlockingIOError:
                 break
             except OSError as error:
                 self._receive_failed(error)
             else:
-                received.append(datagram)
                 count += len(datagram)
-                self._heard(peer)
+                received.append(self._accept(datagram, peer))
         return b"".join(received)
 
     def _receive_failed(self, error: OSError) -> None:
         self._lost(error)
 
-    def _heard(self, peer: tuple[str, int]) -> None:
-        """Note whom a datagram came from."""
+    def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
+        """What of a datagram goes to the link."""
+        return datagram
 
     def _open(self) -> bool:
         host = self._resolver.address()
@@ -139,45 +140,61 @@ class UdpOut(_Udp):
 
 
 class UdpIn(_Udp):
-    """``udpin``: a bound socket that sends every frame to every peer heard within the last 10 s."""
+    """``udpin``: a bound socket that sends every frame to every peer, and has few of them.
+
+    A peer is an address from which a valid frame came within the last 10 s. Where there are as many as there may be,
+    only an autopilot becomes one more, in the place of one that is none.
+    """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._heard_at_s: dict[tuple[str, int], float] = {}
+        self._peers: dict[tuple[str, int], Peer] = {}
         super().__init__(url, clock)
 
     @property
     def connected(self) -> bool:
-        """True where a peer has been heard within the last 10 s."""
+        """True where there is a peer."""
         self._forget_silent_peers()
-        return self._socket is not None and bool(self._heard_at_s)
+        return self._socket is not None and bool(self._peers)
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram to each peer; False where none of them got it."""
         self._forget_silent_peers()
         sent = 0
-        for peer in self._heard_at_s:
+        for address in self._peers:
             if self._socket is None:
                 break
             try:
-                self._socket.sendto(frame, peer)
+                self._socket.sendto(frame, address)
                 sent += 1
             except OSError as error:  # one peer's network may be down while another's is up
                 if error.errno not in _NO_ROOM:
                     self._remember(error)
         self.stats.sent_frames += sent
-        self.stats.dropped_frames += max(len(self._heard_at_s), 1) - sent
+        self.stats.dropped_frames += max(len(self._peers), 1) - sent
         return sent > 0
 
-    def _heard(self, peer: tuple[str, int]) -> None:
-        self._heard_at_s.pop(peer, None)  # so that the peers stay in the order in which they were heard
-        self._heard_at_s[peer] = self._clock.now()
-        if len(self._heard_at_s) > MOST_PEERS:
-            del self._heard_at_s[next(iter(self._heard_at_s))]
+    def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
+        now_s = self._clock.now()
+        peer = self._peers.get(address) or Peer(now_s)
+        frames = peer.read(datagram, now_s)
+        if not frames or not (address in self._peers or self._admit(address, peer, now_s)):
+            return b""
+        return frames
+
+    def _admit(self, address: tuple[str, int], newcomer: Peer, now_s: float) -> bool:
+        self._forget_silent_peers()
+        if len(self._peers) >= MOST_PEERS:
+            given_up = longest_silent(self._peers.values(), now_s)
+            if given_up is None or not newcomer.is_autopilot(now_s):
+                return False
+            self._peers = {each: peer for each, peer in self._peers.items() if peer is not given_up}
+        self._peers[address] = newcomer
+        return True
 
     def _forget_silent_peers(self) -> None:
-        oldest_s = self._clock.now() - PEER_HEARD_S
-        while self._heard_at_s and self._heard_at_s[peer := next(iter(self._heard_at_s))] < oldest_s:
-            del self._heard_at_s[peer]
+        now_s = self._clock.now()
+        for address in [each for each, peer in self._peers.items() if peer.is_silent(now_s)]:
+            del self._peers[address]
 
     def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
         # Not SO_REUSEADDR: on Linux it lets a second program take the port's datagrams away unnoticed.
