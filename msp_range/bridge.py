@@ -32,6 +32,9 @@ LOOK_INTERVAL_S = 0.25
 """Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""
 BUS_CALM_S = 2.0
 """A bus that has worked this long since its last fault works again [s]; a flickering one is told of once."""
+FAULTS_AGAIN_S = 10.0
+"""An autopilot that comes (back) gets all texts of what is wrong at most this often [s]: one whose clock jumps seems to
+start again with each jump. A real one takes longer to start."""
 TEMPERATURE_REQUEST_HZ = 1.0
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
@@ -159,6 +162,8 @@ class Bridge:
             component_id=airframe.link.component_id,
             hear=self._take_message,
             wanted=asked | dict(wanted or {}),
+            autopilot=airframe.link.autopilot,
+            system_id=airframe.link.system_id,
         )
         self._poller = Poller(bus, clock, schedule or polling_order(airframe, bus, clock.now()))
         self._streams = Streams(
@@ -175,6 +180,8 @@ class Bridge:
         self._next_look_s = clock.now()
         self._known_reboots = 0
         self._autopilot_heard = False
+        self._faults_due = False
+        self._faults_sent_s = float("-inf")
 
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
@@ -278,13 +285,14 @@ class Bridge:
     def _take_message(self, now_s: float, message: Any) -> None:
         self._temperature.hear(now_s, message)
         if message.get_type() == ATTITUDE:
-            self._hear_attitude(Angles(now_s, message.roll, message.pitch, message.yaw))
+            time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
+            self._hear_attitude(now_s, Angles(time_s, message.roll, message.pitch, message.yaw))
         if self._hear is not None:
             self._hear(now_s, message)
 
-    def _hear_attitude(self, angles: Angles) -> None:
+    def _hear_attitude(self, now_s: float, angles: Angles) -> None:
         if self._fusion is not None and self._attitude.hear(angles):
-            self._write(ATTITUDE_TOPIC, angles.time_s, angles._asdict())
+            self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
 
     def _look_after(self, now_s: float) -> None:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""
@@ -295,12 +303,9 @@ class Bridge:
         self.health.set(
             "temperature", fell_back if self._temperature.fallen_back(now_s) else None, "Range: air temp is back"
         )
-        heard = self.link.autopilot_heard
-        reboots = self.link.autopilot_clock.reboots
-        if heard and (not self._autopilot_heard or reboots != self._known_reboots):
-            for severity, text in self.health.faults():
-                self.link.send_text(severity, text)
-        self._autopilot_heard, self._known_reboots = heard, reboots
+        for condition in self.link.conditions():
+            self.health.set(*condition)
+        self._send_faults_again(now_s)
         self.link.system_status = self._system_status()
         if self._recorder is not None:
             try:
@@ -310,6 +315,18 @@ class Bridge:
                 self.health.set("recording", "Range: recording stopped, disk trouble", "")
                 if self._report is not None:
                     self._report(Severity.WARNING, str(error))
+
+    def _send_faults_again(self, now_s: float) -> None:
+        """All that is wrong, for an autopilot that has come or has started again: it has lost what it was sent."""
+        heard = self.link.autopilot_heard
+        reboots = self.link.autopilot_clock.reboots
+        if heard and (not self._autopilot_heard or reboots != self._known_reboots):
+            self._faults_due = True
+        self._autopilot_heard, self._known_reboots = heard, reboots
+        if self._faults_due and heard and now_s - self._faults_sent_s >= FAULTS_AGAIN_S:
+            self._faults_due, self._faults_sent_s = False, now_s
+            for severity, text in self.health.faults():
+                self.link.send_text(severity, text)
 
     def _system_status(self) -> int:
         if not self.health.complete:

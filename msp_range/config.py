@@ -112,6 +112,9 @@ class Link(Section):
     """ardupilot or px4: they differ in what they make of DISTANCE_SENSOR"""
     component_id: int = Field(191, ge=2, le=254)
     """MAVLink component id of the bridge; 191 is the first onboard computer"""
+    system_id: int | None = Field(None, ge=1, le=255)
+    """MAVLink system id of the autopilot (ArduPilot MAV_SYSID, SYSID_THISMAV before 4.7; PX4 MAV_SYS_ID), for a link on
+    which others can be received; left out: that of the first one"""
 
     @field_validator("url")
     @classmethod

@@ -107,7 +107,7 @@ def replay(
     transport: Transport,
     recorder: Records | None = None,
     temperatures: Sequence[tuple[float, float]] = (),
-    attitudes: Sequence[Angles] = (),
+    attitudes: Sequence[tuple[float, Angles]] = (),
 ) -> Outcome:
     """Play the pings through a bridge of their own, to the last one.
 
@@ -127,7 +127,7 @@ def replay(
         Recorded air temperatures, (time [s], deg C) by time: they take the place of the airframe's sources, which are
         not those of this computer now. None: the airframe's fixed temperature.
     attitudes
-        Recorded attitudes, by time.
+        When each recorded attitude was received [s], and the attitude, by that time.
 
     Raises
     ------
@@ -170,8 +170,8 @@ def replay(
     return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
 
 
-def _keep_in(recorder: Records) -> Callable[[Angles], None]:
-    return lambda angles: recorder.write(ATTITUDE_TOPIC, angles.time_s, angles._asdict())
+def _keep_in(recorder: Records) -> Callable[[float, Angles], None]:
+    return lambda received_s, angles: recorder.write(ATTITUDE_TOPIC, received_s, angles._asdict())
 
 
 @contextmanager

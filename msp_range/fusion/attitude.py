@@ -18,7 +18,7 @@ TOGETHER_S = 0.001
 
 
 class Angles(NamedTuple):
-    """An attitude: when it came [s], and Euler angles [rad], intrinsic z-y'-x''."""
+    """An attitude: when the vehicle had it, on the bridge's clock [s], and Euler angles [rad], intrinsic z-y'-x''."""
 
     time_s: float
     roll_rad: float
@@ -72,20 +72,23 @@ class AttitudeTrack:
 
 
 class RecordedAttitude:
-    """Recorded attitudes, each known from its time on.
+    """Recorded attitudes, each known from the time on at which it was received.
 
     Parameters
     ----------
     attitudes
-        In order of time.
+        When each was received [s], in this order, and the attitude.
     now
         The time that it is [s].
     keep
-        Called with each when its time has come.
+        Called with both when that time has come.
     """
 
     def __init__(
-        self, attitudes: Sequence[Angles], now: Callable[[], float], keep: Callable[[Angles], None] | None = None
+        self,
+        attitudes: Sequence[tuple[float, Angles]],
+        now: Callable[[], float],
+        keep: Callable[[float, Angles], None] | None = None,
     ) -> None:
         self._track = AttitudeTrack()
         self._coming = iter(attitudes)
@@ -94,11 +97,12 @@ class RecordedAttitude:
         self._keep = keep
 
     def rotation_at(self, time_s: float) -> Matrix | None:
-        """As `AttitudeTrack.rotation_at`, of those that have been heard by now."""
+        """As `AttitudeTrack.rotation_at`, of those that have been received by now."""
         now_s = self._now()
-        while self._next is not None and self._next.time_s <= now_s:
-            if self._track.hear(self._next) and self._keep is not None:
-                self._keep(self._next)
+        while self._next is not None and self._next[0] <= now_s:
+            received_s, angles = self._next
+            if self._track.hear(angles) and self._keep is not None:
+                self._keep(received_s, angles)
             self._next = next(self._coming, None)
         return self._track.rotation_at(time_s)
 

@@ -1,10 +1,11 @@
 """The bridge as a MAVLink component: heartbeat, time, commands, and frames out; the transport is below it.
 
-It speaks MAVLink 2 as the autopilot's system (1 until one is heard) and a component id of its own. Everything happens
-in `service`, which the working loop calls: a heartbeat says that the loop runs.
+It sends MAVLink 2 with the autopilot's system id (1 until one is received) and a component id of its own. Everything
+happens in `service`, which the working loop calls: a heartbeat shows that the loop runs. One call does a bounded amount
+of work, whatever arrives.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,17 +14,32 @@ from msp_range.clock import Clock
 from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFORMATION_BASIC
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.participants import Condition, Participants
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.wanted import WantedMessages
 
 SERVICE_INTERVAL_S = 0.005
 """Between two looks at the transport [s]."""
+DECODED_FROM_AUTOPILOT, DECODED_FROM_OTHERS = 32, 4
+"""Messages that one call decodes at most: 6400 and 800 a second, where autopilots send some hundreds. Decoding takes
+5 us on a desktop computer and some 25 us on a small one: with 32 a flood holds up the polling by less than 1 ms."""
+WAITING_FROM_AUTOPILOT, WAITING_FROM_OTHERS = 256, 32
+"""Messages that wait for the next call; the oldest of more is dropped. 256 is what arrives in a second in which the bus
+held up the loop; with more a flood makes what is decoded older."""
+ANSWERS_PER_S = 20
+"""Answers to the autopilot's TIMESYNC and PING, and to commands, at most. PX4 asks for the time at 10 Hz."""
+SENT_KEPT = 512
+"""Frames by which the bridge knows its own when they come back: those of 10 s or more. With fewer an echo that is late
+is taken for another program's."""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Without a heartbeat for this long the autopilot counts as gone [s]."""
-ASK_AGAIN_S = 5.0
-"""A wanted message that has not come for this long is asked for again [s]."""
 STATUS_TEXT_LENGTH = 50
+
+_COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
 
 
 class Link:
@@ -41,6 +57,10 @@ class Link:
         Called with (time [s], message) for every message of the autopilot.
     wanted
         Messages to ask the autopilot for: name -> rate [Hz].
+    autopilot
+        Type that the autopilot should have; None: any.
+    system_id
+        The autopilot's system id; None: that of the first autopilot that is received.
     """
 
     def __init__(
@@ -51,15 +71,19 @@ class Link:
         component_id: int = 191,
         hear: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
+        autopilot: Autopilot | None = None,
+        system_id: int | None = None,
     ) -> None:
         self.transport = transport
         self._clock = clock
         self._hear = hear
-        self._wanted = {_message_id(name): rate_hz for name, rate_hz in (wanted or {}).items()}
-        self._wanted_heard_s = dict.fromkeys(self._wanted, float("-inf"))
-        self._wanted_asked_s = dict.fromkeys(self._wanted, float("-inf"))
-        self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=component_id)
-        self._mav.robust_parsing = True
+        self.wanted = WantedMessages(wanted or {})
+        self._participants = Participants(autopilot)
+        self._pinned_system = system_id
+        self._frames = FrameReader()
+        self._from_autopilot: deque[tuple[float, Frame]] = deque(maxlen=WAITING_FROM_AUTOPILOT)
+        self._from_others: deque[tuple[float, Frame]] = deque(maxlen=WAITING_FROM_OTHERS)
+        self._mav = dialect.MAVLink(None, srcSystem=system_id or 1, srcComponent=component_id)
         now_s = clock.now()
         self._start_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
@@ -70,6 +94,9 @@ class Link:
         self.next_event_s = now_s
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
+        self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)
+        self._autopilot_answers = _Allowance(ANSWERS_PER_S, now_s)
+        self._command_answers = _Allowance(ANSWERS_PER_S, now_s)
 
     @property
     def autopilot_heard(self) -> bool:
@@ -80,6 +107,7 @@ class Link:
         """Send one message at once; the frame, or None where the transport dropped it."""
         frame: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
+        self._sent_frames.append(frame)
         if self.transport.send(frame):
             self.sent[message.msgname] += 1
             return frame
@@ -94,16 +122,22 @@ class Link:
         """Take what has come, and send what is due."""
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
-        arrived = self.transport.receive()
-        if arrived:
-            for message in self._mav.parse_buffer(arrived) or ():
-                self._take(now_s, message)
+        self._sort(now_s, self._frames.read(self.transport.receive()))
+        for waiting, count in (
+            (self._from_autopilot, DECODED_FROM_AUTOPILOT),
+            (self._from_others, DECODED_FROM_OTHERS),
+        ):
+            for _ in range(min(len(waiting), count)):
+                self._take(*waiting.popleft())
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
+        if self.autopilot_heard:
             self._ask(now_s)
-        if now_s >= self.autopilot_clock.next_request_s and self.autopilot_heard:
-            self.send(dialect.MAVLink_timesync_message(0, self.autopilot_clock.request(now_s)))
+
+    def conditions(self) -> list[Condition]:
+        """Who else is on the link and should not be, for `msp_range.health.Health.set`."""
+        return self._participants.conditions(self._clock.now())
 
     def close(self) -> None:
         """Release the transport."""
@@ -115,70 +149,103 @@ class Link:
         )
 
     def _ask(self, now_s: float) -> None:
-        if self.autopilot_system is None or not self.autopilot_heard:
-            return
-        for message_id, rate_hz in self._wanted.items():
-            waiting_s = now_s - max(self._wanted_heard_s[message_id], self._wanted_asked_s[message_id])
-            if waiting_s >= ASK_AGAIN_S:
-                self._wanted_asked_s[message_id] = now_s
-                self.send(
-                    dialect.MAVLink_command_long_message(
-                        self.autopilot_system,
-                        dialect.MAV_COMP_ID_AUTOPILOT1,
-                        dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-                        0,
-                        message_id,
-                        1e6 / rate_hz,
-                        0,
-                        0,
-                        0,
-                        0,
-                        0,
-                    )
+        """Ask the autopilot for what is due: its time, and a message that comes too slowly."""
+        if now_s >= self.autopilot_clock.next_request_s:
+            self.send(dialect.MAVLink_timesync_message(0, self.autopilot_clock.request(now_s)))
+        request = self.wanted.request(now_s)
+        if request is not None:
+            self.send(
+                dialect.MAVLink_command_long_message(
+                    self.autopilot_system,
+                    dialect.MAV_COMP_ID_AUTOPILOT1,
+                    dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
+                    0,
+                    *request,
+                    0,
+                    0,
+                    0,
+                    0,
+                    0,
                 )
+            )
 
-    def _take(self, now_s: float, message: Any) -> None:
-        kind = message.get_type()
-        if kind == "BAD_DATA":
+    @property
+    def _ids(self) -> tuple[int, int]:
+        return self._mav.srcSystem, self._mav.srcComponent
+
+    def _sort(self, now_s: float, frames: list[Frame]) -> None:
+        """Keep what is to be decoded: all that an autopilot sends, and what concerns the bridge from others."""
+        autopilot = self.autopilot_system or self._pinned_system
+        own_ids = self._ids
+        for frame in frames:
+            ids = (frame.system, frame.component)
+            if ids == own_ids:
+                self._from_others.append((now_s, frame))
+            elif frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
+                self._from_autopilot.append((now_s, frame))
+            elif frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
+                self._from_others.append((now_s, frame))
+
+    def _take(self, now_s: float, frame: Frame) -> None:
+        source = (frame.system, frame.component)
+        if source == self._ids:
+            if frame.data not in self._sent_frames:
+                self._participants.on_own_ids(now_s, *source)
             return
-        source = (message.get_srcSystem(), message.get_srcComponent())
-        if source == (self._mav.srcSystem, self._mav.srcComponent):
+        try:
+            message = self._mav.decode(bytearray(frame.data))
+        except dialect.MAVError:  # the checksum is good, and the content cannot be: made by somebody who tries
             return
-        if kind == "HEARTBEAT":
-            self._take_heartbeat(now_s, source, message)
-        elif kind == "PING" and message.target_system == 0 and message.target_component == 0:
-            self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
-        elif kind == "TIMESYNC" and message.tc1 == 0:
-            self.send(dialect.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))
-        elif kind in ("COMMAND_LONG", "COMMAND_INT"):
-            self._take_command(source, message)
+        if frame.is_autopilot_heartbeat:
+            self._take_heartbeat(now_s, frame.system, message)
+        elif frame.message_id in _COMMANDS:
+            self._take_command(now_s, source, message)
         if source == (self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1):
-            if kind == "TIMESYNC" and message.tc1 != 0:
-                self.autopilot_clock.hear_timesync(now_s, message.tc1, message.ts1)
-            elif kind == "SYSTEM_TIME":
-                self.autopilot_clock.hear_system_time(now_s, message.time_boot_ms)
-            message_id = message.get_msgId()  # not message.id, which some messages have as a field
-            if message_id in self._wanted_heard_s:
-                self._wanted_heard_s[message_id] = now_s
-            if self._hear is not None:
-                self._hear(now_s, message)
+            self._take_autopilots(now_s, source, message)
 
-    def _take_heartbeat(self, now_s: float, source: tuple[int, int], message: Any) -> None:
-        """Latch the first autopilot; another one only when the first has gone."""
-        if message.autopilot == dialect.MAV_AUTOPILOT_INVALID or source[1] != dialect.MAV_COMP_ID_AUTOPILOT1:
+    def _take_autopilots(self, now_s: float, source: tuple[int, int], message: Any) -> None:
+        kind = message.get_type()
+        if kind == "PING" and message.target_system == 0 and message.target_component == 0:
+            if self._autopilot_answers.take(now_s):
+                self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            if self._autopilot_answers.take(now_s):
+                self.send(dialect.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))
+        elif kind == "TIMESYNC":
+            self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
+        elif kind == "SYSTEM_TIME":
+            self.autopilot_clock.on_system_time(now_s, message.time_boot_ms)
+        elif (
+            kind == "COMMAND_ACK"
+            and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+            and self._is_addressed(message)
+        ):
+            self.wanted.on_answer(now_s, message.result)
+        self.wanted.on_message(now_s, message.get_msgId())  # not message.id, which some messages have as a field
+        if self._hear is not None:
+            self._hear(now_s, message)
+
+    def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
+        """Latch the first autopilot, or the one that the file states; another one only when the first has gone."""
+        heard = self.autopilot_heard
+        own_system = self._pinned_system
+        if own_system is None:
+            own_system = self.autopilot_system if heard and self.autopilot_system is not None else system
+        if system != own_system:
+            self._participants.on_other_autopilot(now_s, system, own_system, heard)
             return
-        if self.autopilot_system is None or (source[0] != self.autopilot_system and not self.autopilot_heard):
-            self.autopilot_system = source[0]
-            self._mav.srcSystem = source[0]
+        if system != self.autopilot_system:
+            self.autopilot_system = system
+            self._mav.srcSystem = system
             self.autopilot_clock = AutopilotClock(self._start_s)
-        if source[0] == self.autopilot_system:
-            self._autopilot_heard_s = now_s
+        if not heard:
+            self.wanted.ask_anew(now_s)
+        self._autopilot_heard_s = now_s
+        self._participants.on_autopilot(now_s, message.autopilot)
 
-    def _take_command(self, source: tuple[int, int], command: Any) -> None:
+    def _take_command(self, now_s: float, source: tuple[int, int], command: Any) -> None:
         """Acknowledge every command to this component; of those to all, only what it can do."""
-        if command.target_system not in (0, self._mav.srcSystem):
-            return
-        if command.target_component not in (0, self._mav.srcComponent):
+        if not self._is_addressed(command):
             return
         answer = None
         if command.command == dialect.MAV_CMD_REQUEST_MESSAGE:
@@ -186,11 +253,16 @@ class Link:
             result = dialect.MAV_RESULT_DENIED if answer is None else dialect.MAV_RESULT_ACCEPTED
         else:
             result = dialect.MAV_RESULT_UNSUPPORTED
-        if command.target_component == 0 and answer is None:
+        if (command.target_component == 0 and answer is None) or not self._command_answers.take(now_s):
             return
         self.send(dialect.MAVLink_command_ack_message(command.command, result, 0, 0, *source))
         if answer is not None:
             self.send(answer)
+
+    def _is_addressed(self, message: Any) -> bool:
+        """Whether a message with a target is for this component, or for all."""
+        to_system = message.target_system in (0, self._mav.srcSystem)
+        return bool(to_system and message.target_component in (0, self._mav.srcComponent))
 
     def _requested(self, message_id: float) -> Any | None:
         if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -201,6 +273,26 @@ class Link:
         return None
 
 
-def _message_id(name: str) -> int:
-    message_id: int = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
-    return message_id
+class _Allowance:
+    """At most so many in a second, and as many at once.
+
+    Examples
+    --------
+    >>> allowance = _Allowance(2, 0.0)
+    >>> [allowance.take(time_s) for time_s in (0.0, 0.0, 0.0, 0.5, 0.5)]
+    [True, True, False, True, False]
+    """
+
+    def __init__(self, per_s: int, now_s: float) -> None:
+        self._per_s = per_s
+        self._left = float(per_s)
+        self._last_s = now_s
+
+    def take(self, now_s: float) -> bool:
+        """Whether one more is allowed; it then counts."""
+        self._left = min(self._left + (now_s - self._last_s) * self._per_s, self._per_s)
+        self._last_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True

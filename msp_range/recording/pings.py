@@ -68,8 +68,8 @@ def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tupl
     return sorted(pairs)
 
 
-def recorded_attitudes(path: Path | str) -> list[Angles]:
-    """Attitudes that the autopilot sent, by time; none in a CSV file.
+def recorded_attitudes(path: Path | str) -> list[tuple[float, Angles]]:
+    """Attitudes that the autopilot sent, and when each was received [s], by that time; none in a CSV file.
 
     Raises
     ------
@@ -79,8 +79,8 @@ def recorded_attitudes(path: Path | str) -> list[Angles]:
     if not is_recording(path):
         return []
     return [
-        Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"])
-        for topic, _, message in Recording(path)
+        (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
+        for topic, received_s, message in Recording(path)
         if topic == ATTITUDE_TOPIC
     ]
 

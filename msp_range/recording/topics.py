@@ -58,7 +58,7 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
     ATTITUDE_TOPIC: (
         "how the vehicle is turned, as the autopilot says",
         {
-            "time_s": ("number", "when it was heard, on the bridge's clock [s]"),
+            "time_s": ("number", "when the vehicle was turned so, on the bridge's clock [s]"),
             "roll_rad": ("number", "Euler angles, intrinsic yaw, pitch, roll [rad]"),
             "pitch_rad": ("number", "see roll_rad [rad]"),
             "yaw_rad": ("number", "see roll_rad [rad]"),

@@ -1,6 +1,7 @@
 """The bridge's manners as a MAVLink component, in virtual time, against other components in memory."""
 
 import random
+import tracemalloc
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,7 +13,13 @@ from hypothesis import strategies as st
 from msp_range import __version__
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.link import Link
+from msp_range.mavlink.link import (
+    ANSWERS_PER_S,
+    DECODED_FROM_AUTOPILOT,
+    DECODED_FROM_OTHERS,
+    WAITING_FROM_AUTOPILOT,
+    Link,
+)
 from tests.support.mavlink_ends import Component, MemoryTransport
 
 GROUND_STATION = (255, 190)
@@ -22,7 +29,7 @@ START_S = 1000.0
 class Bench:
     """A link, its clock, its transport, and what it has sent."""
 
-    def __init__(self, wanted: Mapping[str, float] | None = None, component_id: int = 191) -> None:
+    def __init__(self, wanted: Mapping[str, float] | None = None, component_id: int = 191, **link: Any) -> None:
         self.clock = VirtualClock(START_S)
         self.transport = MemoryTransport()
         self.heard: list[Any] = []
@@ -32,6 +39,7 @@ class Bench:
             component_id=component_id,
             hear=lambda _, message: self.heard.append(message),
             wanted=wanted,
+            **link,
         )
         self._parser = dialect.MAVLink(None)
         self._taken = 0
@@ -46,6 +54,12 @@ class Bench:
                 next_s += 1.0
             self.link.service()
             self.clock.sleep_until(self.link.next_event_s)
+
+    def run_each(self, interval_s: float, duration_s: float, arriving: Callable[[], bytes]) -> None:
+        """Let the link work; what ``arriving`` returns arrives this often."""
+        for _ in range(round(duration_s / interval_s)):
+            self.arrive(arriving())
+            self.run(interval_s - 0.005)
 
     def arrive(self, *frames: bytes) -> None:
         """Let frames arrive and the link look at them."""
@@ -197,15 +211,50 @@ class TestAddress:
 
 
 class TestAnswers:
-    def test_ping_of_all_is_answered_to_who_asked(self, met: Bench) -> None:
-        met.arrive(Component(*GROUND_STATION).frame(dialect.MAVLink_ping_message(123456, 9, 0, 0)))
+    def test_ping_of_all_is_answered_to_the_autopilot(self, met: Bench) -> None:
+        met.arrive(Component(7).frame(dialect.MAVLink_ping_message(123456, 9, 0, 0)))
         (answer,) = met.sent("PING")
         assert (answer.time_usec, answer.seq) == (123456, 9)
-        assert (answer.target_system, answer.target_component) == GROUND_STATION
+        assert (answer.target_system, answer.target_component) == (7, 1)
 
     def test_an_answer_to_a_ping_is_not_answered(self, met: Bench) -> None:
-        met.arrive(Component(*GROUND_STATION).frame(dialect.MAVLink_ping_message(123456, 9, 7, 191)))
+        met.arrive(Component(7).frame(dialect.MAVLink_ping_message(123456, 9, 7, 191)))
         assert met.sent("PING") == []
+
+    @pytest.mark.parametrize("stranger", [GROUND_STATION, (7, 240), (8, 1)])
+    def test_nobody_else_gets_an_answer_to_ping_or_timesync(self, met: Bench, stranger: tuple[int, int]) -> None:
+        other = Component(*stranger)
+        met.arrive(other.frame(dialect.MAVLink_ping_message(1, 2, 0, 0)))
+        met.arrive(other.frame(dialect.MAVLink_timesync_message(0, 4321)))
+        assert [each for each in met.sent("PING", "TIMESYNC") if each.get_type() == "PING" or each.tc1 != 0] == []
+
+    def test_answers_come_at_a_limited_rate(self, met: Bench) -> None:
+        """Each answer goes to every peer: without a limit, few bytes in would be many out."""
+        autopilot = Component(7)
+        met.run(0.05)
+        met.sent()
+        ground_station = Component(*GROUND_STATION)
+        for _ in range(200):
+            requests = [autopilot.frame(dialect.MAVLink_timesync_message(0, 4321)) for _ in range(5)]
+            requests += [autopilot.frame(dialect.MAVLink_ping_message(1, 2, 0, 0)) for _ in range(5)]
+            requests += [ground_station.frame(command(dialect.MAV_CMD_NAV_LAND, 0, (7, 191))) for _ in range(5)]
+            met.arrive(*requests)
+        took_s = 200 * 0.005
+        sent = met.sent()
+        answers = [
+            each for each in sent if each.get_type() == "PING" or (each.get_type() == "TIMESYNC" and each.tc1 != 0)
+        ]
+        assert len(answers) == pytest.approx(ANSWERS_PER_S * (1 + took_s), abs=2)
+        acknowledged = [each for each in sent if each.get_type() == "COMMAND_ACK"]
+        assert len(acknowledged) == pytest.approx(ANSWERS_PER_S * (1 + took_s), abs=2)
+
+    def test_px4s_ten_requests_a_second_are_all_answered(self, met: Bench) -> None:
+        autopilot = Component(7)
+        for number in range(1, 101):
+            met.arrive(autopilot.frame(dialect.MAVLink_timesync_message(0, number)))
+            met.run(0.095)
+        answers = [each.ts1 for each in met.sent("TIMESYNC") if each.tc1 != 0]
+        assert answers == list(range(1, 101))
 
     def test_timesync_is_answered_with_the_bridges_time(self, met: Bench) -> None:
         met.arrive(Component(7).frame(dialect.MAVLink_timesync_message(0, 4321)))
@@ -340,10 +389,77 @@ class TestWanted:
         bench.run(30.0, autopilot.heartbeat)
         assert 5 <= len(self.requests(bench)) <= 7
         pressure = dialect.MAVLink_scaled_pressure_message(0, 1013.0, 0.0, 2000)
-        bench.run(30.0, lambda: autopilot.heartbeat() + autopilot.frame(pressure))
+        twice = autopilot.frame(pressure) * 2
+        bench.run(5.0, lambda: autopilot.heartbeat() + twice)
+        self.requests(bench)
+        bench.run(30.0, lambda: autopilot.heartbeat() + twice)
         assert self.requests(bench) == []
         bench.run(30.0, autopilot.heartbeat)
         assert 4 <= len(self.requests(bench)) <= 6
+
+    def test_is_asked_for_where_it_comes_too_slowly(self) -> None:
+        """Four attitudes a second that came by themselves kept the bridge from asking for ten."""
+        bench = Bench(wanted={"ATTITUDE": 10.0})
+        autopilot = Component(7)
+        attitude = autopilot.frame(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
+        bench.run(3.0, lambda: autopilot.heartbeat() + attitude * 4)
+        assert len(self.requests(bench)) == 1
+        bench.run(7.0, lambda: autopilot.heartbeat() + attitude * 10)
+        self.requests(bench)
+        bench.run(30.0, lambda: autopilot.heartbeat() + attitude * 10)
+        assert self.requests(bench) == []
+
+    @pytest.mark.parametrize(
+        "result", [dialect.MAV_RESULT_DENIED, dialect.MAV_RESULT_UNSUPPORTED, dialect.MAV_RESULT_FAILED]
+    )
+    def test_is_not_asked_for_after_a_refusal(self, result: int) -> None:
+        """ArduPilot shows the pilot a text for each request for a message that it does not know."""
+        bench = Bench(wanted={"HIL_STATE_QUATERNION": 25.0, "ATTITUDE": 10.0})
+        autopilot = Component(7)
+        asked = []
+
+        def answers() -> bytes:
+            frames = autopilot.heartbeat()
+            for each in self.requests(bench):
+                asked.append(each.param1)
+                accepted = each.param1 == dialect.MAVLINK_MSG_ID_ATTITUDE
+                frames += self.answer(autopilot, dialect.MAV_RESULT_ACCEPTED if accepted else result)
+            return frames
+
+        bench.run_each(0.01, 60.0, answers)
+        assert asked.count(dialect.MAVLINK_MSG_ID_HIL_STATE_QUATERNION) == 1
+        assert asked.count(dialect.MAVLINK_MSG_ID_ATTITUDE) > 3
+        assert bench.link.wanted.refused == {"HIL_STATE_QUATERNION"}
+
+    def answer(self, autopilot: Component, result: int, target: tuple[int, int] = (7, 191)) -> bytes:
+        number = dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+        return autopilot.frame(dialect.MAVLink_command_ack_message(number, result, 0, 0, *target))
+
+    @pytest.mark.parametrize(
+        ("sender", "target", "refused"),
+        [((7, 1), (7, 191), True), ((7, 1), (0, 0), True), ((7, 1), (255, 190), False), ((8, 1), (7, 191), False)],
+    )
+    def test_a_refusal_is_the_autopilots_and_the_bridges(
+        self, sender: tuple[int, int], target: tuple[int, int], refused: bool
+    ) -> None:
+        bench = Bench(wanted={"ATTITUDE": 10.0})
+        bench.arrive(Component(7).heartbeat())
+        bench.run(1.5)
+        assert len(self.requests(bench)) == 1
+        bench.arrive(self.answer(Component(*sender), dialect.MAV_RESULT_DENIED, target))
+        assert bool(bench.link.wanted.refused) is refused
+
+    def test_an_autopilot_that_comes_back_is_asked_anew(self) -> None:
+        """It may have another program by now."""
+        bench = Bench(wanted={"ATTITUDE": 10.0})
+        autopilot = Component(7)
+        bench.run(1.5, autopilot.heartbeat)
+        bench.arrive(self.answer(autopilot, dialect.MAV_RESULT_DENIED))
+        bench.run(30.0, autopilot.heartbeat)
+        assert len(self.requests(bench)) == 1
+        bench.run(10.0)
+        bench.run(3.0, autopilot.heartbeat)
+        assert len(self.requests(bench)) == 1
 
     def test_a_message_with_a_field_called_id_is_known_when_it_comes(self) -> None:
         bench = Bench(wanted={"HYGROMETER_SENSOR": 1.0})
@@ -383,6 +499,162 @@ class TestSending:
     def test_close_closes_the_transport(self, bench: Bench) -> None:
         bench.link.close()
         assert bench.transport.closed
+
+
+class TestSomebodyElse:
+    """Who is on the link and should not be."""
+
+    def texts(self, bench: Bench) -> list[str]:
+        texts = [condition.text for condition in bench.link.conditions() if condition.text is not None]
+        assert all(len(text) <= 50 for text in texts)
+        return texts
+
+    def test_nothing_is_reported_of_one_autopilot_of_the_right_type(self) -> None:
+        bench = Bench(autopilot="ardupilot", system_id=7)
+        bench.run(30.0, Component(7).heartbeat)
+        assert self.texts(bench) == []
+
+    def test_a_second_autopilot_is_reported_until_it_is_gone(self) -> None:
+        bench = Bench()
+        first, second = Component(3), Component(254)
+        bench.run(5.0, lambda: first.heartbeat() + second.heartbeat())
+        assert self.texts(bench) == ["Range: second autopilot, system 254 (using 3)"]
+        bench.run(8.0, first.heartbeat)
+        assert self.texts(bench) != []
+        bench.run(3.0, first.heartbeat)
+        assert self.texts(bench) == []
+
+    def test_a_pinned_autopilot_is_the_only_one(self) -> None:
+        bench = Bench(system_id=7)
+        bench.arrive(Component(3).heartbeat(), Component(3).frame(dialect.MAVLink_system_time_message(0, 90_000)))
+        assert bench.link.autopilot_system is None
+        assert not bench.link.autopilot_heard
+        assert bench.heard == []
+        assert self.texts(bench) == ["Range: autopilot is system 3, file says 7"]
+        assert source(bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0)) and bench.sent()[-1]) == (7, 191)
+        bench.arrive(Component(3).heartbeat(), Component(7).heartbeat())
+        assert bench.link.autopilot_system == 7
+        bench.run(30.0, Component(3).heartbeat)
+        assert bench.link.autopilot_system == 7
+        assert not bench.link.autopilot_heard
+
+    @pytest.mark.parametrize(
+        ("expected", "found", "text"),
+        [
+            ("ardupilot", dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, None),
+            ("px4", dialect.MAV_AUTOPILOT_PX4, None),
+            ("ardupilot", dialect.MAV_AUTOPILOT_PX4, "Range: autopilot is px4, file says ardupilot"),
+            ("px4", dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, "Range: autopilot is ardupilot, file says px4"),
+            ("ardupilot", dialect.MAV_AUTOPILOT_GENERIC, "Range: autopilot is type 0, file says ardupilot"),
+        ],
+    )
+    def test_an_autopilot_of_another_type_is_reported(self, expected: str, found: int, text: str | None) -> None:
+        bench = Bench(autopilot=expected)
+        beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_QUADROTOR, found, 0, 0, 4, 3)
+        autopilot = Component(7)
+        bench.run(3.0, lambda: autopilot.frame(beat))
+        assert self.texts(bench) == ([] if text is None else [text])
+
+    def test_another_program_with_the_bridges_ids_is_reported_until_it_stops(self) -> None:
+        bench = Bench()
+        autopilot, double = Component(7), Component(7, 191)
+        beat = dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+        bench.run(5.0, lambda: autopilot.heartbeat() + double.frame(beat))
+        assert self.texts(bench) == ["Range: another program sends as 7/191"]
+        bench.run(12.0, autopilot.heartbeat)
+        assert self.texts(bench) == []
+
+    def test_its_own_frames_that_come_back_are_not_another_programs(self) -> None:
+        bench = Bench()
+        autopilot = Component(7)
+        bench.run_each(0.1, 60.0, lambda: autopilot.heartbeat() + b"".join(bench.transport.frames[-3:]))
+        assert self.texts(bench) == []
+
+    def test_what_a_router_still_held_from_before_a_restart_is_not_another_programs(self) -> None:
+        bench = Bench()
+        old = Component(7, 191)
+        bench.arrive(Component(7).heartbeat())
+        for _ in range(20):
+            bench.arrive(old.frame(dialect.MAVLink_ping_message(1, 2, 0, 0)))
+        assert self.texts(bench) == []
+
+
+class TestFlood:
+    """One call does a bounded amount of work."""
+
+    ATTITUDE = dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
+
+    def decoded(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+        """System ids of what is decoded from now on."""
+        systems: list[int] = []
+        real = bench.link._mav.decode
+
+        def decode(frame: bytearray) -> Any:
+            message = real(frame)
+            systems.append(message.get_srcSystem())
+            return message
+
+        monkeypatch.setattr(bench.link._mav, "decode", decode)
+        return systems
+
+    def test_a_call_decodes_a_bounded_number(self, met: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        decoded = self.decoded(met, monkeypatch)
+        autopilot, other = Component(7), Component(8)
+        met.arrive(autopilot.frame(self.ATTITUDE) * 150, other.heartbeat() * 150)
+        assert decoded == [7] * DECODED_FROM_AUTOPILOT + [8] * DECODED_FROM_OTHERS
+
+    def test_what_arrived_in_a_second_of_a_locked_up_bus_is_not_lost(self, met: Bench) -> None:
+        met.heard.clear()
+        met.arrive(Component(7).frame(self.ATTITUDE) * WAITING_FROM_AUTOPILOT)
+        met.run(0.05)
+        assert len(met.heard) == WAITING_FROM_AUTOPILOT
+
+    def test_a_flood_of_others_does_not_hide_the_autopilot(self, met: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        """20,000 messages a second of every kind that the bridge listens to, and 100 of the autopilot."""
+        ground_station, autopilot = Component(*GROUND_STATION), Component(7)
+        flood = [
+            ground_station.frame(command(dialect.MAV_CMD_NAV_LAND, 0, (7, 191))) * 20,
+            Component(8).heartbeat() * 20,
+            Component(7, 191).frame(self.ATTITUDE) * 20,
+            ground_station.frame(dialect.MAVLink_timesync_message(0, 1)) * 20,
+            Component(7, 154).frame(self.ATTITUDE) * 20,
+        ]
+        met.heard.clear()
+        decoded = self.decoded(met, monkeypatch)
+        for number in range(200):
+            wanted = autopilot.frame(self.ATTITUDE) if number % 2 else b""
+            met.arrive(*flood, wanted)
+        assert len(met.heard) == 100
+        assert len(decoded) <= 200 * (1 + DECODED_FROM_OTHERS)
+
+    def test_a_flood_of_the_autopilots_own_is_decoded_late_by_little(self, met: Bench) -> None:
+        """What is dropped is the oldest: the newest attitude is at most 40 ms old."""
+        autopilot = Component(7)
+        arrived: list[int] = []
+        for number in range(400):
+            frames = [
+                autopilot.frame(dialect.MAVLink_attitude_message(100 * number + i, 0, 0, 0, 0, 0, 0))
+                for i in range(100)
+            ]
+            met.heard.clear()
+            met.arrive(*frames)
+            arrived += [100 * number - message.time_boot_ms for message in met.heard[-1:]]
+        assert max(arrived) <= WAITING_FROM_AUTOPILOT
+
+    @pytest.mark.parametrize("ending", [b"\xfd", b"\xfd\xff\x00", b"\xfe\xff", b"\xfd\xff\x01" + bytes(270)])
+    def test_bytes_that_always_end_inside_a_frame_are_not_kept(self, met: Bench, ending: bytes) -> None:
+        """pymavlink's own parser kept them all: 16 MB after ten seconds of 8 kB at each look."""
+        tracemalloc.start()
+        try:
+            for _ in range(500):
+                met.transport.arrived += bytes(8000) + ending
+                met.link.service()
+                met.clock.sleep_until(met.link.next_event_s)
+                met.transport.frames.clear()
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 500_000
 
 
 class TestWhatArrives:

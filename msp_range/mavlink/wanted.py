@@ -1,0 +1,144 @@
+"""Messages that the bridge needs from the autopilot: each is asked for at its rate while it comes too slowly.
+
+`msp_range.mavlink.link.Link` reports what arrives and sends what is due (MAV_CMD_SET_MESSAGE_INTERVAL). A refusal is
+final: ArduPilot answers a request for a message that it does not know with a text that the pilot reads, each time. The
+answer does not say which message it is about, so a refusal counts where one request alone was under way.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from msp_range.mavlink.dialect import dialect
+
+ENOUGH = 0.8
+"""A message that comes at this share of its rate or more is not asked for. Autopilots round intervals to their own
+loop's and lose messages on a slow port; nearer to 1 they would be asked for ever, lower an attitude is older."""
+MEASURED_S = 5.0
+"""A rate is measured over this long [s], and over three intervals at least. It is also how soon an unanswered request
+is made again; shorter finds a lost request sooner, and takes a delay of the loop for a slow message."""
+MEASURED_INTERVALS = 3
+FIRST_MEASURED_S = 1.0
+"""The first look at what an autopilot sends by itself is this long [s]: a message that comes faster than it is needed
+is not made slower for other programs on the same link. Longer delays the first request."""
+QUICK_REQUESTS = 6
+"""After this many requests in a row that changed nothing, a message is asked for once in `SLOW_REQUEST_S` only: a port
+that cannot carry the rate gets no more traffic, and an autopilot that does not answer no flood."""
+SLOW_REQUEST_S = 60.0
+ANSWER_S = 2.0
+"""A request is under way for this long, where it is not answered [s]: longer than the way there and back on a radio."""
+APART_S = 0.1
+"""Between two requests where no answer comes [s]: autopilots on a wire answer sooner. Once a refusal came while several
+were under way, they are `ANSWER_S` apart."""
+
+_NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJECTED)
+
+
+class Request(NamedTuple):
+    """A message to ask for: its number, and the interval at which it should come [us]."""
+
+    message_id: int
+    interval_us: float
+
+
+class _Message:
+    """One wanted message."""
+
+    def __init__(self, name: str, rate_hz: float) -> None:
+        self.name = name
+        self.rate_hz = rate_hz
+        self.ask_anew(float("-inf"))
+
+    def ask_anew(self, now_s: float) -> None:
+        self.refused = False
+        self.requests = 0
+        self.received = 0
+        self.first_s = now_s
+        self.next_check_s = now_s + FIRST_MEASURED_S
+
+    def is_slow(self, now_s: float) -> bool:
+        """Whether it did not come since the last check, or too slowly since it came first."""
+        return self.received == 0 or self.received < ENOUGH * self.rate_hz * (now_s - self.first_s)
+
+    def start_measuring(self, now_s: float) -> None:
+        self.received = 0
+        slowly = self.requests > QUICK_REQUESTS
+        self.next_check_s = now_s + (SLOW_REQUEST_S if slowly else max(MEASURED_S, MEASURED_INTERVALS / self.rate_hz))
+
+
+class WantedMessages:
+    """What is wanted, what comes, and what to ask for next.
+
+    Parameters
+    ----------
+    rates_hz
+        Name of a message -> rate at which it should come [Hz].
+
+    Raises
+    ------
+    AttributeError
+        The dialect has no such message.
+    """
+
+    def __init__(self, rates_hz: Mapping[str, float]) -> None:
+        self._messages = {_message_id(name): _Message(name, rate_hz) for name, rate_hz in rates_hz.items()}
+        self._under_way: list[tuple[float, _Message]] = []
+        self._next_request_s = float("-inf")
+        self._apart_s = APART_S
+
+    @property
+    def refused(self) -> frozenset[str]:
+        """Messages that the autopilot refused to send; they are not asked for again."""
+        return frozenset(message.name for message in self._messages.values() if message.refused)
+
+    def on_message(self, now_s: float, message_id: int) -> None:
+        """Count a message of the autopilot."""
+        message = self._messages.get(message_id)
+        if message is not None:
+            if message.received == 0:
+                message.first_s = now_s
+            message.received += 1
+
+    def on_answer(self, now_s: float, result: int) -> None:
+        """Note the autopilot's answer (MAV_RESULT) to the oldest request under way; another one may follow at once."""
+        if result == dialect.MAV_RESULT_IN_PROGRESS:
+            return
+        under_way = self._not_yet_answered(now_s)
+        if result not in _NOT_REFUSED:
+            if len(under_way) == 1:
+                under_way[0][1].refused = True
+            else:
+                self._apart_s = ANSWER_S
+        self._under_way = under_way[1:]
+        self._next_request_s = now_s
+
+    def request(self, now_s: float) -> Request | None:
+        """What to ask for now."""
+        if now_s < self._next_request_s:
+            return None
+        self._next_request_s = now_s + self._apart_s
+        for message_id, message in self._messages.items():
+            if message.refused or now_s < message.next_check_s:
+                continue
+            slow = message.is_slow(now_s)
+            message.requests = message.requests + 1 if slow else 0
+            message.start_measuring(now_s)
+            if slow:
+                self._under_way = [*self._not_yet_answered(now_s), (now_s, message)]
+                return Request(message_id, 1e6 / message.rate_hz)
+        return None
+
+    def ask_anew(self, now_s: float) -> None:
+        """Forget refusals and rates: this may be another autopilot, or another program on it."""
+        for message in self._messages.values():
+            message.ask_anew(now_s)
+        self._under_way = []
+        self._next_request_s = float("-inf")
+        self._apart_s = APART_S
+
+    def _not_yet_answered(self, now_s: float) -> list[tuple[float, _Message]]:
+        return [each for each in self._under_way if now_s - each[0] < ANSWER_S]
+
+
+def _message_id(name: str) -> int:
+    message_id: int = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
+    return message_id

@@ -1,0 +1,130 @@
+"""What is asked of an autopilot, against autopilots that send at given rates and answer or do not."""
+
+import itertools
+from collections import Counter
+from collections.abc import Callable
+
+import pytest
+
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.wanted import ANSWER_S, QUICK_REQUESTS, SLOW_REQUEST_S, WantedMessages
+
+NAMES = ("RAW_IMU", "SCALED_IMU", "HIGHRES_IMU", "SCALED_PRESSURE", "ATTITUDE")
+NUMBER = {name: getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in NAMES}
+WITNESSES = {"RAW_IMU": 25.0, "SCALED_IMU": 25.0, "HIGHRES_IMU": 25.0, "SCALED_PRESSURE": 10.0, "ATTITUDE": 25.0}
+TICK_S = 0.005
+
+
+class Autopilot:
+    """Sends messages at rates [Hz], and answers each request after a while with a result."""
+
+    def __init__(
+        self,
+        wanted: WantedMessages,
+        sends_hz: dict[str, float],
+        answer: Callable[[str], int | None] = lambda _: None,
+        answers_after_s: float = 0.01,
+        obeys: bool = False,
+    ) -> None:
+        self.asked: list[tuple[float, str, float]] = []
+        """Time [s], name, interval [us]."""
+        self.now_s = 100.0
+        self._wanted = wanted
+        self._sends_hz = sends_hz
+        self._answer = answer
+        self._answers_after_s = answers_after_s
+        self._obeys = obeys
+        self._due_s = dict.fromkeys(sends_hz, self.now_s)
+        self._answers: list[tuple[float, int]] = []
+        wanted.ask_anew(self.now_s)
+
+    def fly(self, duration_s: float) -> "Autopilot":
+        names = {number: name for name, number in NUMBER.items()}
+        end_s = self.now_s + duration_s
+        while self.now_s < end_s:
+            for name, rate_hz in self._sends_hz.items():
+                if self.now_s >= self._due_s.setdefault(name, self.now_s):
+                    self._due_s[name] += 1 / rate_hz
+                    self._wanted.on_message(self.now_s, NUMBER[name])
+            while self._answers and self.now_s >= self._answers[0][0]:
+                self._wanted.on_answer(self.now_s, self._answers.pop(0)[1])
+            request = self._wanted.request(self.now_s)
+            if request is not None:
+                name = names[request.message_id]
+                self.asked.append((self.now_s, name, request.interval_us))
+                result = self._answer(name)
+                if result is not None:
+                    self._answers.append((self.now_s + self._answers_after_s, result))
+                if self._obeys and result in (None, dialect.MAV_RESULT_ACCEPTED):
+                    self._sends_hz[name] = 1e6 / request.interval_us
+            self.now_s += TICK_S
+        return self
+
+    def counts(self) -> dict[str, int]:
+        return Counter(name for _, name, _ in self.asked)
+
+
+def test_all_that_does_not_come_is_asked_for_soon_at_its_rate() -> None:
+    autopilot = Autopilot(WantedMessages(WITNESSES), {}).fly(2.0)
+    assert {name: 1e6 / interval_us for _, name, interval_us in autopilot.asked} == WITNESSES
+    assert len(autopilot.asked) == len(WITNESSES)
+
+
+def test_what_an_autopilot_sends_when_it_is_asked_is_not_asked_for_again() -> None:
+    autopilot = Autopilot(WantedMessages(WITNESSES), {"ATTITUDE": 4.0}, obeys=True).fly(120.0)
+    assert autopilot.counts() == dict.fromkeys(WITNESSES, 1)
+
+
+@pytest.mark.parametrize(
+    ("sends_hz", "asked"), [(4.0, True), (19.0, True), (20.5, False), (25.0, False), (100.0, False)]
+)
+def test_what_comes_by_itself_is_asked_for_where_it_is_slower_than_four_fifths(sends_hz: float, asked: bool) -> None:
+    autopilot = Autopilot(WantedMessages({"ATTITUDE": 25.0}), {"ATTITUDE": sends_hz}).fly(30.0)
+    assert bool(autopilot.asked) is asked
+
+
+@pytest.mark.parametrize("rate_hz", [0.1, 0.5, 1.0, 2.0])
+def test_a_slow_message_that_comes_at_its_rate_is_asked_for_once_at_most(rate_hz: float) -> None:
+    autopilot = Autopilot(WantedMessages({"ATTITUDE": rate_hz}), {"ATTITUDE": rate_hz}).fly(300.0)
+    assert len(autopilot.asked) <= 1
+    silent = Autopilot(WantedMessages({"ATTITUDE": rate_hz}), {}).fly(300.0)
+    assert len(silent.asked) > QUICK_REQUESTS
+
+
+def test_a_message_that_never_comes_is_asked_for_less_often_after_a_while() -> None:
+    autopilot = Autopilot(WantedMessages({"ATTITUDE": 25.0}), {}).fly(600.0)
+    times_s = [time_s for time_s, _, _ in autopilot.asked]
+    gaps_s = [after_s - before_s for before_s, after_s in itertools.pairwise(times_s)]
+    assert gaps_s[: QUICK_REQUESTS - 1] == pytest.approx([5.0] * (QUICK_REQUESTS - 1), abs=0.2)
+    assert gaps_s[QUICK_REQUESTS:] == pytest.approx([SLOW_REQUEST_S] * len(gaps_s[QUICK_REQUESTS:]), abs=0.2)
+    assert len(times_s) < 20
+
+
+def refuses(*names: str) -> Callable[[str], int]:
+    return lambda name: dialect.MAV_RESULT_DENIED if name in names else dialect.MAV_RESULT_ACCEPTED
+
+
+@pytest.mark.parametrize("answers_after_s", [0.01, 0.3, 1.5])
+def test_only_what_is_refused_is_given_up(answers_after_s: float) -> None:
+    """On a slow link the answers to several requests are under way, and none says which message it is about."""
+    wanted = WantedMessages(WITNESSES)
+    autopilot = Autopilot(wanted, {}, refuses("HIGHRES_IMU"), answers_after_s, obeys=True).fly(60.0)
+    assert wanted.refused == {"HIGHRES_IMU"}
+    assert autopilot.counts()["HIGHRES_IMU"] <= (1 if answers_after_s < 0.1 else 2)
+    autopilot.asked.clear()
+    autopilot.fly(300.0)
+    assert autopilot.asked == []
+
+
+@pytest.mark.parametrize("result", [dialect.MAV_RESULT_TEMPORARILY_REJECTED, dialect.MAV_RESULT_IN_PROGRESS])
+def test_what_is_refused_for_now_is_asked_for_again(result: int) -> None:
+    wanted = WantedMessages({"ATTITUDE": 25.0})
+    autopilot = Autopilot(wanted, {}, lambda _: result).fly(20.0)
+    assert wanted.refused == set()
+    assert len(autopilot.asked) >= 4
+
+
+def test_an_answer_that_comes_too_late_is_nobodys() -> None:
+    wanted = WantedMessages({"ATTITUDE": 25.0})
+    Autopilot(wanted, {}, lambda _: dialect.MAV_RESULT_DENIED, ANSWER_S + 0.5).fly(4.0)
+    assert wanted.refused == set()
