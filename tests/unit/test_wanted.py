@@ -116,6 +116,14 @@ def test_only_what_is_refused_is_given_up(answers_after_s: float) -> None:
     assert autopilot.asked == []
 
 
+def test_a_refusal_is_not_taken_for_that_of_a_request_whose_answer_was_lost() -> None:
+    """The autopilot refuses the third and its answer to the first is lost: the next answer is not the first one's."""
+    wanted = WantedMessages(WITNESSES)
+    answers = refuses("HIGHRES_IMU")
+    Autopilot(wanted, {}, lambda name: None if name == "RAW_IMU" else answers(name), 0.3, obeys=True).fly(60.0)
+    assert wanted.refused == {"HIGHRES_IMU"}
+
+
 @pytest.mark.parametrize("result", [dialect.MAV_RESULT_TEMPORARILY_REJECTED, dialect.MAV_RESULT_IN_PROGRESS])
 def test_what_is_refused_for_now_is_asked_for_again(result: int) -> None:
     wanted = WantedMessages({"ATTITUDE": 25.0})
