@@ -1,0 +1,49 @@
+"""The fuzzing of the link finds nothing here, and finds what is put in."""
+
+import pytest
+
+from msp_range.mavlink.frames import Frame, FrameReader
+from tests.fuzz import link
+
+
+def test_a_second_of_it_finds_nothing() -> None:
+    result = link.fuzz(1.0, seed=2)
+    assert result.failures == []
+    assert result.cases >= 10
+
+
+def test_the_same_seed_makes_the_same_bytes() -> None:
+    def some(seed: int) -> list[bytes]:
+        rng = link.Random(seed)
+        return [link.made_up(rng) for _ in range(20)]
+
+    assert some(3) == some(3) != some(4)
+
+
+def test_an_exception_is_found_with_its_place_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = FrameReader.read
+
+    def read(self: FrameReader, arrived: bytes) -> list[Frame]:
+        if b"\xfe" in arrived:
+            raise IndexError("made for this test")
+        return real(self, arrived)
+
+    monkeypatch.setattr(FrameReader, "read", read)
+    result = link.fuzz(2.0, seed=1)
+    assert any("IndexError('made for this test') in test_fuzz_link.py" in each for each in result.failures)
+    assert result.cases > len(result.failures)
+
+
+def test_a_buffer_that_keeps_everything_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = []
+    real = FrameReader.read
+
+    def read(self: FrameReader, arrived: bytes) -> list[Frame]:
+        kept.append(arrived + b"\0" * 20_000)
+        return real(self, arrived)
+
+    monkeypatch.setattr(FrameReader, "read", read)
+    monkeypatch.setattr(link, "WARM_UP_CASES", 10)
+    monkeypatch.setattr(link, "GROWTH_MB", 5.0)
+    result = link.fuzz(3.0, seed=1)
+    assert any("memory grew by" in each for each in result.failures)
