@@ -27,8 +27,8 @@ DECODED_FROM_AUTOPILOT, DECODED_FROM_OTHERS = 32, 4
 """Messages that one call decodes at most: 6400 and 800 a second, where autopilots send some hundreds. Decoding takes
 5 us on a desktop computer and some 25 us on a small one: with 32 a flood holds up the polling by less than 1 ms."""
 WAITING_FROM_AUTOPILOT, WAITING_FROM_OTHERS = 256, 32
-"""Messages that wait for the next call; the oldest of more is dropped. 256 is what arrives in a second in which the bus
-held up the loop; with more a flood makes what is decoded older."""
+"""Messages that wait for the next call; of more, the newest of each kind are kept, so that no flood hides a heartbeat.
+256 is what arrives in a second in which the bus held up the loop; with more a flood makes what is decoded older."""
 ANSWERS_PER_S = 20
 """Answers to the autopilot's TIMESYNC and PING, and to commands, at most. PX4 asks for the time at 10 Hz."""
 SENT_KEPT = 512
@@ -81,8 +81,8 @@ class Link:
         self._participants = Participants(autopilot)
         self._pinned_system = system_id
         self._frames = FrameReader()
-        self._from_autopilot: deque[tuple[float, Frame]] = deque(maxlen=WAITING_FROM_AUTOPILOT)
-        self._from_others: deque[tuple[float, Frame]] = deque(maxlen=WAITING_FROM_OTHERS)
+        self._from_autopilot: deque[tuple[float, Frame]] = deque()
+        self._from_others: deque[tuple[float, Frame]] = deque()
         self._mav = dialect.MAVLink(None, srcSystem=system_id or 1, srcComponent=component_id)
         now_s = clock.now()
         self._start_s = now_s
@@ -185,6 +185,8 @@ class Link:
                 self._from_autopilot.append((now_s, frame))
             elif frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
                 self._from_others.append((now_s, frame))
+        self._from_autopilot = _newest(self._from_autopilot, WAITING_FROM_AUTOPILOT)
+        self._from_others = _newest(self._from_others, WAITING_FROM_OTHERS)
 
     def _take(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
@@ -271,6 +273,14 @@ class Link:
             time_boot_ms = self.autopilot_clock.time_boot_ms(self._clock.now())
             return ComponentInformationBasic(time_boot_ms, "msp-range", "range finder bridge", __version__)
         return None
+
+
+def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[float, Frame]]:
+    """At most so many: where there are more, the newest of each message of each system."""
+    if len(waiting) <= count:
+        return waiting
+    newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
+    return deque(list(newest.values())[-count:])
 
 
 class _Allowance:

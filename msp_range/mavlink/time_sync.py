@@ -22,6 +22,9 @@ REBOOT_BACKWARDS_S = 5.0
 """An autopilot's clock that is this much behind where it should be has been started again [s].
 
 Longer than SYSTEM_TIME may lie unread: on a locked-up bus every transfer blocks the loop for a second."""
+ANSWERED_S = 2.0
+"""While TIMESYNC was answered this lately [s], it alone shows a reboot: it is asked for each second, and SYSTEM_TIME
+may come from somebody else too. Longer finds a reboot later where TIMESYNC is no longer answered after it."""
 LATEST_ARRIVAL_S = 1.0
 """A message that seems to be older than this when it arrives carries a wrong time, or the autopilot's clock is wrong
 here [s]: the time of its arrival is used. The delay of a slow radio link is below it; longer would let a wrong clock
@@ -112,7 +115,8 @@ class AutopilotClock:
             # It has begun again at 0 where TIMESYNC, with 64 bits, has not.
             offset_s = self._offset_s + _shortest(offset_s - self._offset_s)
         sample = _Sample(now_s, 0.0, offset_s)
-        self._check_reboot(sample)
+        if not self._exchanges or now_s - self._exchanges[-1].received_s > ANSWERED_S:
+            self._check_reboot(sample)
         self._system_times.append(sample)
         self._update(now_s)
 

@@ -222,6 +222,15 @@ def test_a_reboot_after_40_days_is_one(clock: AutopilotClock) -> None:
     assert clock.time_boot_ms(booted_s + 2.0) == pytest.approx(2000, abs=2)
 
 
+def test_somebody_elses_system_time_is_no_reboot_while_timesync_is_answered(clock: AutopilotClock) -> None:
+    for second in range(60):
+        at_s = BRIDGE_START_S + second
+        exchange(clock, at_s, 0.001, 0.001)
+        clock.on_system_time(at_s + 0.3, 1000 * second)
+        assert clock.reboots == 0
+        assert offset_error_s(clock) == approximately(0.0)
+
+
 def test_the_time_of_a_message_is_the_autopilots(clock: AutopilotClock) -> None:
     exchange(clock, BRIDGE_START_S, 0.001, 0.001)
     at_s = BRIDGE_START_S + 3.0
