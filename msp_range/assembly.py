@@ -9,7 +9,7 @@ from msp_range.geometry import quaternion
 from msp_range.mavlink.distance_sensor import Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.sensors.mb1242 import MB1242
-from msp_range.sensors.polling import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 
 
 def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:

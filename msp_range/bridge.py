@@ -26,7 +26,8 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
-from msp_range.sensors.polling import Poller, Ranging, Schedule
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import Schedule
 
 LOOK_INTERVAL_S = 0.25
 """Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""

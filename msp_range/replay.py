@@ -29,7 +29,7 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import ATTITUDE_TOPIC
-from msp_range.sensors.polling import PolledSensor
+from msp_range.sensors.schedule import PolledSensor
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""

@@ -16,7 +16,8 @@ from msp_range.clock import Clock, SystemClock
 from msp_range.correction.temperature import FileSource, TemperatureFile, read_thermometer
 from msp_range.sensors.base import Decoded, RangeSensor
 from msp_range.sensors.mb1242 import MB1242
-from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]

@@ -8,7 +8,8 @@ from msp_range.bus import Bus
 from msp_range.clock import VirtualClock
 from msp_range.reading import Status
 from msp_range.sensors.mb1242 import MB1242, encode
-from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 from tests.support.scripted_bus import Expected, ScriptedBus, read, reopen, scripted_bus, write
 
 RANGE = b"\x51"

@@ -15,7 +15,8 @@ from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.reading import Status
 from msp_range.sensors.base import Decoded
-from msp_range.sensors.polling import PolledSensor, Poller, Ranging, RoundRobin, Spacing, Timing
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 from tests.support.scripted_bus import ScriptedBus
 
 CONFIGS = Path(__file__).parents[2] / "configs"

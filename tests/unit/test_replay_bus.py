@@ -17,7 +17,8 @@ from msp_range.recording import Recorder, RecordingError
 from msp_range.recording.export import export
 from msp_range.recording.pings import recorded_pings
 from msp_range.sensors.mb1242 import COMMAND_RANGE, MB1242
-from msp_range.sensors.polling import PolledSensor, Poller, Ranging, Timing
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import PolledSensor, Timing
 
 LEFT, RIGHT = 0x70, 0x71
 # Times of no answer are sums of binary fractions, which are exact.
