@@ -5,6 +5,8 @@ it could first be done, and never later than its deadline.
 """
 
 import errno
+from collections import deque
+from operator import attrgetter
 from typing import NamedTuple
 
 from msp_range.bus import Bus, BusError
@@ -50,8 +52,14 @@ class _Pending:
         self.next_try_s = ping_s + sensor.timing.first_answer_s
 
 
+_next_try_s = attrgetter("next_try_s")
+
+
 class Poller:
     """Pings sensors in the order of a schedule, and asks them for their answers.
+
+    Each step makes one transfer at most: on a bus that has locked up it takes a second until the kernel gives up, and
+    between two steps the bridge does what else is due.
 
     Parameters
     ----------
@@ -61,67 +69,72 @@ class Poller:
         Time of pings and answers.
     schedule
         Who pings next, and when.
+
+    Attributes
+    ----------
+    next_event_s
+        When `step` has something to do [s]: in the past where the next transfer is to follow at once.
     """
 
     def __init__(self, bus: Bus, clock: Clock, schedule: Schedule) -> None:
         self._bus = bus
         self._clock = clock
         self._schedule = schedule
+        self._unpinged: deque[PolledSensor] = deque()
         self._pending: list[_Pending] = []
-        self._group_ping_s = clock.now()
-        self._next_ping_s, self._next_group = schedule.turn(self._group_ping_s)
+        self._to_reopen: Ranging | None = None
+        self._last_ping_s = clock.now()
         self._reopened_s = float("-inf")
-
-    @property
-    def next_event_s(self) -> float:
-        """When `step` has something to do [s]."""
-        if self._pending:
-            return min([each.next_try_s for each in self._pending])
-        return self._next_ping_s
+        self._plan()
+        self.next_event_s = self._turn_s
 
     def step(self) -> list[Ranging]:
-        """Ping, or ask, whatever is due; returns the rangings that ended."""
-        if self._pending:
-            return self._ask()
-        if self._clock.now() >= self._next_ping_s:
-            return self._ping()
-        return []
+        """Make the transfer that is due, if there is one: a ping, a read or a reopening; returns what it ended."""
+        now_s = self._clock.now()
+        if now_s < self.next_event_s:
+            return []
+        ranging: Ranging | None
+        if self._to_reopen is not None:
+            ranging = self._reopen(self._to_reopen)
+        elif self._unpinged:
+            ranging = self._ping(self._unpinged.popleft())
+        else:
+            ranging = self._ask(min(self._pending, key=_next_try_s), now_s)
+        if ranging is not None:
+            self._schedule.hear(ranging.reading)
+        if self._to_reopen is not None:
+            self.next_event_s = self._to_reopen.answered_s
+        elif self._pending and not self._unpinged:
+            self.next_event_s = min([each.next_try_s for each in self._pending])
+        else:
+            if not self._unpinged:
+                self._plan()
+            self.next_event_s = self._turn_s
+        return [] if ranging is None else [ranging]
 
-    def _ping(self) -> list[Ranging]:
-        failed = []
-        for sensor in self._next_group:
-            try:
-                sensor.device.ping()
-            except BusError as error:
-                now_s = self._clock.now()
-                failed.append(self._no_answer(sensor, now_s, now_s, error))
-            else:
-                self._pending.append(_Pending(sensor, self._clock.now()))
-        # After the writes, which a stretched clock can delay: the next ping counts from here.
-        self._group_ping_s = self._clock.now()
-        if not self._pending:
-            self._plan()
-        return failed
+    def _plan(self) -> None:
+        self._turn_s, sensors = self._schedule.turn(self._last_ping_s)
+        self._unpinged.extend(sensors)
 
-    def _ask(self) -> list[Ranging]:
-        ended = []
-        for pending in list(self._pending):
+    def _ping(self, sensor: PolledSensor) -> Ranging | None:
+        ranging = None
+        try:
+            sensor.device.ping()
+        except BusError as error:
             now_s = self._clock.now()
-            if now_s < pending.next_try_s:
-                continue
-            ranging = self._try(pending, now_s)
-            if ranging is not None:
-                self._pending.remove(pending)
-                ended.append(ranging)
-        if not self._pending:
-            self._plan()
-        return ended
+            ranging = self._no_answer(sensor, now_s, now_s, error)
+        else:
+            self._pending.append(_Pending(sensor, self._clock.now()))
+        # After the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
+        self._last_ping_s = self._clock.now()
+        return ranging
 
-    def _try(self, pending: _Pending, now_s: float) -> Ranging | None:
+    def _ask(self, pending: _Pending, now_s: float) -> Ranging | None:
         sensor = pending.sensor
         timing = sensor.timing
         if now_s > pending.ping_s + timing.deadline_s + LATE_S:
-            # The program or the bus stood still: what the sensor would say is true of then and not of now.
+            # The program or the bus stood still: what the sensor would answer is true of then and not of now.
+            self._pending.remove(pending)
             late = BusError(errno.ETIME, "read", sensor.device.address)
             return self._no_answer(sensor, pending.ping_s, now_s, late)
         try:
@@ -129,29 +142,33 @@ class Poller:
         except BusError as error:
             # Sums and not differences of times: in virtual time a try at the deadline must be seen to be there.
             deadline_s = pending.ping_s + timing.deadline_s
-            if now_s >= deadline_s or error.bus_at_fault:
-                return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)
-            pending.next_try_s = min(now_s + POLL_INTERVAL_S, deadline_s)
-            return None
+            if now_s < deadline_s and not error.bus_at_fault:
+                pending.next_try_s = min(now_s + POLL_INTERVAL_S, deadline_s)
+                return None
+            self._pending.remove(pending)
+            return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)
+        self._pending.remove(pending)
         range_m = decoded.range_m
         echo_s = pending.ping_s if range_m is None else pending.ping_s + 0.5 * range_m * timing.echo_s_per_m
         std_m = sensor.std_at(range_m)
         reading = Reading(echo_s, sensor.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)
-        self._schedule.hear(reading)
         return Ranging(reading, pending.ping_s, self._clock.now())
 
-    def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging:
+    def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
+        """The ranging that has failed; None where the bus is to be opened again first, in a step of its own."""
+        ranging = Ranging(Reading(ping_s, sensor.name, Status.NO_ANSWER), ping_s, now_s, error)
         # An adapter that was unplugged and one whose device does not acknowledge can give the same ENODEV.
         doubtful = error.bus_at_fault or error.errno == errno.ENODEV
-        if doubtful and now_s - self._reopened_s >= REOPEN_INTERVAL_S:
-            self._reopened_s = now_s
-            try:
-                self._bus.reopen()
-            except BusError as reopen_error:
-                error = reopen_error
-        reading = Reading(ping_s, sensor.name, Status.NO_ANSWER)
-        self._schedule.hear(reading)
-        return Ranging(reading, ping_s, now_s, error)
+        if not doubtful or now_s - self._reopened_s < REOPEN_INTERVAL_S:
+            return ranging
+        self._reopened_s = now_s
+        self._to_reopen = ranging
+        return None
 
-    def _plan(self) -> None:
-        self._next_ping_s, self._next_group = self._schedule.turn(self._group_ping_s)
+    def _reopen(self, failed: Ranging) -> Ranging:
+        self._to_reopen = None
+        try:
+            self._bus.reopen()
+        except BusError as error:
+            return failed._replace(error=error)
+        return failed

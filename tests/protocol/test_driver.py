@@ -18,10 +18,11 @@ NACK = errno.EREMOTEIO
 FIRST_S, DEADLINE_S = 0.021, 0.080
 
 
-def make_poller(bus: Bus, clock: VirtualClock, *addresses: int) -> Poller:
+def make_poller(bus: Bus, clock: VirtualClock, *addresses: int, together: bool = False) -> Poller:
     timing = Timing(FIRST_S, DEADLINE_S)
     sensors = [PolledSensor(f"at_{address:x}", MB1242(bus, address), timing, std_m=0.02) for address in addresses]
-    return Poller(bus, clock, RoundRobin([[sensor] for sensor in sensors], Spacing(0.100), clock.now()))
+    groups = [sensors] if together else [[sensor] for sensor in sensors]
+    return Poller(bus, clock, RoundRobin(groups, Spacing(0.100), clock.now()))
 
 
 def poll(bus: ScriptedBus, clock: VirtualClock, *addresses: int, until_s: float) -> list[Ranging]:
@@ -160,6 +161,66 @@ def test_where_reopening_fails_that_is_the_error() -> None:
         assert each.error is not None
         assert each.error.errno == errno.ENOENT
         assert each.error.bus_at_fault
+
+
+LOCKED = {"errno": errno.ETIMEDOUT, "takes_s": 1.0}
+"""What a transfer of a bus that has locked up does: a second in the kernel, then errno 110."""
+
+
+def test_on_a_bus_that_locks_up_each_step_is_one_transfer() -> None:
+    """A group of three: what else is due has its time between any two of their transfers, and before a reopening."""
+    clock = VirtualClock()
+    third = 0x72
+    script = [
+        write(FRONT, RANGE, at_s=0.0),
+        write(REAR, RANGE, **LOCKED, at_s=0.0),
+        reopen(at_s=1.0, takes_s=1.0),
+        write(third, RANGE, **LOCKED, at_s=2.0),
+        reopen(at_s=3.0, errno=errno.ENOENT, takes_s=1.0),
+        # The next turn; what the first sensor had to answer is too old to be asked for.
+        write(FRONT, RANGE, at_s=4.0),
+        write(REAR, RANGE, at_s=4.0),
+        write(third, RANGE, at_s=4.0),
+        read(FRONT, **LOCKED, at_s=4.0 + FIRST_S),
+        reopen(at_s=5.0 + FIRST_S, takes_s=1.0),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        poller = make_poller(bus, clock, FRONT, REAR, third, together=True)
+        ended: list[Ranging] = []
+        while clock.now() < 6.0:
+            clock.sleep_until(poller.next_event_s)
+            began_s, done = clock.now(), bus.done
+            ended += poller.step()
+            assert bus.done <= done + 1
+            assert clock.now() - began_s <= 1.0
+    assert [(each.reading.sensor, each.error.errno if each.error else 0) for each in ended] == [
+        ("at_71", errno.ETIMEDOUT),
+        ("at_72", errno.ENOENT),
+        ("at_70", errno.ETIME),
+        ("at_70", errno.ETIMEDOUT),
+    ]
+    assert {each.reading.status for each in ended} == {Status.NO_ANSWER}
+
+
+def test_the_pings_of_a_group_follow_each_other_at_once_and_so_do_their_reads() -> None:
+    clock = VirtualClock()
+    script = [
+        write(FRONT, RANGE, at_s=0.0, takes_s=0.0005),
+        write(REAR, RANGE, at_s=0.0005, takes_s=0.0005),
+        read(FRONT, encode(100), at_s=0.0005 + FIRST_S, takes_s=0.0007),
+        read(REAR, errno=NACK, at_s=0.0012 + FIRST_S, takes_s=0.0002),
+        read(REAR, encode(100), at_s=0.0032 + FIRST_S, takes_s=0.0007),
+        # From the last ping of the group to the first one of the next turn.
+        write(FRONT, RANGE, at_s=0.101),
+        write(REAR, RANGE, at_s=0.101),
+    ]
+    with scripted_bus(clock, *script) as bus:
+        poller = make_poller(bus, clock, FRONT, REAR, together=True)
+        while clock.now() < 0.101 or poller.next_event_s <= clock.now():
+            clock.sleep_until(poller.next_event_s)
+            done = bus.done
+            poller.step()
+            assert bus.done == done + 1
 
 
 @pytest.mark.parametrize(

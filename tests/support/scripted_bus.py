@@ -21,21 +21,25 @@ class Expected:
     errno: int = 0
     at_s: float | None = None
     """when it must come on the clock [s]; None: whenever"""
+    takes_s: float = 0.0
+    """how long it holds the caller [s]"""
 
 
-def write(address: int, data: bytes, *, errno: int = 0, at_s: float | None = None) -> Expected:
+def write(address: int, data: bytes, *, errno: int = 0, at_s: float | None = None, takes_s: float = 0.0) -> Expected:
     """The driver writes exactly ``data``."""
-    return Expected("write", address, written=data, errno=errno, at_s=at_s)
+    return Expected("write", address, written=data, errno=errno, at_s=at_s, takes_s=takes_s)
 
 
-def read(address: int, answer: bytes = b"??", *, errno: int = 0, at_s: float | None = None) -> Expected:
+def read(
+    address: int, answer: bytes = b"??", *, errno: int = 0, at_s: float | None = None, takes_s: float = 0.0
+) -> Expected:
     """The driver reads exactly as many bytes as ``answer`` has."""
-    return Expected("read", address, answer=answer, errno=errno, at_s=at_s)
+    return Expected("read", address, answer=answer, errno=errno, at_s=at_s, takes_s=takes_s)
 
 
-def reopen(*, errno: int = 0, at_s: float | None = None) -> Expected:
+def reopen(*, errno: int = 0, at_s: float | None = None, takes_s: float = 0.0) -> Expected:
     """The driver opens the bus again."""
-    return Expected("reopen", errno=errno, at_s=at_s)
+    return Expected("reopen", errno=errno, at_s=at_s, takes_s=takes_s)
 
 
 class ScriptedBus:
@@ -71,6 +75,8 @@ class ScriptedBus:
             pytest.fail(f"transfer {self.done} of the script: {asked}; expected {expected}")
         if expected.at_s is not None and abs(now_s - expected.at_s) > 1e-9:
             pytest.fail(f"transfer {self.done} of the script: {asked}; expected at {expected.at_s} s")
+        if expected.takes_s:
+            self._clock.sleep_until(now_s + expected.takes_s)
         if expected.errno:
             raise BusError(expected.errno, verb, address)
         return expected

@@ -1,5 +1,6 @@
 """From the bus to DISTANCE_SENSOR: when messages go out, and every field of them."""
 
+import errno
 import json
 import math
 from collections import Counter
@@ -13,6 +14,7 @@ from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
 from msp_range.acoustics.air import speed_of_sound
+from msp_range.bus import BusError
 from msp_range.config import load_airframe
 from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import schema_of
@@ -384,6 +386,59 @@ def test_a_speed_is_not_lost_where_half_of_the_sensors_are_dead() -> None:
     for time_s, message in bench.sent():
         if time_s > 5.5:
             assert message.current_distance == pytest.approx(100 + 100 * (time_s - 0.03 - 4.0), abs=10)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_locked_bus_leaves_the_link_its_time(together: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each transfer holds the bridge for a second in the kernel; eight sensors that ping together want eight."""
+    names = "abcdefgh"
+    content = [sensor(name, number, 0.0, 45.0 * (number - 1)) for number, name in enumerate(names, start=1)]
+    groups = [list(names)] if together else [[name] for name in names]
+    bench = Bench(airframe(content, polling={"groups": groups}, filters=[], send={"sensors": "all"}), 300).fly(5.0)
+
+    def locked(address: int, data: object) -> None:
+        bench.clock.sleep_until(bench.clock.now() + 1.0)
+        raise BusError(errno.ETIMEDOUT, "write", address)
+
+    monkeypatch.setattr(bench.bus, "write", locked)
+    monkeypatch.setattr(bench.bus, "read", locked)
+    monkeypatch.setattr(bench.bus, "reopen", lambda: bench.clock.sleep_until(bench.clock.now() + 1.0))
+    longest_s = 0.0
+    while bench.now() < 60.0:
+        began_s = bench.now()
+        bench.bridge.step()
+        longest_s = max(longest_s, bench.now() - began_s)
+    # A transfer, and the sleep before it.
+    assert longest_s <= 1.1
+    heartbeats_s = [time_s for time_s, _ in bench.sent("HEARTBEAT")]
+    assert max(late - early for early, late in pairwise(heartbeats_s)) <= 2.0
+    assert bench.texts()[-1].endswith("no answer (errno 110)")
+    assert "Range: I2C bus locked up, reopening (errno 110)" in bench.texts()
+
+
+def test_a_groups_pings_wait_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The link and the looks at temperature and disk come after them, however long these take."""
+    names = "abcdefgh"
+    content = [sensor(name, number, 0.0, 45.0 * (number - 1)) for number, name in enumerate(names, start=1)]
+    vehicle = airframe(content, polling={"groups": [list(names)]}, filters=[], send={"sensors": "all"})
+    bench = Bench(vehicle, 300)
+    write, service = bench.bus.write, bench.bridge.link.service
+
+    def slow_write(address: int, data: bytes) -> None:
+        bench.clock.sleep_until(bench.clock.now() + 0.0005)
+        write(address, data)
+
+    def slow_service() -> None:
+        service()
+        bench.clock.sleep_until(bench.clock.now() + 0.01)
+
+    monkeypatch.setattr(bench.bus, "write", slow_write)
+    monkeypatch.setattr(bench.bridge.link, "service", slow_service)
+    bench.fly(10.0)
+    for first in range(0, len(bench.pings) - 8, 8):
+        group = bench.pings[first : first + 8]
+        assert [name for _, name, _ in group] == list(names)
+        assert group[-1][0] - group[0][0] < 0.004
 
 
 @pytest.mark.parametrize("stood_still_s", [1.0, 30.0])
