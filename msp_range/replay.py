@@ -49,7 +49,7 @@ class RecordedOrder:
         polled = polled_sensors(airframe, bus)
         self._sensors = {sensor.address: polled[sensor.name] for sensor in airframe.sensors}
 
-    def turn(self, last_ping_s: float) -> tuple[float, Sequence[PolledSensor]]:
+    def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The sensors that come next in the record; at infinity where it has ended."""
         pings = {address: self._bus.next_ping_s(address) for address in self._sensors}
         times_s = {address: ping_s for address, ping_s in pings.items() if ping_s is not None}

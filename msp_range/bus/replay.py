@@ -27,12 +27,17 @@ class RecordedPing(NamedTuple):
     word
         The sensor's 16-bit answer; None where there was none.
     ready_s
-        From the ping until the sensor acknowledges again [s].
+        From the ping until the sensor acknowledges again [s]. Zero and no answer: the ping was not acknowledged.
     """
 
     ping_s: float
     word: int | None
     ready_s: float
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether the sensor took the range command."""
+        return self.word is not None or self.ready_s > 0
 
 
 class ReplayBus:
@@ -73,8 +78,11 @@ class ReplayBus:
         if sensor is None or sensor.next is None or now_s < sensor.busy_until_s:
             raise BusError(errno.EREMOTEIO, "write", address)
         if data == COMMAND_RANGE:
-            self.behind_s = max(self.behind_s, now_s - sensor.next.ping_s)
-            sensor.ping(now_s, sensor.next)
+            ping = sensor.next
+            self.behind_s = max(self.behind_s, now_s - ping.ping_s)
+            sensor.ping(now_s, ping)
+            if not ping.acknowledged:
+                raise BusError(errno.EREMOTEIO, "write", address)
 
     def read(self, address: int, count: int) -> bytes:
         """Return the answer to the last ping."""

@@ -4,6 +4,7 @@ A point and its columns enter, rangings leave, each with the columns that hold f
 follow from the time of the echo, and the lag behind another sensor from the times at which pings really went out.
 """
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Protocol
@@ -181,7 +182,8 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         interval_s = max(interval_s, timing.ping_interval_s)
     groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
     start_s = clock.now()
-    poller = Poller(bus, clock, RoundRobin(groups, Spacing(interval_s), start_s))
+    # Who pings before whom is part of the set-up: a sensor that does not answer keeps its slot.
+    poller = Poller(bus, clock, RoundRobin(groups, Spacing(interval_s), start_s, dead_after=math.inf))
     rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
     while True:
         clock.sleep_until(poller.next_event_s)

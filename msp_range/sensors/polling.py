@@ -84,6 +84,7 @@ class Poller:
         self._pending: list[_Pending] = []
         self._to_reopen: Ranging | None = None
         self._last_ping_s = clock.now()
+        self._acknowledged = False
         self._reopened_s = float("-inf")
         self._plan()
         self.next_event_s = self._turn_s
@@ -113,8 +114,9 @@ class Poller:
         return [] if ranging is None else [ranging]
 
     def _plan(self) -> None:
-        self._turn_s, sensors = self._schedule.turn(self._last_ping_s)
+        self._turn_s, sensors = self._schedule.turn(self._last_ping_s, self._acknowledged)
         self._unpinged.extend(sensors)
+        self._acknowledged = False
 
     def _ping(self, sensor: PolledSensor) -> Ranging | None:
         ranging = None
@@ -125,6 +127,7 @@ class Poller:
             ranging = self._no_answer(sensor, now_s, now_s, error)
         else:
             self._pending.append(_Pending(sensor, self._clock.now()))
+            self._acknowledged = True
         # After the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
         self._last_ping_s = self._clock.now()
         return ranging

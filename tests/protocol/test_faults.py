@@ -88,8 +88,9 @@ def test_now_and_then_a_clock_fault_is_counted_and_never_sent() -> None:
     # 600 readings, a fifth of them: 120 +- 10.
     assert 80 < counted < 160
     assert set(bench.distances_cm()) == {500}
-    # The first distance waits for two readings that agree; two faults in a row from a round are silence.
-    assert len(bench.distances_cm()) >= 590
+    # The first distance waits for two readings that agree; two faults in a row from a round are silence, and three of
+    # one sensor cost it its slot for 2 s.
+    assert len(bench.distances_cm()) >= 585
 
 
 @pytest.mark.parametrize("kind", ["or_ed", "saturated"])

@@ -43,12 +43,12 @@ def test_the_fused_message_goes_out_on_each_reading() -> None:
     assert all(0 <= sent_s - there_s <= 0.002 for sent_s, there_s in zip(times_s, answered_s[1:], strict=True))
 
 
-@pytest.mark.parametrize(("dead", "rate_hz"), [("b", 10.0), ("bd", 10.0), ("abd", 2.5)])
-def test_the_fused_message_goes_out_on_each_turn_while_two_sensors_work(dead: str, rate_hz: float) -> None:
-    """The last one alone speaks for itself only: nobody else saw that the ground is still there."""
+@pytest.mark.parametrize("dead", ["b", "bd", "abd"])
+def test_the_fused_message_goes_out_on_each_turn_while_a_sensor_works(dead: str) -> None:
+    """The turns of the dead go to the living; where two of these live, a retry is an occasion to send as well."""
     bench = Bench(airframe(), 300, absent=dead).fly(20.0)
     assert set(bench.distances_cm()) == {300}
-    assert len(bench.distances_cm(from_s=4.0)) == pytest.approx(16.0 * rate_hz, abs=1)
+    assert 160 <= len(bench.distances_cm(from_s=4.0)) <= 160 + 8 * len(dead)
     assert last(bench).signal_quality == round(100 * (4 - len(dead)) / 4)
 
 
@@ -65,7 +65,7 @@ def test_without_sensors_nothing_goes_out() -> None:
 def test_no_echo_of_most_sensors_that_work_is_above_the_maximum(silent: str, dead: str, tells: int) -> None:
     bench = Bench(airframe(), lambda name, time_s: 765 if name in silent else 300, absent=dead).fly(10.0)
     assert set(bench.distances_cm(from_s=2.0)) == {tells}
-    assert len(bench.distances_cm(from_s=2.0)) == pytest.approx(80, abs=1)
+    assert 79 <= len(bench.distances_cm(from_s=2.0)) <= 81 + 4 * len(dead)
     if tells > 765:
         message = last(bench)
         assert (message.signal_quality, message.covariance) == (1, 255)
@@ -357,8 +357,9 @@ def test_a_full_disk_stops_the_recording_and_not_the_bridge() -> None:
 def test_counts_of_readings_and_of_the_rejected() -> None:
     bench = Bench(airframe(), lambda name, time_s: 765 if name == "b" and time_s < 4 else 300, absent="d").fly(10.0)
     counts = bench.bridge.counts()
-    assert {name: counts[name].readings for name in NAMES} == dict.fromkeys(NAMES, 25)
-    assert [counts[name].rejected for name in NAMES] == [{}, {"no_echo": 10}, {}, {"no_answer": 25}]
+    # d does not answer three times and is retried every 2 s from then on; the others have its slots.
+    assert {name: counts[name].readings for name in NAMES} == {"a": 33, "b": 32, "c": 32, "d": 7}
+    assert [counts[name].rejected for name in NAMES] == [{}, {"no_echo": 12}, {}, {"no_answer": 7}]
 
 
 def test_a_single_message_that_waits_gives_way_to_a_newer_one_of_its_stream() -> None:

@@ -1,6 +1,7 @@
 """Who pings when: order, groups, reading as soon as there is an answer, spacing, and faster pings near the ground."""
 
 import errno
+import itertools
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -36,15 +37,22 @@ class Sonar:
         self.asked_s: list[float] = []
         self.ready_s = READY_S
         self.range_m: Callable[[float], float | None] = lambda ping_s: 3.0
+        self.is_absent = False
+        self.status: Callable[[], Status] = lambda: Status.OK
 
     def ping(self) -> None:
         self.pings_s.append(self._clock.now())
+        if self.is_absent:
+            raise BusError(errno.EREMOTEIO, "write", 0x70)
 
     def answer(self, since_ping_s: float) -> Decoded:
         self.asked_s.append(self._clock.now())
         assert since_ping_s == pytest.approx(self.asked_s[-1] - self.pings_s[-1])
         if since_ping_s < self.ready_s:
             raise BusError(errno.EREMOTEIO, "read", 0x70)
+        status = self.status()
+        if status.is_fault:
+            return Decoded(status, None, 0x8000)
         range_m = self.range_m(self.pings_s[-1])
         return Decoded(Status.NO_ECHO if range_m is None else Status.OK, range_m, 300)
 
@@ -52,14 +60,21 @@ class Sonar:
 class Bench:
     """Sonars polled in groups, in virtual time."""
 
-    def __init__(self, groups: Sequence[str], spacing: Spacing = SAFE, first_answer_s: float = FIRST_S) -> None:
+    def __init__(
+        self,
+        groups: Sequence[str],
+        spacing: Spacing = SAFE,
+        first_answer_s: float = FIRST_S,
+        **dead_after: float,
+    ) -> None:
         # A start that is no round number: nothing may depend on the clock's zero.
         self.clock = VirtualClock(71.3)
         self.start_s = self.clock.now()
         self.sonars = {name: Sonar(self.clock) for group in groups for name in group}
         timing = Timing(first_answer_s, DEADLINE_S)
         polled = [[PolledSensor(name, self.sonars[name], timing) for name in group] for group in groups]
-        self.poller = Poller(ScriptedBus(self.clock, ()), self.clock, RoundRobin(polled, spacing, self.start_s))
+        self.schedule = RoundRobin(polled, spacing, self.start_s, **dead_after)
+        self.poller = Poller(ScriptedBus(self.clock, ()), self.clock, self.schedule)
 
     def poll(self, duration_s: float) -> list[Ranging]:
         ended = []
@@ -73,6 +88,14 @@ class Bench:
         """All pings since the start: time [s] and sensor."""
         pings = [(time_s, name) for name, sonar in self.sonars.items() for time_s in sonar.pings_s]
         return sorted((round(time_s - self.start_s, 6), name) for time_s, name in pings)
+
+    def intervals_s(self, name: str, from_s: float = 0.0) -> list[float]:
+        """From each ping of a sensor to its next one, of the pings from a time since the start on [s]."""
+        return [late - early for early, late in pairwise(self.pings_s(name, from_s))]
+
+    def pings_s(self, name: str, from_s: float = 0.0) -> list[float]:
+        """A sensor's pings since the start [s]."""
+        return [time_s for time_s, pinged in self.order() if pinged == name and time_s >= from_s]
 
 
 def test_four_sensors_in_turn_are_two_and_a_half_hertz_each_and_ten_together() -> None:
@@ -175,15 +198,185 @@ def test_one_sensor_that_sees_nothing_near_makes_all_wait(far: float | None) -> 
     assert all(late - early == pytest.approx(0.100) for early, late in pairwise(t for t in times_s if t > 0.5))
 
 
-def test_a_sensor_that_falls_silent_makes_all_wait() -> None:
+def test_a_sensor_that_falls_silent_makes_all_wait_until_it_is_dead() -> None:
     bench = Bench("ab", NEAR)
     for sonar in bench.sonars.values():
         sonar.range_m = lambda ping_s: 1.0
     bench.poll(0.5)
-    bench.sonars["b"].ready_s = math.inf
+    bench.sonars["b"].is_absent = True
+    bench.poll(4.5)
+    first_s, _, third_s = bench.pings_s("b", 0.5)[:3]
+    intervals_s = [late - early for (early, _), (late, _) in pairwise(bench.order()) if first_s <= early < third_s]
+    assert intervals_s == pytest.approx([0.100] * len(intervals_s))
+    assert bench.intervals_s("a", third_s) == pytest.approx([0.050] * len(bench.intervals_s("a", third_s)))
+
+
+def test_where_all_are_dead_nobody_is_near_the_ground() -> None:
+    bench = Bench("ab", NEAR)
+    for sonar in bench.sonars.values():
+        sonar.range_m = lambda ping_s: 1.0
     bench.poll(0.5)
-    times_s = [time_s for time_s, _ in bench.order() if time_s > 0.6]
+    for sonar in bench.sonars.values():
+        sonar.is_absent = True
+    bench.poll(5.0)
+    times_s = [time_s for time_s, _ in bench.order() if time_s > 1.2]
     assert all(late - early == pytest.approx(0.100) for early, late in pairwise(times_s))
+
+
+# Dead sensors and their slots.
+
+
+@pytest.mark.parametrize("living", ["a", "b", "ad", "abd"])
+def test_sensors_that_are_gone_give_their_slots_to_the_living(living: str) -> None:
+    bench = Bench(ROUND)
+    for name in set(ROUND) - set(living):
+        bench.sonars[name].is_absent = True
+    rangings = bench.poll(20.0)
+    # The third fault in a row is a sensor's last before it gives its slot away.
+    ended_s = [each.answered_s - bench.start_s for each in rangings if each.reading.status is Status.OK]
+    assert len([each for each in ended_s if each > 1.2]) == pytest.approx(188, abs=1)
+    for name in living:
+        intervals_s = bench.intervals_s(name, 1.2)
+        assert intervals_s == pytest.approx([0.1 * len(living)] * len(intervals_s))
+    for name in set(ROUND) - set(living):
+        assert len(bench.pings_s(name, 1.2)) >= 7
+        assert all(2.0 - 1e-9 <= each < 2.0 + 0.1 * len(ROUND) for each in bench.intervals_s(name, 1.2))
+
+
+@pytest.mark.parametrize("status", [each for each in Status if each.is_fault and each is not Status.NO_ANSWER])
+def test_a_dead_sensor_that_makes_a_sound_has_a_slot_every_two_seconds(status: Status) -> None:
+    bench = Bench(ROUND)
+    for name in "bcd":
+        bench.sonars[name].status = lambda: status
+    bench.poll(20.0)
+    assert all(late - early == pytest.approx(0.1) for (early, _), (late, _) in pairwise(bench.order()))
+    assert len(bench.pings_s("a", 2.0)) == 180 - len([each for name in "bcd" for each in bench.pings_s(name, 2.0)])
+    for name in "bcd":
+        assert all(2.0 - 1e-9 <= each < 2.4 for each in bench.intervals_s(name, 1.2))
+    # Never two of them in a row.
+    assert max(bench.intervals_s("a", 1.2)) == pytest.approx(0.2)
+
+
+def test_a_sensor_that_answers_again_has_its_slot_back_and_others_are_tried_at_once() -> None:
+    bench = Bench(ROUND)
+    bench.sonars["d"].is_absent = True
+    for name in "bc":
+        bench.sonars[name].is_absent = True
+        # Their retries are a second apart.
+        bench.poll(1.0)
+    bench.poll(3.0)
+    for name in "bc":
+        bench.sonars[name].is_absent = False
+    bench.poll(5.0)
+    back_s = sorted(bench.pings_s(name, 5.0)[0] for name in "bc")
+    assert back_s[0] < 5.0 + 1.5
+    assert back_s[1] - back_s[0] <= 0.4
+    for name in "abc":
+        intervals_s = bench.intervals_s(name, 7.5)
+        assert intervals_s == pytest.approx([0.3] * len(intervals_s))
+    assert len(bench.intervals_s("a", 7.5)) >= 7
+
+
+@pytest.mark.parametrize("fails", [{1}, {1, 2}])
+def test_a_sensor_that_fails_now_and_then_keeps_its_slot(fails: set[int]) -> None:
+    bench = Bench(ROUND)
+    count = itertools.count()
+    bench.sonars["b"].status = lambda: Status.CLOCK_FAULT if next(count) % 3 in fails else Status.OK
+    bench.poll(20.0)
+    assert [name for _, name in bench.order()] == [*ROUND] * 50
+
+
+def test_where_all_are_dead_all_take_turns_and_one_that_is_back_brings_the_others() -> None:
+    bench = Bench(ROUND)
+    bench.poll(2.0)
+    for sonar in bench.sonars.values():
+        sonar.is_absent = True
+    bench.poll(8.0)
+    assert [name for _, name in bench.order()] == [*ROUND] * 25
+    assert all(late - early == pytest.approx(0.1) for (early, _), (late, _) in pairwise(bench.order()))
+    # In the middle of a round.
+    bench.poll(0.2)
+    for sonar in bench.sonars.values():
+        sonar.is_absent = False
+    bench.poll(3.0)
+    assert all(bench.pings_s(name, 10.2)[0] <= 10.2 + 0.6 for name in ROUND)
+    assert [name for _, name in bench.order()[-16:]] in [[*ROUND[i:], *ROUND[:i]] * 4 for i in range(4)]
+
+
+def test_dead_sensors_are_retried_one_after_the_other() -> None:
+    """So far apart, all of them are always due, and each takes a slot."""
+    bench = Bench(ROUND, Spacing(2.0))
+    for name in "bcd":
+        bench.sonars[name].status = lambda: Status.CLOCK_FAULT
+    bench.poll(144.0)
+    assert [len(bench.pings_s(name, 24.0)) for name in ROUND] == [30, 10, 10, 10]
+
+
+def test_a_group_keeps_its_living_sensors_and_retries_the_dead_one_with_them() -> None:
+    bench = Bench(["ab", "cd"])
+    bench.sonars["a"].is_absent = True
+    bench.poll(10.0)
+    for name in "bcd":
+        assert bench.intervals_s(name) == pytest.approx([0.2] * 49)
+    assert set(bench.pings_s("a")) <= set(bench.pings_s("b"))
+    assert len(bench.pings_s("a", 0.5)) == 4
+    assert all(2.0 - 1e-9 <= each < 2.3 for each in bench.intervals_s("a", 0.4))
+
+
+def test_a_dead_group_gives_its_slot() -> None:
+    bench = Bench(["ab", "cd"])
+    bench.sonars["a"].is_absent = True
+    bench.sonars["b"].status = lambda: Status.CLOCK_FAULT
+    bench.poll(10.0)
+    assert bench.pings_s("a") == bench.pings_s("b")
+    retries_s = bench.pings_s("a", 0.5)
+    assert len(retries_s) == 4
+    # One of them acknowledges and ranges, so nobody else does.
+    assert not set(retries_s) & set(bench.pings_s("c"))
+    assert len(bench.pings_s("c", 0.5)) == len(bench.pings_s("d", 0.5)) == 95 - len(retries_s)
+
+
+def test_with_no_number_of_faults_that_makes_it_dead_a_sensor_keeps_its_slot() -> None:
+    bench = Bench(ROUND, dead_after=math.inf)
+    bench.sonars["b"].is_absent = True
+    bench.poll(4.0)
+    assert [name for _, name in bench.order()] == [*ROUND] * 10
+
+
+@pytest.mark.parametrize("interval_s", [0.05, 0.1, 2.0])
+@pytest.mark.parametrize(
+    ("groups", "dead", "slots"),
+    [
+        (["a"], "", 1),
+        (["a"], "a", 1),
+        (["a", "b", "c", "d"], "", 4),
+        (["a", "b", "c", "d"], "b", 4),
+        (["a", "b", "c", "d"], "bcd", 2),
+        (["a", "b", "c", "d"], "abcd", 4),
+        (["ab", "cd"], "a", 2),
+        (["ab", "cd"], "ab", 2),
+        (["ab", "c", "d"], "abc", 2),
+    ],
+)
+@pytest.mark.parametrize("acknowledges", [True, False])
+def test_the_longest_time_between_pings_of_a_living_sensor(
+    interval_s: float, groups: list[str], dead: str, slots: int, acknowledges: bool
+) -> None:
+    bench = Bench(groups, Spacing(interval_s))
+    assert bench.schedule.turn_s == pytest.approx(len(groups) * max(interval_s, DEADLINE_S))
+    for name in dead:
+        bench.sonars[name].ready_s = math.inf
+        bench.sonars[name].is_absent = not acknowledges
+    settled_s = 3 * len(groups) * max(interval_s, DEADLINE_S)
+    bench.poll(settled_s + 60.0 * max(interval_s, DEADLINE_S))
+    assert bench.schedule.turn_s == pytest.approx(slots * max(interval_s, DEADLINE_S))
+    all_dead = len(dead) == len(bench.sonars)
+    for name in bench.sonars:
+        if name in dead and not all_dead:
+            assert bench.schedule.interval_s(name) == max(2.0, bench.schedule.turn_s)
+        else:
+            assert bench.schedule.interval_s(name) == bench.schedule.turn_s
+            assert max(bench.intervals_s(name, settled_s)) <= bench.schedule.turn_s + 0.002
 
 
 @pytest.mark.parametrize("groups", [[], [[]]])

@@ -54,6 +54,18 @@ def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     bus.close()
 
 
+def test_a_ping_that_was_not_acknowledged_is_not_acknowledged_again() -> None:
+    """A schedule that gave its time to the next sensor did so because there was no sound."""
+    clock = VirtualClock()
+    bus = ReplayBus({LEFT: [RecordedPing(1.0, None, 0.0), RecordedPing(2.0, 300, 0.037)]}, clock)
+    clock.sleep_until(1.0)
+    assert refused(bus, "write", LEFT)
+    assert bus.next_ping_s(LEFT) == 2.0
+    bus.write(LEFT, COMMAND_RANGE)
+    clock.sleep_until(1.1)
+    assert bus.read(LEFT, 2) == (300).to_bytes(2, "big")
+
+
 def test_no_answer_is_none_until_the_next_ping() -> None:
     clock = VirtualClock()
     bus = ReplayBus({LEFT: [RecordedPing(1.0, None, 0.05), RecordedPing(2.0, 300, 0.037)]}, clock)
@@ -161,7 +173,7 @@ class RecordedOrder:
         self._bus = bus
         self._sensors = sensors
 
-    def turn(self, last_ping_s: float) -> tuple[float, Sequence[PolledSensor]]:
+    def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         due = {
             ping_s: sensor
             for address, sensor in self._sensors.items()
