@@ -94,6 +94,7 @@ class _Watched:
         self._sent = sent
         self.receive, self.close = transport.receive, transport.close
         self.description, self.stats, self.last_error, self.connected = "watched", transport.stats, None, True
+        self.quiet_until_s = float("-inf")
 
     def send(self, frame: bytes) -> bool:
         taken: bool = self._transport.send(frame)

@@ -1,14 +1,15 @@
 """From an airframe to the parts that `msp_range.bridge.Bridge` puts together: sensors, their order, fusion, streams."""
 
 import math
+from itertools import pairwise
 
 from msp_range.bus import Bus
 from msp_range.config import Airframe, Sensor
-from msp_range.fusion import Attitude, DownwardSensor, Fusion
+from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import quaternion
 from msp_range.mavlink.distance_sensor import Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
-from msp_range.sensors.mb1242 import MB1242
+from msp_range.sensors.mb1242 import MB1242, garbled_from
 from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 
 
@@ -19,15 +20,23 @@ def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
 
 def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
     """The airframe's sensors in their polling order, from ``start_s`` on."""
-    polling = airframe.polling
     polled = polled_sensors(airframe, bus)
-    names = polling.groups if polling.groups is not None else [[name] for name in polled]
-    interval_s = polling.ping_interval_s
-    if interval_s is None:
-        interval_s = max(sensor.sensor_model.timing.ping_interval_s for sensor in airframe.sensors)
-    near = polling.near
+    interval_s, near = _ping_interval_s(airframe), airframe.polling.near
     spacing = Spacing(interval_s) if near is None else Spacing(interval_s, near.below_m, near.ping_interval_s)
-    return RoundRobin([[polled[name] for name in group] for group in names], spacing, start_s)
+    groups = [[polled[name] for name in group] for group in _polling_groups(airframe)]
+    return RoundRobin(groups, spacing, start_s)
+
+
+def _polling_groups(airframe: Airframe) -> list[list[str]]:
+    groups = airframe.polling.groups
+    return groups if groups is not None else [[sensor.name] for sensor in airframe.sensors]
+
+
+def _ping_interval_s(airframe: Airframe) -> float:
+    interval_s = airframe.polling.ping_interval_s
+    if interval_s is not None:
+        return interval_s
+    return max(sensor.sensor_model.timing.ping_interval_s for sensor in airframe.sensors)
 
 
 def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
@@ -45,28 +54,60 @@ def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
     )
 
 
-def fusion_of(airframe: Airframe, attitude: Attitude) -> Fusion | None:
+def windows_of(airframe: Airframe) -> Windows:
+    """How long what a downward sensor saw counts, by the airframe's polling order."""
+    groups = _polling_groups(airframe)
+    # A ping waits for the answer of the one before.
+    ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
+    interval_s = max(_ping_interval_s(airframe), ranging_s)
+    downward = {sensor.name for sensor in airframe.downward}
+    turns = [i for i, group in enumerate(groups) if downward & set(group)] or [0]
+    longest = max(late - early for early, late in pairwise([*turns, turns[0] + len(groups)]))
+    return Windows(len(groups) * interval_s, longest * interval_s)
+
+
+def intervals_s(airframe: Airframe) -> dict[str, float]:
+    """Time between two messages of each stream that always speaks, by its name; ``fused`` for the fused one [s]."""
+    windows = windows_of(airframe)
+    intervals = dict.fromkeys(airframe.sent_names, windows.turn_s)
+    return intervals if airframe.send.fused is None else intervals | {"fused": windows.gap_s}
+
+
+def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | None = None) -> Fusion | None:
     """The airframe's downward sensors as one; None where it sends no fused stream."""
-    fused = airframe.send.fused
-    if fused is None:
+    if airframe.send.fused is None:
         return None
-    return Fusion(
-        {
-            sensor.name: DownwardSensor(
-                (sensor.position_m[0], sensor.position_m[1], sensor.position_m[2] - fused.reference_down_m),
-                sensor.boresight,
-                sensor.sensor_model.oblique_reading,
-            )
-            for sensor in airframe.downward
-        },
-        attitude,
+    sensors = {
+        sensor.name: DownwardSensor(
+            (*sensor.position_m[:2], _below_reference_m(airframe, sensor)),
+            sensor.boresight,
+            sensor.sensor_model.oblique_reading,
+            garbled_from,
+        )
+        for sensor in airframe.downward
+    }
+    farthest_m = max(
+        sensor.sensor_model.maximum_cm / 100 + _below_reference_m(airframe, sensor) for sensor in airframe.downward
     )
+    return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
+
+
+def _below_reference_m(airframe: Airframe, sensor: Sensor) -> float:
+    """How far a downward sensor lies below the fused distance's reference point [m]."""
+    fused = airframe.send.fused
+    return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
 
 
 def single_streams(airframe: Airframe) -> dict[str, Stream]:
     """The streams of the sensors that have one of their own, by name."""
     return {
-        sensor.name: make_stream(sensor.id, sensor.orientation, sensor.sensor_model.maximum_cm, airframe.link.autopilot)
+        sensor.name: make_stream(
+            sensor.id,
+            sensor.orientation,
+            sensor.sensor_model.minimum_cm,
+            sensor.sensor_model.maximum_cm,
+            airframe.link.autopilot,
+        )
         for sensor in airframe.sensors
         if sensor.name in airframe.sent_names
     }
@@ -82,6 +123,7 @@ def object_streams(airframe: Airframe) -> dict[str, Stream]:
         sensor.name: make_stream(
             sensor.id,
             Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)),
+            sensor.sensor_model.minimum_cm,
             sensor.sensor_model.maximum_cm,
             airframe.link.autopilot,
         )
@@ -94,11 +136,12 @@ def fused_stream(airframe: Airframe) -> Stream | None:
     """The fused downward stream, where there is one."""
     if airframe.send.fused is None:
         return None
-    below_m = airframe.send.fused.reference_down_m
-    # What a sensor below the reference point can see reaches farther, counted from there.
-    longest_cm = max(
-        sensor.sensor_model.maximum_cm + round(100 * (sensor.position_m[2] - below_m)) for sensor in airframe.downward
-    )
+    # Counted from the reference point: a sensor below it sees farther, and not as near.
+    models = [(sensor.sensor_model, round(100 * _below_reference_m(airframe, sensor))) for sensor in airframe.downward]
     return make_stream(
-        airframe.send.fused.id, Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)), longest_cm, airframe.link.autopilot
+        airframe.send.fused.id,
+        Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
+        min(model.minimum_cm + below_cm for model, below_cm in models),
+        max(model.maximum_cm + below_cm for model, below_cm in models),
+        airframe.link.autopilot,
     )

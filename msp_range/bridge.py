@@ -10,22 +10,26 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from msp_range.acoustics.air import compensate_range
-from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams
+from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams, windows_of
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, Sensor
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import AirTemperature, FileSource, MavlinkSource, read_thermometer
 from msp_range.filters.chain import Chain, Filtered
-from msp_range.fusion import Angles, Attitude, AttitudeTrack, Fused, Fusion
-from msp_range.health import Health, Report, Severity
+from msp_range.fusion import OBJECT, OUTLIER, SUSPECT, Angles, Attitude, AttitudeTrack, Fused, Fusion, VerticalMotion
+from msp_range.fusion.vertical import GRAVITY_M_S2
+from msp_range.geometry import dot
+from msp_range.health import Health, OutputWatch, Report, Severity
+from msp_range.health.output import FUSED
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
-from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
 
@@ -59,10 +63,12 @@ class Records(Protocol):
 class _Channel:
     """One sensor's way through the bridge."""
 
-    def __init__(self, sensor: Sensor, airframe: Airframe) -> None:
+    def __init__(self, sensor: Sensor, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
-        self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters])
+        self.chain: Chain | None = None
+        if sensor.name in airframe.sent_names:
+            self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
         self.topic = RANGE_PREFIX + sensor.name
         self.name = sensor.name
         self.is_fused = sensor in airframe.downward
@@ -83,7 +89,8 @@ class Step(NamedTuple):
     corrected
         After the temperature correction.
     filtered
-        The chain's outcome.
+        The outcome of the sensor's filters. A sensor without a stream of its own has none: then there is no estimate,
+        and a reason where the fusion did not use the reading.
     fused
         The fused distance along the vehicle's down axis after this reading, where there is one.
     """
@@ -129,6 +136,8 @@ class Bridge:
         Air temperature [deg C] at a time on the clock [s]; None: the airframe's sources, looked at now and then.
     attitude
         Knows how the vehicle is turned; None: what the autopilot sends.
+    motion
+        Knows how the vehicle moves up and down; None: what the autopilot sends.
     """
 
     def __init__(
@@ -146,21 +155,25 @@ class Bridge:
         schedule: Schedule | None = None,
         air_c: Callable[[float], float] | None = None,
         attitude: Attitude | None = None,
+        motion: VerticalMotion | None = None,
     ) -> None:
         self._clock = clock
         self._recorder = recorder
         self._report = report
         self._hear = hear
-        self._channels = {sensor.name: _Channel(sensor, airframe) for sensor in airframe.sensors}
+        self._windows = windows_of(airframe)
+        memory_s = self._windows.memory_s
+        self._channels = {sensor.name: _Channel(sensor, airframe, memory_s) for sensor in airframe.sensors}
         self._temperature = AirTemperature(airframe.temperature, clock.now(), thermometer)
         self._temperature_c = self._temperature.now_c(clock.now())
         self._air_c = air_c or self._looked_at_c
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
-        self._fusion = fusion_of(airframe, attitude or self._attitude)
+        self._motion = motion or VerticalMotion()
+        self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)
         if self._fusion is not None:
-            asked[ATTITUDE] = ATTITUDE_REQUEST_HZ
+            asked |= {ATTITUDE: ATTITUDE_REQUEST_HZ, **WITNESSES[airframe.link.autopilot]}
         self.link = Link(
             transport,
             clock,
@@ -170,19 +183,22 @@ class Bridge:
             autopilot=airframe.link.autopilot,
             system_id=airframe.link.system_id,
         )
-        self._poller = Poller(bus, clock, schedule or polling_order(airframe, bus, clock.now()))
+        self._schedule = schedule or polling_order(airframe, bus, clock.now())
+        self._poller = Poller(bus, clock, self._schedule)
         self._streams = Streams(
             {sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors},
             single_streams(airframe),
             fused_stream(airframe),
-            [sensor.name for sensor in airframe.downward],
             object_streams(airframe),
+            len(airframe.downward),
             self._send,
         )
+        always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
+        self._output = OutputWatch(always, self._windows.silence_s, clock.now())
         self.health = Health(self._channels, self._tell)
         self._bus_fault = ""
         self._bus_fault_s = float("-inf")
-        self._next_look_s = clock.now()
+        self._next_look_s = self._next_silence_s = clock.now()
         self._known_reboots = 0
         self._autopilot_heard = False
         self._faults_due = False
@@ -198,7 +214,7 @@ class Bridge:
             return steps
         if now_s >= self.link.next_event_s:
             self.link.service()
-        if now_s >= self._next_look_s:
+        if now_s >= min(self._next_look_s, self._next_silence_s):
             self._next_look_s = now_s + LOOK_INTERVAL_S
             self._look_after(now_s)
         return steps
@@ -208,35 +224,53 @@ class Bridge:
         channel = self._channels[ranging.reading.sensor]
         temperature_c = self._air_c(now_s)
         corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c, channel.calibration)
-        fused, object_below = None, False
-        if self._fusion is not None and channel.is_fused:
-            corrected = self._fusion.judge(corrected)
-            fused = self._fusion.update(corrected, now_s)
-            object_below = self._look_below(self._fusion, channel)
-        filtered = channel.chain.update(corrected)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
-        self._streams.take(now_s, boot_ms, corrected.sensor, corrected.status, filtered.estimate, fused, object_below)
+        filtered, fused = Filtered(None), None
+        if self._fusion is not None and channel.is_fused:
+            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, now_s, boot_ms)
+        if channel.chain is not None:
+            filtered = channel.chain.update(corrected)
+            if self._streams.send_single(now_s, boot_ms, channel.name, corrected.status, filtered):
+                self._output.on_usable(channel.name, now_s)
+            if not channel.is_fused and corrected.range_m is not None:
+                self._output.on_range(filtered.estimate is not None, 1.0)
         step = Step(ranging, temperature_c, self._temperature.source, corrected, filtered, fused)
         self._record(now_s, channel.topic, step)
         self._count(channel, filtered)
         self._judge(now_s, ranging, corrected)
         return step
 
+    def _fuse(
+        self, fusion: Fusion, channel: _Channel, corrected: Reading, now_s: float, boot_ms: int
+    ) -> tuple[Reading, Fused | None, Filtered]:
+        """Update the fusion and send its outcome: the reading as the fusion sees it, the distance, and why not used."""
+        outcome = fusion.update(corrected, now_s)
+        if self._streams.send_fused(now_s, boot_ms, channel.name, outcome):
+            self._output.on_usable(FUSED, now_s)
+        if outcome.reading.range_m is not None and outcome.rejected != SUSPECT:
+            self._output.on_range(outcome.rejected in (None, OBJECT), fusion.fit)
+        self._report_below(fusion, channel)
+        if outcome.rejected == OUTLIER and outcome.fused is not None:
+            self._schedule.again(channel.name)
+        if outcome.rejected == OBJECT and (channel.object_m or 0.0) > 0.0:
+            self._streams.send_object(now_s, boot_ms, outcome.reading)
+        return outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
+
     def _looked_at_c(self, now_s: float) -> float:
         """The temperature of the last look: files are not read while a message waits to go out."""
         return self._temperature_c
 
-    def _look_below(self, fusion: Fusion, channel: _Channel) -> bool:
-        """Tell of what is below a sensor and is not ground, when it comes and when it goes; True: it is an object."""
+    def _report_below(self, fusion: Fusion, channel: _Channel) -> None:
+        """Report what is below a sensor and is not ground, when it comes and when it goes."""
         object_m = fusion.object_m(channel.name)
         if (object_m is None) == (channel.object_m is None):
-            return object_m is not None and object_m > 0
+            return
         channel.object_m = object_m
         text = None
         if object_m is not None:
-            text = f"Range {channel.name}: {'object' if object_m > 0 else 'hole'} of {abs(object_m):.1f} m below"
+            what = f"object below, {object_m:.1f} m high" if object_m > 0 else f"hole below, {-object_m:.1f} m deep"
+            text = f"Range {channel.name}: {what}"
         self.health.set(f"below {channel.name}", text, f"Range {channel.name}: ground below")
-        return object_m is not None and object_m > 0
 
     def _send(self, message: Any) -> None:
         frame = self.link.send(message)
@@ -263,9 +297,9 @@ class Bridge:
             stages["std_m"] = reading.std_m
             stages["suspect"] = reading.suspect
             stages["corrected_m"] = corrected.range_m
-        if estimate is None:
+        if filtered.rejected is not None:
             stages["rejected"] = filtered.rejected
-        else:
+        if estimate is not None:
             stages["filtered_m"], stages["variance_m2"] = estimate
         self._recorder.write(topic, now_s, stages)
         if fused is not None:
@@ -289,15 +323,26 @@ class Bridge:
 
     def _take_message(self, now_s: float, message: Any) -> None:
         self._temperature.hear(now_s, message)
-        if message.get_type() == ATTITUDE:
-            time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
-            self._hear_attitude(now_s, Angles(time_s, message.roll, message.pitch, message.yaw))
+        if self._fusion is not None:
+            self._take_motion(now_s, message)
         if self._hear is not None:
             self._hear(now_s, message)
 
-    def _hear_attitude(self, now_s: float, angles: Angles) -> None:
-        if self._fusion is not None and self._attitude.hear(angles):
-            self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
+    def _take_motion(self, now_s: float, message: Any) -> None:
+        """Attitude, acceleration and pressure, for the fusion and the record."""
+        if message.get_type() == ATTITUDE:
+            time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
+            angles = Angles(time_s, message.roll, message.pitch, message.yaw)
+            if self._attitude.hear(angles):
+                self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
+        elif (force := specific_force(message)) is not None:
+            rotation = self._attitude.rotation_at(now_s)
+            if rotation is not None:
+                up_m_s2 = -dot(rotation[2], force) - GRAVITY_M_S2
+                if self._motion.on_acceleration(now_s, up_m_s2):
+                    self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "up_m_s2": up_m_s2})
+        elif (height_m := pressure_height_m(message)) is not None and self._motion.on_pressure_height(now_s, height_m):
+            self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
 
     def _look_after(self, now_s: float) -> None:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""
@@ -310,8 +355,13 @@ class Bridge:
         )
         for condition in self.link.conditions():
             self.health.set(*condition)
+        self._output.report(self.health, now_s)
+        silence_s = self._output.next_event_s
+        self._next_silence_s = silence_s if silence_s > now_s else float("inf")
+        nonsense = self._attitude.is_refused(now_s)
+        self.health.set("attitude", "Range: attitude makes no sense" if nonsense else None, "Range: attitude is back")
         self._send_faults_again(now_s)
-        self.link.system_status = self._system_status()
+        self.link.system_status = self._system_status(now_s)
         if self._recorder is not None:
             try:
                 self._recorder.flush_if_due(now_s)
@@ -333,10 +383,10 @@ class Bridge:
             for severity, text in self.health.faults():
                 self.link.send_text(severity, text)
 
-    def _system_status(self) -> int:
+    def _system_status(self, now_s: float) -> int:
         if not self.health.complete:
             status = dialect.MAV_STATE_BOOT
-        elif self.health.bad_sensors:
+        elif self.health.bad_sensors or self._output.silent(now_s):
             status = dialect.MAV_STATE_CRITICAL
         else:
             status = dialect.MAV_STATE_ACTIVE

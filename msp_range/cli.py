@@ -73,7 +73,9 @@ def check(airframe_file: AirframeFile) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from msp_range.assembly import fused_stream, intervals_s
     from msp_range.config import load_airframe
+    from msp_range.mavlink.distance_sensor import TIME_OUT_S
 
     airframe = load_airframe(airframe_file)
     table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
@@ -93,7 +95,22 @@ def check(airframe_file: AirframeFile) -> None:
     console = Console()
     console.print(table)
     if airframe.send.fused is not None:
-        console.print(f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(downward)} sensors")
+        bounds = fused_stream(airframe)
+        assert bounds is not None
+        console.print(
+            f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(downward)} sensors, "
+            f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm",
+            highlight=False,
+        )
+    time_out_s = TIME_OUT_S[airframe.link.autopilot]
+    for name, interval_s in intervals_s(airframe).items():
+        console.print(f"{name}: a message every {interval_s:.2f} s", highlight=False)
+        if interval_s > time_out_s:
+            console.print(
+                f"warning: {airframe.link.autopilot} drops a range finder after {time_out_s} s without a message, and "
+                f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s",
+                highlight=False,
+            )
 
 
 @app.command()
@@ -204,7 +221,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import Nowhere, open_transport
-    from msp_range.recording.pings import recorded_attitudes, recorded_pings, recorded_temperatures
+    from msp_range.recording.pings import recorded_attitudes, recorded_motion, recorded_pings, recorded_temperatures
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -221,7 +238,8 @@ def replay(
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
     temperatures, attitudes = recorded_temperatures(file, run_name), recorded_attitudes(file)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, temperatures, attitudes)
+    motion = recorded_motion(file)
+    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, temperatures, attitudes, motion)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file)

@@ -12,8 +12,9 @@ class Status(Enum):
     """What a sensor's answer means.
 
     Only ``OK`` and ``AT_MINIMUM`` carry a range. ``AT_MINIMUM`` is the sensor's shortest report: the surface is
-    there or nearer. ``NO_ECHO`` is a healthy sensor that heard nothing. The rest are faults; ``STUCK`` is
-    found by comparison with other sensors and not in the answer.
+    there or nearer. ``NO_ECHO`` is a healthy sensor that heard nothing. The rest are faults; ``STUCK``
+    and ``GARBLED`` (bytes lost or mixed up on the bus) are found by comparison with the ground that is known and not in
+    the answer.
     """
 
     OK = "ok"
@@ -24,6 +25,7 @@ class Status(Enum):
     PART_INFO = "part_info"
     NO_ANSWER = "no_answer"
     STUCK = "stuck"
+    GARBLED = "garbled"
 
     has_range: bool
     """True where a reading of this status carries a range."""
@@ -56,7 +58,7 @@ class Reading:
     raw
         The sensor's 16-bit answer as it came; None where there was no answer.
     suspect
-        True where the answer is a legal range that is also a known fault code (255 on the MB1242).
+        True where the answer is a legal range that is also a known fault code (253 and 255 on the MB1242).
     """
 
     time_s: float

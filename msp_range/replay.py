@@ -24,11 +24,11 @@ from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import TemperatureParameters
-from msp_range.fusion import Angles, RecordedAttitude
+from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
-from msp_range.recording.topics import ATTITUDE_TOPIC
+from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.schedule import PolledSensor
 
 TOGETHER_S = 0.005
@@ -59,7 +59,10 @@ class RecordedOrder:
         return first_s, [self._sensors[each] for each, ping_s in times_s.items() if ping_s - first_s <= TOGETHER_S]
 
     def hear(self, reading: Reading) -> None:
-        """A record does not change with what is heard."""
+        """A record does not change with what is received."""
+
+    def again(self, sensor: str) -> None:
+        """Nor with what does not fit."""
 
 
 class PacedClock:
@@ -108,6 +111,7 @@ def replay(
     recorder: Records | None = None,
     temperatures: Sequence[tuple[float, float]] = (),
     attitudes: Sequence[tuple[float, Angles]] = (),
+    motion: Sequence[Moved] = (),
 ) -> Outcome:
     """Play the pings through a bridge of their own, to the last one.
 
@@ -128,6 +132,8 @@ def replay(
         not those of this computer now. None: the airframe's fixed temperature.
     attitudes
         When each recorded attitude was received [s], and the attitude, by that time.
+    motion
+        Recorded accelerations and pressures, by time.
 
     Raises
     ------
@@ -146,9 +152,16 @@ def replay(
             return fixed_c
         return temperatures[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
-    attitude = RecordedAttitude(attitudes, clock.now, None if recorder is None else _keep_in(recorder))
     bridge = Bridge(
-        without_sources, bus, clock, transport, recorder=recorder, schedule=order, air_c=air_c, attitude=attitude
+        without_sources,
+        bus,
+        clock,
+        transport,
+        recorder=recorder,
+        schedule=order,
+        air_c=air_c,
+        attitude=RecordedAttitude(attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
+        motion=RecordedMotion(motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()
@@ -159,7 +172,7 @@ def replay(
             steps = bridge.step()
             taken += len(steps)
             for step in steps:
-                filtered[step.corrected.sensor] += step.filtered.estimate is not None
+                filtered[step.corrected.sensor] += step.filtered.rejected is None
                 fused += step.fused is not None
             if steps:
                 advance(len(steps))
@@ -170,8 +183,10 @@ def replay(
     return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
 
 
-def _keep_in(recorder: Records) -> Callable[[float, Angles], None]:
-    return lambda received_s, angles: recorder.write(ATTITUDE_TOPIC, received_s, angles._asdict())
+def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | Moved], None] | None:
+    if recorder is None:
+        return None
+    return lambda received_s, each: recorder.write(topic, received_s, each._asdict())
 
 
 @contextmanager

@@ -7,13 +7,20 @@ from msp_range.filters.base import Estimate, Filter
 from msp_range.reading import Reading, Status
 
 MEMORY_S = 1.5
-"""After this long without an accepted reading the filters start anew [s]."""
+"""After this long without an accepted reading the filters start anew [s], where the polling does not say otherwise."""
+CONFIRM_M, CONFIRM_M_S = 0.20, 5.0
+"""After a start two readings must agree before one is put out: within a slope and noise [m], and what a range may
+change by in between [m/s]. Without it one outlier after a long time without an echo is a distance."""
 FASTEST_M_S = 5.0
 """Range rate at most that the prediction of a suspect reading goes on with [m/s]."""
 SUSPECT_MARGIN_M = 0.15
 SUSPECT_MARGIN_M_S = 0.2
 """How far from the prediction a suspect reading may be [m], and how much farther with time [m/s]: no more, or a
 vehicle that hovers over ground that it cannot hear would soon be told that it is at 255 cm."""
+
+
+UNCONFIRMED = "unconfirmed"
+"""Why a reading was not used where another one has to agree with it first."""
 
 
 class Filtered(NamedTuple):
@@ -27,11 +34,21 @@ class Chain:
     """The status gate, then every filter in turn.
 
     Only readings whose status carries a range go on. A suspect value (255) goes on only where it lies between the last
-    output and where that has moved since at the rate it had, give or take the margin.
+    output and where that has moved since at the rate it had, give or take the margin. After a start, and after a time
+    without readings, two must agree before the filters see any.
+
+    Parameters
+    ----------
+    filters
+        In order.
+    memory_s
+        After this long without an accepted reading the filters start anew [s].
     """
 
-    def __init__(self, filters: Sequence[Filter]) -> None:
+    def __init__(self, filters: Sequence[Filter], memory_s: float = MEMORY_S) -> None:
         self._filters = filters
+        self._memory_s = memory_s
+        self._first: Reading | None = None
         self._last: Estimate | None = None
         self._last_s = float("-inf")
         self._rate_m_s = 0.0
@@ -44,14 +61,28 @@ class Chain:
         time_s = reading.time_s
         if reading.suspect and not self._contains(time_s, reading.range_m):
             return _SUSPECT
-        if time_s - self._accepted_s > MEMORY_S:
-            self._last = None
-            self._rate_m_s = 0.0
+        if time_s - self._accepted_s > self._memory_s:
+            first, self._first = self._first, reading
+            if first is None or first.range_m is None or not self._confirms(first, reading):
+                return _UNCONFIRMED
+            self._last, self._rate_m_s = None, 0.0
             for each in self._filters:
                 each.reset()
-        self._accepted_s = time_s
+            self._filter(first, first.range_m)
+        self._first, self._accepted_s = None, time_s
+        return self._filter(reading, reading.range_m)
+
+    def _confirms(self, first: Reading, second: Reading) -> bool:
+        if first.range_m is None or second.range_m is None:
+            return False
+        elapsed_s = second.time_s - first.time_s
+        apart_m = abs(second.range_m - first.range_m)
+        return elapsed_s <= self._memory_s and apart_m <= CONFIRM_M + CONFIRM_M_S * elapsed_s
+
+    def _filter(self, reading: Reading, range_m: float) -> Filtered:
+        time_s = reading.time_s
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m * reading.std_m
-        estimate = Estimate(reading.range_m, variance_m2)
+        estimate = Estimate(range_m, variance_m2)
         for each in self._filters:
             outcome = each.update(time_s, estimate)
             if outcome is None:
@@ -64,7 +95,7 @@ class Chain:
         return Filtered(estimate)
 
     def _contains(self, time_s: float, range_m: float) -> bool:
-        if self._last is None or time_s - self._last_s > MEMORY_S:
+        if self._last is None or time_s - self._last_s > self._memory_s:
             return False
         elapsed_s = time_s - self._last_s
         margin_m = SUSPECT_MARGIN_M + SUSPECT_MARGIN_M_S * elapsed_s
@@ -75,4 +106,5 @@ class Chain:
 
 _REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}
 _SUSPECT = Filtered(None, "suspect")
+_UNCONFIRMED = Filtered(None, UNCONFIRMED)
 _UNEXPECTED = Filtered(None, "unexpected")

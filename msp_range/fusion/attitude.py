@@ -15,6 +15,13 @@ OLDEST_S = 0.6
 AHEAD_S = 0.1
 """A turn is thought to go on for this long after the newest message [s]."""
 TOGETHER_S = 0.001
+STEEPEST_RAD = math.radians(75)
+"""A vehicle that leans more than this does not fly on range finders that look down, and a message that says so is
+believed to be wrong [rad]: the distance is then that of a vehicle whose attitude nobody says."""
+TURNS_RAD = 4 * math.pi
+"""Angles beyond this are no angles [rad]: more than a wrapped or an unwrapped turn."""
+REFUSED_S = 1.0
+"""The attitude makes no sense where it has been refused for so long, and not taken [s]."""
 
 
 class Angles(NamedTuple):
@@ -40,15 +47,30 @@ class AttitudeTrack:
     def __init__(self) -> None:
         self._before: Angles | None = None
         self._newest: Angles | None = None
+        self._refused_s: tuple[float, float] | None = None
+
+    def is_refused(self, now_s: float) -> bool:
+        """Whether attitudes come that make no sense, and have for a while."""
+        return self._refused_s is not None and now_s - self._refused_s[0] > REFUSED_S > now_s - self._refused_s[1]
 
     def hear(self, angles: Angles) -> bool:
-        """Take an attitude; False where it is no use: not numbers, or together with the one before."""
-        if not all(map(math.isfinite, angles)):
+        """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""
+        if not self._makes_sense(angles):
+            first_s = angles.time_s if self._refused_s is None else self._refused_s[0]
+            self._refused_s = first_s, angles.time_s
             return False
+        self._refused_s = None
         if self._newest is not None and angles.time_s - self._newest.time_s < TOGETHER_S:
             return False  # They lay in one buffer; a line through them could have any slope.
         self._before, self._newest = self._newest, angles
         return True
+
+    @staticmethod
+    def _makes_sense(angles: Angles) -> bool:
+        _, roll, pitch, yaw = angles
+        if not max(abs(roll), abs(pitch), abs(yaw)) < TURNS_RAD:
+            return False
+        return math.cos(roll) * math.cos(pitch) > math.cos(STEEPEST_RAD)
 
     def rotation_at(self, time_s: float) -> Matrix | None:
         """Body to north, east, down; None where nothing is known.

@@ -1,50 +1,79 @@
 """Several downward sensors -> the ground below the vehicle, and the one distance that an autopilot expects.
 
-Corrected readings and the autopilot's attitude enter, in the order of their times; the distance along the vehicle's
-down axis leaves, with the height, the climb and the slope behind it (`Fusion.ground`). Readings that do not fit are
-left out of the ground and judged by `msp_range.fusion.sightings`; a sensor that is stuck is found by
-`msp_range.fusion.stuck`.
+Corrected readings enter, in the order of their times; with each leaves what the stream says now (`Outcome`): the
+distance along the vehicle's down axis, 'above the maximum', or nothing. A reading that fits the ground's filter updates
+it. Those that do not are votes for another ground, objects below one sensor, or outliers. A distance leaves only while
+the sensors that see this ground are enough and no more of them agree on another one.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from msp_range.filters.chain import UNCONFIRMED
+from msp_range.fusion.above import AboveMaximum, LastSeen
 from msp_range.fusion.attitude import Attitude
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
-from msp_range.fusion.sightings import AGREE_M, WINDOW_S, Sight, step_m
+from msp_range.fusion.objects import Below
+from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
+from msp_range.fusion.vertical import VerticalMotion
+from msp_range.fusion.votes import AGREE_M, Sight, electorate, opponents, step_m, supporters, working
+from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix
 from msp_range.reading import Reading, Status
 
 OTHER_PER_M = 0.002
 """Probability density of readings that are not of the ground: some percent, spread over some metres [1/m]. A reading
 that the ground explains less well than this is not taken for the ground."""
-GATE_M = 0.25
-"""A reading farther off than this is not of the ground, however little is known of the vehicle's motion [m]."""
+GATE_M, GATE_M_S2, GATE_WIDEST_M = 0.25, 1.0, 1.0
+"""A reading farther off than this is not of the ground, however little is known of the vehicle's motion: with readings
+0.1 s apart [m], for an acceleration of twice the second where they are farther apart [m/s^2], and at most [m]. Wider
+takes an outlier for the ground after a manoeuvre, narrower loses the ground in one."""
 DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
 """The same of a reading that is also a fault code, or one that a sensor keeps repeating [1/m, m]: neither may pass for
 ground that is merely near it."""
-NEWEST_S = 0.25
-"""A distance without a reading needs another sensor's reading that is no older than this [s]: two turns at most."""
-SENSORS_WITHOUT_A_READING = 2
-"""Sensors that must have seen the ground within the window for a distance where the newest reading gave none."""
+GARBLED_M, GARBLED_SIGMAS, GARBLED_WIDEST_M = 0.04, 3.0, 0.25
+"""A reading is the garbled form of the ground's where it is this close to it [m], and so many standard deviations of
+what is known of the ground and of the reading, if that is no more than the third in all [m]. Wider takes a roof of just
+the wrong height for a fault."""
+GARBLED_STD_M = 0.05
+"""How far a garbled answer is trusted to be that of the ground, standard deviation [m]: it may be a code by itself."""
+GARBLED_AGAIN_S = 10.0
+"""On a bus that has garbled an answer within this time [s] a reading is garbled, too, where it fits no better than a
+reading of the ground has to (`GATE_M`). Longer keeps a real step of the same height out for longer."""
+OFF_IN_A_ROW = 3
+"""After so many readings in a row that are not of the ground, or two that agree with each other, nothing is sent until
+one is: the ground may have a step, or the vehicle a motion that the filter has not seen. Fewer make gaps of outliers,
+more send an old ground for longer."""
+ON_TRIAL, DOUBT_READINGS = 3, 8
+"""A first ground with which other readings do not agree, or after most of the last readings were of no ground, is sent
+after so many further readings of it in a row: four outliers may lie on a line once in some seconds of nothing else,
+seven do not."""
 STALE_S = 0.25
-"""A ranging that is over this long after its time tells nothing of now [s]: the program or the bus stood still."""
-MEMORY_S = 1.5
-"""Ground not seen for this long is no longer known [s]."""
-LOST_S = 0.35
-"""Where no reading was of the ground for this long, the next two that agree make a new one [s]."""
-STARTS_AGREE_M, FASTEST_M_S, FASTEST_ALONE_M_S = 0.20, 4.0, 1.0
-"""The first two readings differ by no more than this: by a slope and their noise [m], by a climb [m/s]; two of one
-sensor are farther apart in time, and must agree the better."""
+"""A ranging that is over this long after its time says nothing of now [s]: the program or the bus stood still."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
-"""What a step of the ground leaves uncertain of the height and of its rate."""
+"""What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]."""
 ROUGH_READINGS = 30.0
 """The roughness of the ground is a mean over so many readings."""
 ROUGHEST_M = 0.08
 """More scatter than this about the plane is not put down to roughness [m]."""
+FIT_READINGS = 10.0
+"""The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
+FIT_CAP, FIT_OUTLIER = 25.0, 9.0
+"""A reading counts in it by no more than the first, one of five standard deviations; an outlier of a sensor that
+otherwise sees the ground by the second. What is not used is not in the estimate, but where it is much of what these
+sensors say, what is used was chosen from it. Larger doubts the ground for longer after one outlier."""
+FIT_TOLERATED = 1.5
+"""Up to this mean square the stated variance stands, beyond it the variance grows with it. Ten readings of a filter
+that is right exceed it in one of ten turns; larger believes a noisy sensor's small variance for longer."""
+
+OBJECT, OUTLIER, SUSPECT, REPEATED, PAST = "object", "outlier", "suspect", "repeated", "past_the_ground"
+"""Why a reading with a range was not used for the ground: it is of an object below its sensor, of nothing that is
+known, a fault code away from the ground, the same answer as ever while others see other things, or made past the ground
+on a vehicle that leans."""
 
 
 class Fused(NamedTuple):
@@ -68,16 +97,38 @@ class Fused(NamedTuple):
 
     def record(self, time_s: float) -> dict[str, float]:
         """The message of a recording's ``/fused``."""
-        range_m, variance_m2, height_m, climb_m_s, rise_north, rise_east = self
-        return {
-            "time_s": time_s,
-            "range_m": range_m,
-            "variance_m2": variance_m2,
-            "height_m": height_m,
-            "climb_m_s": climb_m_s,
-            "rise_north": rise_north,
-            "rise_east": rise_east,
-        }
+        return {"time_s": time_s, **self._asdict()}
+
+
+class Outcome(NamedTuple):
+    """What one reading means for the fused stream.
+
+    Attributes
+    ----------
+    reading
+        The reading; without its range where the sensor turned out to be stuck or its answer garbled.
+    fused
+        The distance now; None where nothing is known well enough.
+    above_maximum
+        Whether the vehicle is above what its sensors can tell; then there is no distance.
+    rejected
+        Why the reading was not used for the ground; None where it was.
+    """
+
+    reading: Reading
+    fused: Fused | None
+    above_maximum: bool
+    rejected: str | None
+
+
+class _Sensor:
+    """One downward sensor: where it sits, and what is known of its last readings."""
+
+    def __init__(self, mounted: DownwardSensor) -> None:
+        self.mounted = mounted
+        self.sight = Sight()
+        self.below = Below()
+        self.stuck = StuckWatch()
 
 
 class Fusion:
@@ -89,90 +140,105 @@ class Fusion:
         By name.
     attitude
         Knows how the vehicle is turned.
-
-    Attributes
-    ----------
-    ground
-        Where the ground is, after the newest reading; None: not known.
+    windows
+        How long what a sensor saw counts.
+    motion
+        How the vehicle moves by its accelerometer and barometer; None: nobody says.
+    maximum_m
+        The longest distance from the reference point that the sensors can tell [m].
     """
 
-    def __init__(self, sensors: Mapping[str, DownwardSensor], attitude: Attitude) -> None:
-        self._sensors = sensors
+    def __init__(
+        self,
+        sensors: Mapping[str, DownwardSensor],
+        attitude: Attitude,
+        windows: Windows,
+        motion: VerticalMotion | None = None,
+        maximum_m: float = 7.65,
+    ) -> None:
+        self._sensors = {name: _Sensor(mounted) for name, mounted in sensors.items()}
+        self._sights = [sensor.sight for sensor in self._sensors.values()]
         self._attitude = attitude
-        self._stuck = {name: StuckWatch() for name in sensors}
-        self._sights = {name: Sight() for name in sensors}
+        self._windows = windows
+        self._motion = motion or VerticalMotion()
+        self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
+        self._start = Start(windows, self._motion)
+        self._maximum_m = maximum_m
+        self._above = AboveMaximum(maximum_m, self._motion)
         self._filter: GroundFilter | None = None
+        self._established = self._proven = False
         self._time_s = float("-inf")
-        self._seen_s = float("-inf")
+        self._seen_s = self._known_s = self._garbled_s = float("-inf")
         self._steps_m = 0.0
         self._rough_m2 = 0.0
         self._shared_m2 = 0.0
+        self._fit = 1.0
         self._tilted = False
-        self._first: tuple[str, float, float] | None = None
-        self._strange_m: float | None = None
-        self._doubtful = False
+        self._off_in_a_row = self._on_trial = 0
+        self._odd_m: float | None = None
+        self._used: deque[bool] = deque(maxlen=DOUBT_READINGS)
 
     @property
     def ground(self) -> Ground | None:
-        """Height, climb and slope with their covariance at the time of the newest reading."""
+        """Height, climb and slope with their covariance at the time of the newest reading; None: not known."""
         return None if self._filter is None else self._filter.ground()
+
+    @property
+    def fit(self) -> float:
+        """Mean square of the last innovations over their variance: about 1 where the stated deviation is right."""
+        return self._fit
 
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
-        return self._sights[sensor].object_m
+        return self._sensors[sensor].below.object_m
 
-    def judge(self, reading: Reading) -> Reading:
-        """The reading; without its range where the sensor is stuck."""
-        if reading.raw is None:
-            return reading
-        climbed_m = None if self._filter is None else self._filter.height_m - self._steps_m
-        if not self._stuck[reading.sensor].take(reading.raw, climbed_m) or not reading.status.has_range:
-            return reading
-        return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)
-
-    def update(self, reading: Reading, now_s: float) -> Fused | None:
-        """Take one reading; the fused distance at its time, or None where nothing is known well enough.
-
-        Where the reading is not of the ground, two other sensors must have seen it, one of them just now.
+    def update(self, reading: Reading, now_s: float) -> Outcome:
+        """Update with one reading.
 
         Parameters
         ----------
         reading
-            Corrected, and judged by `judge`.
+            Corrected.
         now_s
-            When it is told [s].
+            When it is passed on [s].
 
         Raises
         ------
         KeyError
             Not one of the downward sensors.
         """
-        sensor, sight = self._sensors[reading.sensor], self._sights[reading.sensor]
+        sensor = self._sensors[reading.sensor]
         time_s = max(reading.time_s, self._time_s)
-        if self._filter is not None:
-            if time_s - self._seen_s > MEMORY_S:
-                self._filter, self._first = None, None
-            else:
-                self._filter.predict(time_s - self._time_s)
-        self._time_s = time_s
+        self._predict(time_s)
         rotation = self._rotation(time_s)
+        reading = self._checked(sensor, reading, rotation)
+        sensor.sight.works, sensor.sight.read_s = not reading.status.is_fault, time_s
+        if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
+            self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
         if reading.range_m is None:
-            sight.nothing(time_s)
+            self._on_nothing(sensor, reading)
+            rejected: str | None = reading.status.value
         elif self._filter is None:
-            self._start(reading, reading.range_m, sensor, rotation)
+            rejected = self._on_first(sensor, reading, reading.range_m, rotation)
         else:
-            self._take(reading, reading.range_m, sensor, rotation)
-        if self._filter is None:
-            return None
-        if self._seen_s < time_s and not (now_s - time_s <= STALE_S and self._others_saw_it(time_s)):
-            return None
-        return self._down_axis(self._filter, rotation)
+            rejected = self._on_range(self._filter, sensor, reading, reading.range_m, rotation)
+        if self._filter is not None and self._is_supported(rejected is None, now_s):
+            fused = self._down_axis(self._filter, rotation)
+            mark = self._motion.mark(time_s)
+            self._above.on_ground_seen(LastSeen(time_s, fused.range_m, fused.climb_m_s, mark))
+            self._start.remember(Candidate(time_s, "", fused.height_m, fused.variance_m2, (), mark))
+            is_above = fused.range_m > self._maximum_m
+            return Outcome(reading, None if is_above else fused, is_above, rejected)
+        return Outcome(reading, None, not self._ground_is_seen() and self._above.decide(time_s), rejected)
 
-    def _others_saw_it(self, time_s: float) -> bool:
-        if self._doubtful or time_s - self._seen_s > NEWEST_S:
-            return False
-        saw = [sight for sight in self._sights.values() if sight.off_m is None and time_s - sight.seen_s <= WINDOW_S]
-        return len(saw) >= SENSORS_WITHOUT_A_READING
+    def _predict(self, time_s: float) -> None:
+        if self._filter is not None:
+            if time_s - self._known_s > self._windows.memory_s:
+                self._filter, self._established = None, False
+                self._start.clear()
+            else:
+                self._filter.predict(time_s - self._time_s, self._motion.acceleration(self._time_s, time_s))
+        self._time_s = time_s
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
@@ -182,104 +248,222 @@ class Fusion:
                 self._filter.level()  # Slopes were of the other frame.
         return rotation or LEVEL
 
-    def _start(self, reading: Reading, range_m: float, sensor: DownwardSensor, rotation: Matrix) -> None:
-        """Two readings that agree make the first ground: of two sensors, or of one twice where there is no other."""
-        view = sensor.view(rotation, 0.0, 0.0, 0.0)
-        if view is None or reading.suspect:
-            return
-        height_m = (range_m - view.expected_m) / view.by_height
-        before, self._first = self._first, (reading.sensor, reading.time_s, height_m)
-        if before is None or reading.time_s - before[1] > MEMORY_S:
-            return
-        elapsed_s, higher_m = reading.time_s - before[1], height_m - before[2]
-        fastest_m_s = FASTEST_ALONE_M_S if reading.sensor == before[0] else FASTEST_M_S
-        if abs(higher_m) > STARTS_AGREE_M + fastest_m_s * elapsed_s:
-            return
-        climbed_m = 0.0 if self._filter is None else self._filter.height_m - self._steps_m
-        self._filter = GroundFilter(height_m, _variance_m2(reading) / view.by_height**2, higher_m, elapsed_s)
-        self._first, self._steps_m = None, height_m - climbed_m
-        self._shared_m2 = view.shared_variance_m2
-        self._seen_s = self._time_s
-        self._sights[before[0]].ground(before[1])
-        self._sights[reading.sensor].ground(self._time_s)
+    def _checked(self, sensor: _Sensor, reading: Reading, rotation: Matrix) -> Reading:
+        """The reading; without its range where the sensor is stuck, or where it is the ground's, garbled on the bus."""
+        if reading.raw is None:
+            return reading
+        climbed_m = None if self._filter is None else self._filter.height_m - self._steps_m
+        stuck = sensor.stuck.update(reading.raw, climbed_m, self._motion, self._time_s)
+        if reading.range_m is None:
+            return reading
+        if stuck:
+            return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)
+        if self._filter is not None and self._was_garbled(self._filter, sensor, reading, reading.range_m, rotation):
+            return Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
+        return reading
 
-    def _take(self, reading: Reading, range_m: float, sensor: DownwardSensor, rotation: Matrix) -> None:
-        known = self._filter
-        assert known is not None
-        sight, time_s = self._sights[reading.sensor], self._time_s
-        view = sensor.view(rotation, known.height_m, known.rise_north, known.rise_east)
+    def _was_garbled(
+        self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix
+    ) -> bool:
+        """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
+
+        It is no reason to send a distance, but without it the garbled answers of all sensors would soon be the only
+        ground that is known.
+        """
+        words = () if reading.suspect else sensor.mounted.garbled_from(reading.raw or 0)
+        view = sensor.mounted.view(rotation, known.height_m, known.rise_north, known.rise_east)
+        if not words or not reading.raw or view is None or abs(range_m - view.expected_m) < self._gate_m:
+            return False
+        if sensor.below.is_object((range_m - view.expected_m) / view.by_height):
+            return False
+        innovation_m = min([word * range_m / reading.raw - view.expected_m for word in words], key=abs)
+        variance_m2 = known.variance(1.0, 0.0, 0.0) + _variance_m2(reading)
+        near_m = GARBLED_M + GARBLED_SIGMAS * math.sqrt(variance_m2)
+        again = self._time_s - self._garbled_s < GARBLED_AGAIN_S and abs(innovation_m) < GATE_M
+        if not again and not abs(innovation_m) < near_m < GARBLED_WIDEST_M:
+            return False
+        self._garbled_s = self._time_s
+        known.update(view, innovation_m, _variance_m2(reading) + GARBLED_STD_M**2, OTHER_PER_M)
+        self._known_s = self._time_s
+        return True
+
+    def _on_nothing(self, sensor: _Sensor, reading: Reading) -> None:
+        sensor.sight.nothing(self._time_s)
+        sensor.below.nothing(self._time_s, self._windows.memory_s)
+        self._start.without(reading.sensor)
+
+    def _on_first(self, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix) -> str | None:
+        """A reading where no ground is known, or the known one is lost; None where it made one, else why not."""
+        view = sensor.mounted.view(rotation, 0.0, 0.0, 0.0)
+        if view is None or reading.suspect:
+            self._on_nothing(sensor, reading)
+            return SUSPECT if reading.suspect else PAST
+
+        def height_m(of_range_m: float) -> float:
+            return (of_range_m - view.expected_m) / view.by_height
+
+        scale = range_m / reading.raw if reading.raw else 1.0
+        found = self._start.add(
+            Candidate(
+                self._time_s,
+                reading.sensor,
+                height_m(range_m),
+                _variance_m2(reading) / view.by_height**2,
+                tuple([height_m(word * scale) for word in sensor.mounted.garbled_from(reading.raw or 0)]),
+                self._motion.mark(self._time_s),
+            ),
+            working(self._sights, self._time_s, self._windows),
+        )
+        if found is None:
+            if self._filter is None:
+                sensor.sight.nothing(self._time_s)
+            return UNCONFIRMED
+        self._begin(found, view)
+        return None
+
+    def _begin(self, found: Found, view: View) -> None:
+        newest, earlier = found.newest, found.earlier
+        climbed_m = 0.0 if self._filter is None else self._filter.height_m - self._steps_m
+        self._filter = GroundFilter(
+            newest.height_m,
+            newest.variance_m2,
+            newest.height_m - earlier.height_m,
+            newest.time_s - earlier.time_s,
+            self._motion.rate(self._time_s),
+        )
+        self._steps_m = newest.height_m - climbed_m
+        self._established, self._proven, self._fit = False, False, 1.0
+        doubtful = found.in_doubt or self._used.count(False) > len(self._used) // 2 > 0
+        self._on_trial = ON_TRIAL + 1 if doubtful else 0
+        self._start.clear()
+        for name, sensor in self._sensors.items():
+            sensor.sight.clear()
+            sensor.below.clear()
+            if name in found.sensors:
+                sensor.sight.ground(earlier.time_s if name == earlier.sensor else self._time_s)
+        self._on_ground(self._sensors[newest.sensor], view)
+
+    def _on_range(
+        self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix
+    ) -> str | None:
+        """A reading against the known ground: None where it updated it, else why not."""
+        view = sensor.mounted.view(rotation, known.height_m, known.rise_north, known.rise_east)
         if view is None:
-            sight.nothing(time_s)
-            return
+            self._on_nothing(sensor, reading)
+            return PAST
         innovation_m = range_m - view.expected_m
         off_m = innovation_m / view.by_height
-        variance_m2 = _variance_m2(reading) + self._rough_m2
-        sight.repeated = self._stuck[reading.sensor].repeated
+        sight, below = sensor.sight, sensor.below
+        sight.repeated = sensor.stuck.repeated
         doubtful = reading.suspect or sight.repeated
-        other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, GATE_M)
-        if sight.repeated and self._others_tell_more():
+        other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
+        fits = abs(innovation_m) <= most_m
+        if sight.repeated and self._others_see_more():
             # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
-            if abs(innovation_m) <= most_m:
-                self._seen(sight, view)
-            elif sight.is_object(off_m):
-                sight.aside(time_s, off_m, told=True)
-            else:
-                sight.nothing(time_s)
-            return
-        square = None
-        if abs(innovation_m) <= most_m:
-            square = known.update(view, innovation_m, variance_m2, other_per_m)
+            if fits:
+                self._on_ground(sensor, view)
+                return None
+            return self._set_aside(sensor, reading, off_m, below.is_object(off_m))
+        variance_m2 = _variance_m2(reading) + self._rough_m2
+        square = known.update(view, innovation_m, variance_m2, other_per_m) if fits else None
         if square is not None:
             self._scatter(square, variance_m2)
-            self._seen(sight, view)
-            return
-        if doubtful and not sight.is_object(off_m):
-            sight.nothing(time_s)
-        else:
-            self._set_aside(known, reading.sensor, off_m, view)
-            if time_s - self._seen_s > LOST_S:
-                self._start(reading, range_m, sensor, rotation)
+            self._on_ground(sensor, view)
+            return None
+        if doubtful and not below.is_object(off_m):
+            return self._set_aside(sensor, reading, off_m, False)
+        return self._on_off(known, sensor, reading, off_m, view, rotation)
 
-    def _others_tell_more(self) -> bool:
-        """Whether sensors enough see the ground that do not repeat themselves."""
-        time_s = self._time_s
-        fresh = [
-            sight
-            for sight in self._sights.values()
-            if sight.off_m is None and not sight.repeated and time_s - sight.seen_s <= WINDOW_S
-        ]
-        return len(fresh) >= SENSORS_WITHOUT_A_READING
+    def _set_aside(self, sensor: _Sensor, reading: Reading, off_m: float, is_object: bool) -> str:
+        """A reading that has no vote for another ground."""
+        if is_object:
+            sensor.sight.off(self._time_s, off_m)
+            sensor.below.off(self._time_s, off_m, True)
+            return OBJECT
+        sensor.sight.nothing(self._time_s)
+        sensor.below.nothing(self._time_s, self._windows.memory_s)
+        return SUSPECT if reading.suspect else REPEATED
+
+    def _others_see_more(self) -> bool:
+        """Whether two sensors see the ground that do not repeat themselves."""
+        since_s = self._time_s - self._windows.fresh_s
+        newest = [sight.newest(since_s) for sight in self._sights if not sight.repeated]
+        return sum([seen is not None and seen.is_ground for seen in newest]) >= 2
 
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
-        change_m2 = (square - 1.0) * variance_m2 / ROUGH_READINGS
+        change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
         self._rough_m2 = min(max(self._rough_m2 + change_m2, 0.0), ROUGHEST_M**2)
+        self._fit += (min(square, FIT_CAP) - self._fit) / FIT_READINGS
 
-    def _seen(self, sight: Sight, view: View) -> None:
-        sight.ground(self._time_s)
-        self._strange_m, self._doubtful = None, False
-        self._seen_s = self._time_s
+    def _on_ground(self, sensor: _Sensor, view: View) -> None:
+        sensor.sight.ground(self._time_s)
+        sensor.below.ground(self._time_s)
+        self._off_in_a_row, self._odd_m = 0, None
+        self._used.append(True)
+        self._on_trial = max(self._on_trial - 1, 0)
+        self._seen_s = self._known_s = self._time_s
         self._shared_m2 = view.shared_variance_m2
 
-    def _set_aside(self, known: GroundFilter, name: str, off_m: float, view: View) -> None:
+    def _on_off(
+        self, known: GroundFilter, sensor: _Sensor, reading: Reading, off_m: float, view: View, rotation: Matrix
+    ) -> str | None:
         """A reading that is not of the ground: of a step, of an object, or of nothing."""
-        sight, time_s = self._sights[name], self._time_s
-        others = [each for other, each in self._sights.items() if other != name and time_s - each.seen_s <= WINDOW_S]
-        before_m = sight.off_m
-        alone = not others and before_m is not None and abs(off_m - before_m) < AGREE_M
-        sight.aside(time_s, off_m, sum([each.off_m is None for each in others]) >= min(2, len(self._sensors) - 1) > 0)
-        # Two in a row that agree on another height: which of the two is the ground is open, unless one is known.
-        known_object = sight.object_m is not None
-        self._doubtful = not known_object and self._strange_m is not None and abs(off_m - self._strange_m) < AGREE_M
-        self._strange_m = None if known_object else off_m
-        lower_m = off_m if alone else step_m(sight, self._sights.values(), time_s)
-        if lower_m is None:
-            return
-        known.shift(lower_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
-        self._steps_m += lower_m
-        for each in self._sights.values():
-            each.moved(lower_m)
-        self._seen(sight, view)
+        time_s, windows = self._time_s, self._windows
+        sensor.sight.off(time_s, off_m)
+        self._used.append(False)
+        sensor.below.off(time_s, off_m, self._ground_is_seen())
+        known_object = sensor.below.is_object(off_m)
+        if self._odd_m is not None and abs(off_m - self._odd_m) < AGREE_M:
+            self._off_in_a_row = OFF_IN_A_ROW
+        self._odd_m = None if known_object else off_m
+        if sensor.sight.votes_ground(time_s - windows.held_s):
+            self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
+        self._off_in_a_row += not known_object
+        if self._on_trial:
+            self._on_trial = ON_TRIAL
+        lower_m = step_m(sensor.sight, self._sights, time_s, windows)
+        if lower_m is not None:
+            known.shift(lower_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
+            self._steps_m += lower_m
+            for each in self._sensors.values():
+                each.sight.move(lower_m)
+                each.below.move(lower_m)
+            self._on_ground(sensor, view)
+            return None
+        if time_s - self._seen_s > windows.lost_s and reading.range_m is not None:
+            return self._on_first(sensor, reading, reading.range_m, rotation)
+        return OBJECT if known_object else OUTLIER
+
+    def _ground_is_seen(self) -> bool:
+        """Whether two sensors vote for the ground, or the only one that gives ranges, and one has seen it just now."""
+        if self._filter is None or self._time_s - self._seen_s > self._windows.newest_s:
+            return False
+        voters = electorate(self._sights, self._time_s, self._windows)
+        return supporters(self._sights, self._time_s, self._windows) >= min(2, voters) > 0
+
+    def _is_supported(self, was_used: bool, now_s: float) -> bool:
+        """Whether the ground may be sent: sensors enough see it, and no more of them agree on another one.
+
+        Of as many against as many the ground is that which more than half have seen before.
+        """
+        time_s, windows = self._time_s, self._windows
+        if time_s - self._seen_s > windows.fresh_s:
+            self._established = False
+        if time_s - self._seen_s > windows.newest_s:
+            return False
+        support = supporters(self._sights, time_s, windows)
+        against = opponents(self._sights, time_s, windows)
+        voters = electorate(self._sights, time_s, windows)
+        self._established |= support >= min(2, voters) and support > against
+        # Sensors that have not been read yet may see another ground.
+        possible = sum([sight.works or sight.read_s == float("-inf") for sight in self._sights])
+        self._proven |= 2 * support > possible
+        if not self._established or self._on_trial or support < 1 or now_s - time_s > STALE_S:
+            return False
+        if support < against or (support == against and not self._proven):
+            return False
+        return was_used or (support >= 2 and self._off_in_a_row < OFF_IN_A_ROW)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""
@@ -288,6 +472,8 @@ class Fusion:
         range_m = known.height_m / along
         slopes = -range_m / along
         variance_m2 = known.variance(1 / along, slopes * north, slopes * east)
+        if self._fit > FIT_TOLERATED:
+            variance_m2 *= self._fit
         return Fused(
             range_m,
             variance_m2 + self._shared_m2,

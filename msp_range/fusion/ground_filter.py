@@ -15,10 +15,13 @@ import math
 from typing import NamedTuple
 
 from msp_range.fusion.mounting import View
+from msp_range.fusion.vertical import Rate
 
 CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 3e-5, 1e-2, 0.8
 """Spectral density of the vehicle's acceleration [m^2/s^3]: at a steady rate; bobbing; changing its speed by a metre a
 second within a second."""
+MEASURED_M2_S3 = 0.1
+"""The last one where the vehicle's acceleration is measured: what is left is the ground's, and the accelerometer's."""
 WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
 """How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
 SPURS_PER_S, EASES_PER_S = 0.2, 0.7
@@ -35,6 +38,10 @@ SLOPE_LASTS_S = 30.0
 """Time constant with which the slope falls back to level where no reading holds it [s]."""
 LEVER_SHARE = 0.2
 """Share of the newest reading's lever in the mean lever: a round of four sensors."""
+QUIET_M_S2, QUIET_STD_M_S2 = 0.6, 0.3
+"""A calm vehicle has no measured acceleration much beyond the first, by a normal distribution of the second [m/s^2]:
+twice an accelerometer's noise, and once. Smaller leaves the calm filter for vibration, larger lets it lag behind a
+vehicle that is read twice a second."""
 LEAST_SHARE = 1e-3
 """A filter is not mixed with less than this of another."""
 LEAST_WEIGHT = 1e-4
@@ -74,6 +81,8 @@ class GroundFilter:
         Height at the beginning [m], and the variance of its error [m^2].
     higher_m, elapsed_s
         How much higher that is than another reading [m], how long ago [s].
+    climb
+        How fast the vehicle climbs, where that is known better than from two readings.
 
     Attributes
     ----------
@@ -81,11 +90,15 @@ class GroundFilter:
         The mixture's mean; see `Ground`.
     """
 
-    def __init__(self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float) -> None:
+    def __init__(
+        self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float, climb: Rate | None = None
+    ) -> None:
         apart_s = max(elapsed_s, SHORTEST_BASE_S)
         # Of two places on a slope, perhaps, and each with its noise.
         climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
         start: _Motion = (height_m, higher_m / apart_s, variance_m2, variance_m2 / apart_s, climb_variance)
+        if climb is not None and climb.variance < climb_variance:
+            start = (height_m, climb.m_s, variance_m2, 0.0, climb.variance)
         self._filters: tuple[_Motion, ...] = (start, start, start)
         self._weights: tuple[float, ...] = START_WEIGHTS
         self.height_m, self.climb_m_s = start[:2]
@@ -97,12 +110,20 @@ class GroundFilter:
         self.rise_north = self.rise_east = 0.0
         self._slope = (SLOPE_STD * SLOPE_STD, 0.0, SLOPE_STD * SLOPE_STD)
 
-    def predict(self, t: float) -> None:
-        """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way."""
+    def predict(self, t: float, up_m_s2: float | None = None) -> None:
+        """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way.
+
+        Where the vehicle's acceleration ``up_m_s2`` is measured, the two filters of a vehicle that moves take it; the
+        one that is quiet does not, since it would only add the accelerometer's noise.
+        """
         if t <= 0:
             return
         calm, moving, wild = self._filters
         of_calm, of_moving, of_wild = self._weights
+        manoeuvre_m2_s3 = MANOEUVRE_M2_S3 if up_m_s2 is None else MEASURED_M2_S3
+        up_m_s2 = up_m_s2 or 0.0
+        if abs(up_m_s2) > QUIET_M_S2:
+            of_calm, of_moving, of_wild = _without_calm(up_m_s2, of_calm, of_moving, of_wild)
         change_s = t if t < LONGEST_S else LONGEST_S
         wakes, calms = of_calm * WAKES_PER_S * change_s, of_moving * CALMS_PER_S * change_s
         spurs, eases = of_moving * SPURS_PER_S * change_s, of_wild * EASES_PER_S * change_s
@@ -112,9 +133,9 @@ class GroundFilter:
         # A calm vehicle's filter takes hardly anything of the next one; that one takes from both sides.
         woken = _mixed(moving, calm, wakes / (of_moving - eases))
         self._filters = (
-            _moved(calm, moving, calms / of_calm, t, CALM_M2_S3),
-            _moved(woken, wild, eases / of_moving, t, MOVING_M2_S3),
-            _moved(wild, moving, spurs / of_wild, t, MANOEUVRE_M2_S3),
+            _moved(calm, moving, calms / of_calm, t, CALM_M2_S3, 0.0),
+            _moved(woken, wild, eases / of_moving, t, MOVING_M2_S3, up_m_s2),
+            _moved(wild, moving, spurs / of_wild, t, manoeuvre_m2_s3, up_m_s2),
         )
         self._weights = (of_calm, of_moving, of_wild)
         self._combine()
@@ -229,6 +250,14 @@ class GroundFilter:
         self.climb_m_s = a * calm[1] + b * moving[1] + c * wild[1]
 
 
+def _without_calm(up_m_s2: float, of_calm: float, of_moving: float, of_wild: float) -> tuple[float, float, float]:
+    """The weights, given an acceleration that a calm vehicle does not have."""
+    over = (abs(up_m_s2) - QUIET_M_S2) / QUIET_STD_M_S2
+    of_calm = max(of_calm * math.exp(-0.5 * over * over), LEAST_WEIGHT)
+    total = of_calm + of_moving + of_wild
+    return of_calm / total, of_moving / total, of_wild / total
+
+
 def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
     """Mean and covariance of a mixture of which ``share`` is the other's."""
     h, w, hh, hw, ww = own
@@ -243,8 +272,11 @@ def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
     )
 
 
-def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float) -> _Motion:
-    """Mixed, then x' = F x, P' = F P F^T + Q; Q of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q."""
+def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float, up_m_s2: float) -> _Motion:
+    """Mixed, then x' = F x + (t^2/2, t) a, P' = F P F^T + Q; a the measured acceleration.
+
+    Q is that of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q.
+    """
     h, w, hh, hw, ww = own
     if share > LEAST_SHARE:
         h2, w2, hh2, hw2, ww2 = other
@@ -255,4 +287,6 @@ def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float)
         hw += share * (hw2 - hw + rest * dh * dw)
         ww += share * (ww2 - ww + rest * dw * dw)
     noise = density * t
-    return h + w * t, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise
+    change_m_s = up_m_s2 * t
+    h, w = h + (w + 0.5 * change_m_s) * t, w + change_m_s
+    return h, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise

@@ -10,6 +10,7 @@ sensor at q that looks along the unit vector b, both in the level frame, over gr
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -56,11 +57,14 @@ class DownwardSensor:
         Unit vector along which it looks, body FRD.
     oblique
         What it reads over flat ground at an angle.
+    garbled_from
+        Answers that bytes lost or mixed up on the bus would make of the given one, by its driver.
     """
 
     position_m: Vector
     boresight: Vector
     oblique: Oblique
+    garbled_from: Callable[[int], tuple[int, ...]] = lambda raw: ()
 
     def view(self, rotation: Matrix, height_m: float, rise_north: float, rise_east: float) -> View | None:
         """What it should read with the reference point ``height_m`` over the ground; None where it looks past it."""

@@ -1,16 +1,23 @@
 """A sensor that keeps answering the same while the vehicle moves.
 
-Raw answers and how far the vehicle has climbed by all sensors enter; the verdict leaves. A constant answer alone says
-nothing: over calm ground a good sensor repeats itself too. That the ground comes or goes and the answer does not is
-what no good sensor does.
+Raw answers enter with how far the vehicle has climbed, by all sensors and by its barometer; the verdict leaves. A
+constant answer alone says nothing: over calm ground a good sensor repeats itself too. That the ground comes or goes and
+the answer does not is what no good sensor does.
 """
+
+from msp_range.fusion.vertical import Mark, VerticalMotion
 
 STUCK_READINGS = 3
 """The same answer at least this many times in a row."""
 REPEATED_READINGS = 5
 """With the same answer this many times in a row a sensor may be stuck: it is believed only where others agree."""
 STUCK_M = 0.15
-"""While the height over the ground has changed by this much [m]: three times what a good sensor's noise would hide."""
+"""While the height over the ground has changed by this much by all sensors [m]: three times what a good sensor's noise
+would hide."""
+STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 4.0
+"""Or while the vehicle has climbed or sunk by this much [m], and so many standard deviations, by its barometer: then
+all sensors may be stuck. A vehicle that follows a slope to a centimetre over that height looks the same; it answers
+something else again within a reading or two."""
 
 
 class StuckWatch:
@@ -20,6 +27,7 @@ class StuckWatch:
         self._raw: int | None = None
         self._times = 0
         self._since_m = 0.0
+        self._mark: Mark | None = None
         self._stuck = False
 
     @property
@@ -27,22 +35,30 @@ class StuckWatch:
         """Whether the newest answer is one of many alike."""
         return self._times >= REPEATED_READINGS
 
-    def take(self, raw: int, climbed_m: float | None) -> bool:
+    def update(self, raw: int, height_m: float | None, motion: VerticalMotion, time_s: float) -> bool:
         """Whether the sensor is stuck, by its newest answer.
 
         Parameters
         ----------
         raw
             The answer as it came.
-        climbed_m
-            How far the vehicle is above where it once was [m]: of any origin, without the steps of the ground. None:
-            not known.
+        height_m
+            How high the vehicle is by all sensors [m]: over any level, without the steps of the ground. None: not
+            known.
+        motion, time_s
+            How the vehicle moves by its barometer, and the time of the answer [s].
         """
-        if raw != self._raw or climbed_m is None:
+        if raw != self._raw:
             self._raw, self._times, self._stuck = raw, 0, False
-            if climbed_m is not None:
-                self._since_m = climbed_m
+            self._mark = None
+        if self._times == 0 or height_m is None:
+            self._since_m = height_m or 0.0
+        if self._mark is None:
+            self._mark = motion.mark(time_s)
         self._times += 1
-        if self._times >= STUCK_READINGS and climbed_m is not None and abs(climbed_m - self._since_m) >= STUCK_M:
+        if self._times >= STUCK_READINGS and height_m is not None and abs(height_m - self._since_m) >= STUCK_M:
             self._stuck = True
+        climb = motion.climbed(self._mark, time_s)
+        if self.repeated and climb is not None:
+            self._stuck |= abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)
         return self._stuck

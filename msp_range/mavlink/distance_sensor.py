@@ -2,8 +2,8 @@
 
 What autopilots make of the fields (ArduPilot 4.7, PX4 main): no echo is a reading above the maximum, which is 'out of
 range high' and healthy, for PX4's collision prevention one that equals the maximum; a fault is silence; quality 0 means
-unknown and is believed, so an invalid reading has 1; covariance 255 means unknown; 20 cm, the sensor's shortest
-report, must lie above ``min_distance`` to be taken.
+unknown and is believed, so an invalid reading has 1; covariance 255 means unknown; the sensor's shortest report, 20 cm,
+must lie above ``min_distance`` to be taken.
 """
 
 import math
@@ -13,12 +13,15 @@ from typing import Any, Literal
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
 
-MIN_DISTANCE_CM = 19
 COVARIANCE_UNKNOWN = 255
 QUALITY_INVALID = 1
 QUALITY_LOWEST, QUALITY_BEST = 2, 100
 
 Autopilot = Literal["ardupilot", "px4"]
+
+TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
+"""Without a message for so long a range finder counts as gone [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's EKF2
+wants readings at least this often."""
 
 _ULTRASOUND = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
 _Message = dialect.MAVLink_distance_sensor_message
@@ -34,23 +37,32 @@ class Stream:
         The message's ``id``.
     orientation
         Where the stream looks.
-    max_distance_cm
-        The sensor's longest report [cm].
+    min_distance_cm, max_distance_cm
+        Just below the shortest distance that the stream can tell, and the longest one [cm].
     no_echo_cm
         ``current_distance`` that says that nothing was heard [cm].
     """
 
     id: int
     orientation: Orientation
+    min_distance_cm: int
     max_distance_cm: int
     no_echo_cm: int
 
 
-def make_stream(id: int, orientation: Orientation, max_distance_cm: int, autopilot: Autopilot) -> Stream:
-    """A stream with the no-echo value that the autopilot understands."""
+def make_stream(id: int, orientation: Orientation, shortest_cm: int, longest_cm: int, autopilot: Autopilot) -> Stream:
+    """A stream with the bounds and the no-echo value that the autopilot understands.
+
+    Parameters
+    ----------
+    shortest_cm, longest_cm
+        Distances that the stream can tell [cm]. A distance that equals ``min_distance`` is out of range for both
+        autopilots, so that lies a centimetre below the shortest, and never below 0.
+    """
     vertical = orientation.value in (DOWN, PITCH_90)
     equals_maximum = autopilot == "px4" and not vertical
-    return Stream(id, orientation, max_distance_cm, max_distance_cm if equals_maximum else max_distance_cm + 1)
+    no_echo_cm = longest_cm if equals_maximum else longest_cm + 1
+    return Stream(id, orientation, max(shortest_cm - 1, 0), longest_cm, no_echo_cm)
 
 
 def distance_sensor(
@@ -83,7 +95,7 @@ def distance_sensor(
     """
     if not math.isfinite(range_m):
         raise ValueError(f"a distance of {range_m} m cannot be sent")
-    current_cm = round(min(max(range_m * 100, MIN_DISTANCE_CM + 1), stream.max_distance_cm))
+    current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
     covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254)) if math.isfinite(variance_m2) else COVARIANCE_UNKNOWN
     quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
     return _message(stream, time_boot_ms, current_cm, covariance, field_of_view_rad, quality)
@@ -99,7 +111,7 @@ def _message(
 ) -> Any:
     return _Message(
         time_boot_ms & 0xFFFFFFFF,
-        MIN_DISTANCE_CM,
+        stream.min_distance_cm,
         stream.max_distance_cm,
         current_cm,
         _ULTRASOUND,

@@ -34,6 +34,8 @@ ANSWERS_PER_S = 20
 SENT_KEPT = 512
 """Frames by which the bridge knows its own when they come back: those of 10 s or more. With fewer an echo that is late
 is taken for another program's."""
+QUIET_INTERVAL_S = 0.05
+"""The same where the transport knows that nothing arrives in between [s]: requests are at most this late."""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Without a heartbeat for this long the autopilot counts as gone [s]."""
@@ -134,6 +136,9 @@ class Link:
             self.send(self._heartbeat())
         if self.autopilot_heard:
             self._ask(now_s)
+        quiet_until_s = self.transport.quiet_until_s
+        if quiet_until_s > self.next_event_s and not self._from_autopilot and not self._from_others:
+            self.next_event_s = min(quiet_until_s, now_s + QUIET_INTERVAL_S, self._next_heartbeat_s)
 
     def conditions(self) -> list[Condition]:
         """Who else is on the link and should not be, for `msp_range.health.Health.set`."""

@@ -1,42 +1,39 @@
 """What goes out for a reading: the single stream of its sensor, the fused stream, or silence.
 
-A distance goes out where the filters gave one, 'no echo' where the sensor heard nothing, and a fault is silence. The
-fused stream says 'no echo' where most of the downward sensors that work heard nothing.
+A distance goes out where filter or fusion gave one, 'no echo' where a single sensor heard nothing or the vehicle is
+above the range of its downward sensors, and a fault is silence.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.filters.base import Estimate
-from msp_range.fusion import Fused
+from msp_range.filters.chain import UNCONFIRMED, Filtered
+from msp_range.fusion import OBJECT, Fused, Outcome
 from msp_range.mavlink.distance_sensor import Stream, distance_sensor, no_echo
 from msp_range.mavlink.outbox import Outbox
-from msp_range.reading import Status
+from msp_range.reading import Reading, Status
 
 QUALITY_READINGS = 10
-"""A stream's quality is the share of its last this many readings that were used."""
+"""A sensor's quality is the share of its last this many readings that its stream used: four seconds at 2.5 Hz. Fewer
+are unsteady, more are late."""
 HALF_A_CENTIMETRE = 0.005
 HELD_BEAM_QUALITY = 0.5
 """What is left of the quality at a range where nothing speaks for the beam's angle (`BreakawayTable.known_to_m`)."""
 
 
-class _Source:
-    """What is known of a sensor's recent readings."""
+class _Quality:
+    """The share of a sensor's last readings that were used [%]."""
 
-    def __init__(self, beam: BreakawayTable, stream: Stream | None, object_stream: Stream | None) -> None:
-        self.beam = beam
-        self.stream = stream
-        self.object_stream = object_stream
-        self.status: Status | None = None
-        self.quality = 0
+    def __init__(self) -> None:
+        self.percent = 0
         self._used: deque[bool] = deque(maxlen=QUALITY_READINGS)
 
-    def note(self, status: Status, used: bool) -> None:
-        self.status = status
+    def note(self, used: bool) -> None:
         self._used.append(used)
-        self.quality = 100 * sum(self._used) // len(self._used)
+        self.percent = 100 * sum(self._used) // len(self._used)
 
 
 class Streams:
@@ -50,10 +47,10 @@ class Streams:
         Streams of single sensors, by name.
     fused
         The fused stream; None: there is none.
-    downward
-        Names of the sensors of the fused stream.
     objects
         Streams that speak only while an object is below a sensor, by name.
+    downward
+        How many sensors the fused stream has.
     send
         Sends one message now.
     """
@@ -63,14 +60,18 @@ class Streams:
         beams: Mapping[str, BreakawayTable],
         singles: Mapping[str, Stream],
         fused: Stream | None,
-        downward: Sequence[str],
         objects: Mapping[str, Stream],
+        downward: int,
         send: Callable[[Any], object],
     ) -> None:
-        self._sources = {name: _Source(beam, singles.get(name), objects.get(name)) for name, beam in beams.items()}
+        self._beams = beams
+        self._singles = singles
         self._fused = fused
-        self._downward = [self._sources[name] for name in downward]
-        self._hears_nothing: set[str] = set()
+        self._objects = objects
+        self._downward = downward
+        self._of_singles = {name: _Quality() for name in singles}
+        self._of_fused: dict[str, _Quality] = {}
+        self._of_objects = {name: _Quality() for name in objects}
         self._outbox = Outbox(send)
 
     @property
@@ -82,17 +83,8 @@ class Streams:
         """Send a single stream's message that waited for its turn."""
         self._outbox.send_due(now_s)
 
-    def take(
-        self,
-        now_s: float,
-        boot_ms: int,
-        sensor: str,
-        status: Status,
-        single: Estimate | None,
-        fused: Fused | None,
-        object_below: bool = False,
-    ) -> None:
-        """Send what one reading means.
+    def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome) -> bool:
+        """Send what a downward sensor's reading means for the fused stream; False where it means nothing usable.
 
         Parameters
         ----------
@@ -100,42 +92,58 @@ class Streams:
             Time on the bridge's clock [s].
         boot_ms
             Time of the echo on the autopilot's clock [ms].
-        sensor, status
-            Whose reading, and what the sensor's answer meant.
-        single
-            What came out of the sensor's filters; None where the reading was not used.
-        fused
-            The fused distance at this time; None where there is none, or the sensor is not a downward one.
-        object_below
-            Whether the sensor sees something nearer than the ground.
+        sensor, outcome
+            Whose reading, and what the fusion made of it.
         """
-        source = self._sources[sensor]
-        source.note(status, single is not None)
-        if self._fused is not None and source in self._downward:
-            if status is Status.NO_ECHO:
-                self._hears_nothing.add(sensor)
-            else:
-                self._hears_nothing.discard(sensor)
-            if self._hears_nothing and self._most_hear_nothing():
-                self._outbox.send_now(now_s, _no_echo(self._fused, boot_ms, source.beam))
-            elif fused is not None:
-                quality = sum([each.quality for each in self._downward]) // len(self._downward)
-                self._outbox.send_now(now_s, _distance(self._fused, boot_ms, fused, source.beam, quality))
-        if source.stream is not None:
-            if single is not None:
-                message = _distance(source.stream, boot_ms, single, source.beam, source.quality)
-                self._outbox.put(source.stream.id, message)
-            elif status is Status.NO_ECHO:
-                self._outbox.put(source.stream.id, _no_echo(source.stream, boot_ms, source.beam))
-            self._outbox.send_due(now_s)
-        elif object_below and single is not None and source.object_stream is not None:
-            stream = source.object_stream
-            self._outbox.put(stream.id, _distance(stream, boot_ms, single, source.beam, source.quality))
-            self._outbox.send_due(now_s)
+        if outcome.rejected != UNCONFIRMED:
+            self._of_fused.setdefault(sensor, _Quality()).note(outcome.rejected is None)
+        if sensor in self._of_objects:
+            self._of_objects[sensor].note(outcome.rejected == OBJECT)
+        if self._fused is None:
+            return False
+        beam = self._beams[sensor]
+        if outcome.fused is not None:
+            quality = sum([each.percent for each in self._of_fused.values()]) // self._downward
+            self._outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, beam, quality))
+        elif outcome.above_maximum:
+            self._outbox.send_now(now_s, _no_echo(self._fused, boot_ms, beam))
+        else:
+            return False
+        return True
 
-    def _most_hear_nothing(self) -> bool:
-        working = [each for each in self._downward if each.status is not None and not each.status.is_fault]
-        return 2 * len(self._hears_nothing) > len(working)
+    def send_single(self, now_s: float, boot_ms: int, sensor: str, status: Status, filtered: Filtered) -> bool:
+        """Send what a reading means for its sensor's own stream; False where it means nothing usable.
+
+        Parameters
+        ----------
+        now_s, boot_ms, sensor
+            As for `send_fused`.
+        status, filtered
+            What the sensor's answer meant, and what its filters made of it.
+        """
+        stream, beam, quality = self._singles[sensor], self._beams[sensor], self._of_singles[sensor]
+        estimate = filtered.estimate
+        if filtered.rejected != UNCONFIRMED:
+            quality.note(estimate is not None)
+        if estimate is not None:
+            self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, beam, quality.percent))
+        elif status is Status.NO_ECHO:
+            self._outbox.put(stream.id, _no_echo(stream, boot_ms, beam))
+        else:
+            return False
+        self._outbox.send_due(now_s)
+        return True
+
+    def send_object(self, now_s: float, boot_ms: int, reading: Reading) -> None:
+        """Send the distance of an object below a downward sensor, where that has no stream of its own."""
+        stream = self._objects.get(reading.sensor)
+        if stream is None or reading.range_m is None:
+            return
+        variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
+        estimate, beam = Estimate(reading.range_m, variance_m2), self._beams[reading.sensor]
+        quality = self._of_objects[reading.sensor].percent
+        self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, beam, quality))
+        self._outbox.send_due(now_s)
 
 
 def _distance(stream: Stream, boot_ms: int, estimate: Estimate | Fused, beam: BreakawayTable, quality: int) -> Any:

@@ -10,11 +10,12 @@ import numpy as np
 
 from msp_range.bus.replay import RecordedPing
 from msp_range.fusion.attitude import Angles
+from msp_range.fusion.vertical import Moved
 from msp_range.reading import Status
 from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
-from msp_range.recording.topics import ATTITUDE_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
 from msp_range.sensors.polling import POLL_INTERVAL_S
 
@@ -82,6 +83,23 @@ def recorded_attitudes(path: Path | str) -> list[tuple[float, Angles]]:
         (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
         for topic, received_s, message in Recording(path)
         if topic == ATTITUDE_TOPIC
+    ]
+
+
+def recorded_motion(path: Path | str) -> list[Moved]:
+    """Accelerations and pressures that the autopilot sent, by time; none in a CSV file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    if not is_recording(path):
+        return []
+    return [
+        Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m"))
+        for topic, _, message in Recording(path)
+        if topic == MOTION_TOPIC
     ]
 
 

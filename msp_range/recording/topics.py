@@ -20,7 +20,7 @@ _MAVLINK = {
 
 _PropertyTable = dict[str, tuple[str, str]]
 
-ATTITUDE_TOPIC = "/attitude"
+ATTITUDE_TOPIC, MOTION_TOPIC = "/attitude", "/motion"
 RANGE_PREFIX = "/range/"
 _RANGE: tuple[str, _PropertyTable] = (
     "one ranging of a sensor, and what became of it stage by stage",
@@ -62,6 +62,14 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
             "roll_rad": ("number", "Euler angles, intrinsic yaw, pitch, roll [rad]"),
             "pitch_rad": ("number", "see roll_rad [rad]"),
             "yaw_rad": ("number", "see roll_rad [rad]"),
+        },
+    ),
+    MOTION_TOPIC: (
+        "how the vehicle moves up and down, by the autopilot's accelerometer or barometer",
+        {
+            "time_s": ("number", "when it was received, on the bridge's clock [s]"),
+            "up_m_s2": ("number", "acceleration upwards, gravity taken off [m/s^2]; absent in a pressure"),
+            "pressure_height_m": ("number", "the pressure as a height over any level [m]; absent in an acceleration"),
         },
     ),
     "/mavlink/sent": ("a MAVLink message that went out", _MAVLINK),

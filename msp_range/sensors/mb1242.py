@@ -16,8 +16,9 @@ MINIMUM_CM = 20
 """Objects nearer than this read this."""
 NO_ECHO_CM = 765
 """Nothing heard within the cycle reads this."""
-DOUBTFUL_CM = 255
-"""765 with its two bytes OR-ed (0x02 | 0xFD) or saturated to eight bits; also a legal distance."""
+DOUBTFUL_CM = frozenset({253, 255})
+"""765 whose high byte is lost (0xFD), whose two bytes are OR-ed (0x02 | 0xFD), or that is saturated to eight bits; also
+legal distances."""
 CLOCK_FAULT_BIT = 0x8000
 """Set where the master sampled the first bit while the sensor still stretched the clock."""
 ECHO_S_PER_CM = 58e-6
@@ -61,13 +62,28 @@ def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
     if word == MINIMUM_CM:
         return Decoded(Status.AT_MINIMUM, word / 100, word)
     if MINIMUM_CM < word < NO_ECHO_CM:
-        return Decoded(Status.OK, word / 100, word, suspect=word == DOUBTFUL_CM)
+        return Decoded(Status.OK, word / 100, word, suspect=word in DOUBTFUL_CM)
     return Decoded(Status.IMPOSSIBLE, None, word)
 
 
 def encode(reading_cm: int) -> bytes:
     """The two bytes of a reading in whole centimetres: `decode` backwards."""
     return reading_cm.to_bytes(ANSWER_BYTES, "big")
+
+
+def garbled_from(word: int) -> tuple[int, ...]:
+    """Answers of which a fault of the bus would make ``word``: the high byte lost, or OR-ed into the low one.
+
+    Examples
+    --------
+    >>> garbled_from(247), garbled_from(300)
+    ((503, 502, 759, 757), ())
+    """
+    if word > 0xFF:
+        return ()
+    lost = [high << 8 | word for high in (1, 2)]
+    mixed = [high << 8 | word & ~high for high in (1, 2) if word & high]
+    return tuple([answer for answer in dict.fromkeys([*lost, *mixed]) if answer < NO_ECHO_CM])
 
 
 class MB1242:

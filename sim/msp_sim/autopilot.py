@@ -1,20 +1,22 @@
 """The other end of the link: a loopback autopilot, and a transport that shares its bytes with a real link.
 
 `LoopbackAutopilot` is a transport of the bridge: what the bridge sends, it parses and keeps; what the bridge receives
-is an autopilot's heartbeat, attitude, pressure and temperature, and time. It has a clock of its own, answers TIMESYNC
-and commands, and can be heard late and start anew in flight. `Tee` puts a real link beside it, so that a ground station
-sees autopilot and bridge.
+is an autopilot's heartbeat, attitude, acceleration, pressure and temperature, and time. It has a clock of its own,
+answers TIMESYNC and commands, and can be heard late and start anew in flight. `Tee` puts a real link alongside it, so
+that a ground station sees autopilot and bridge.
 """
 
 import math
+import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from msp_range.clock import Clock
+from msp_range.geometry import Vector, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import Transport, TransportStats
-from msp_sim.vehicle import Pose
+from msp_sim.vehicle import GRAVITY_M_S2, Pose
 
 BOOTED_BEFORE_S = 42.5
 """How long before the flight the autopilot was switched on [s]: its clock is not the bridge's."""
@@ -23,8 +25,20 @@ REBOOT_S = 3.0
 SEA_LEVEL_HPA = 1013.25
 BAROMETER_WARMER_C = 15.0
 """The barometer's die is this much warmer than the air [K]."""
+BAROMETER_STD_M, BAROMETER_DRIFT_M = 0.15, 0.05
+"""Noise of a pressure as a height [m], and how its error wanders [m per root second]; of a good barometer, assumed."""
+ACCELEROMETER_STD_M_S2, ACCELEROMETER_BIAS_M_S2 = 0.3, 0.1
+"""Noise and constant error of each axis [m/s^2]: vibration behind an autopilot's low pass, assumed."""
 
+_MESSAGES = {
+    dialect.MAVLINK_MSG_ID_ATTITUDE: "attitude",
+    dialect.MAVLINK_MSG_ID_SCALED_PRESSURE: "pressure",
+    dialect.MAVLINK_MSG_ID_RAW_IMU: "raw_imu",
+    dialect.MAVLINK_MSG_ID_HIGHRES_IMU: "highres_imu",
+}
+"""Messages whose rate can be set."""
 _INTERVALS_S = {"heartbeat": 1.0, "system_time": 1.0, "pressure": 1.0, "attitude": 0.1}
+"""What is sent from the beginning."""
 
 
 class LoopbackAutopilot:
@@ -36,8 +50,12 @@ class LoopbackAutopilot:
         The flight's clock; ``start_s`` on it is the flight's beginning.
     pose, air_c
         The vehicle's pose and the air temperature [deg C] at a time of the flight [s].
+    sent_pose
+        What it sends as its attitude of the true pose; None: the truth.
     kind
         Which autopilot it claims to be.
+    draw
+        Noise of its accelerometer and barometer; None: they have none.
     heard_from_s, reboots_at_s
         Times of the flight [s].
     """
@@ -51,7 +69,9 @@ class LoopbackAutopilot:
         pose: Callable[[float], Pose],
         air_c: Callable[[Pose], float],
         *,
+        sent_pose: Callable[[Pose], Pose] | None = None,
         kind: Autopilot = "ardupilot",
+        draw: random.Random | None = None,
         heard_from_s: float = 0.0,
         reboots_at_s: Sequence[float] = (),
     ) -> None:
@@ -60,6 +80,7 @@ class LoopbackAutopilot:
         self._clock = clock
         self._start_s = clock.now()
         self._pose = pose
+        self._sent_pose = sent_pose or (lambda pose: pose)
         self._air_c = air_c
         self._kind = dialect.MAV_AUTOPILOT_PX4 if kind == "px4" else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
         self._heard_from_s = heard_from_s
@@ -67,13 +88,25 @@ class LoopbackAutopilot:
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
         self._mav.robust_parsing = True
+        self._intervals_s = dict(_INTERVALS_S)
         self._due_s = dict.fromkeys(_INTERVALS_S, 0.0)
+        self._draw = draw
+        self._drift_m, self._drift_s = 0.0, 0.0
+        self._sampled = pose(0.0)
+        self._force_bias = [draw.gauss(0.0, ACCELEROMETER_BIAS_M_S2) if draw else 0.0 for _ in range(3)]
         self._outgoing = bytearray()
 
     @property
     def connected(self) -> bool:
         """A loopback is always there."""
         return True
+
+    @property
+    def quiet_until_s(self) -> float:
+        """When it speaks next [s on the flight's clock]."""
+        if self._outgoing:
+            return float("-inf")
+        return self._start_s + min(*self._due_s.values(), *self._reboots_at_s[:1], float("inf"))
 
     def send(self, frame: bytes) -> bool:
         """Take a frame from the bridge."""
@@ -114,7 +147,7 @@ class LoopbackAutopilot:
         for what, due_s in self._due_s.items():
             if now_s < due_s:
                 continue
-            self._due_s[what] = max(due_s + _INTERVALS_S[what], now_s)
+            self._due_s[what] = max(due_s + self._intervals_s[what], now_s)
             if what == "heartbeat":
                 message = dialect.MAVLink_heartbeat_message(
                     dialect.MAV_TYPE_QUADROTOR, self._kind, 0, 0, dialect.MAV_STATE_ACTIVE, 3
@@ -123,15 +156,54 @@ class LoopbackAutopilot:
                 message = dialect.MAVLink_system_time_message(0, boot_ms)
             else:
                 pose = pose or self._pose(now_s)
-                message = self._attitude(boot_ms, pose) if what == "attitude" else self._pressure(boot_ms, pose)
+                message = self._measured(what, boot_ms, now_s, pose)
             self._put(message)
 
-    def _attitude(self, boot_ms: int, pose: Pose) -> Any:
-        return dialect.MAVLink_attitude_message(boot_ms, pose.roll_rad, pose.pitch_rad, pose.yaw_rad, 0.0, 0.0, 0.0)
+    def _measured(self, what: str, boot_ms: int, now_s: float, pose: Pose) -> Any:
+        if what == "attitude":
+            pose = self._sent_pose(pose)
+            return dialect.MAVLink_attitude_message(boot_ms, pose.roll_rad, pose.pitch_rad, pose.yaw_rad, 0.0, 0.0, 0.0)
+        if what == "pressure":
+            return self._pressure(boot_ms, now_s, pose)
+        x, y, z = self._specific_force(pose)
+        if what == "raw_imu":
+            milli_g = [round(1000 * each / GRAVITY_M_S2) for each in (x, y, z)]
+            return dialect.MAVLink_raw_imu_message(1000 * boot_ms, *milli_g, 0, 0, 0, 0, 0, 0)
+        return dialect.MAVLink_highres_imu_message(
+            1000 * boot_ms, x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 15.0, 7
+        )
 
-    def _pressure(self, boot_ms: int, pose: Pose) -> Any:
+    def _specific_force(self, pose: Pose) -> Vector:
+        """What the accelerometer measures, body FRD: f = R^T (a - g), with its noise [m/s^2].
+
+        The acceleration a is the mean since the sample before, so that a profile's sudden change of speed shows.
+        """
+        before, self._sampled = self._sampled, pose
+        elapsed_s = pose.time_s - before.time_s
+        a_north, a_east, a_down = (
+            (now_m_s - before_m_s) / elapsed_s if elapsed_s > 0.0 else 0.0
+            for now_m_s, before_m_s in zip(pose.velocity_ned_m_s, before.velocity_ned_m_s, strict=True)
+        )
+        north, east, down = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        net = (a_north, a_east, a_down - GRAVITY_M_S2)
+        x, y, z = (
+            north[i] * net[0]
+            + east[i] * net[1]
+            + down[i] * net[2]
+            + self._force_bias[i]
+            + self._noise(ACCELEROMETER_STD_M_S2)
+            for i in range(3)
+        )
+        return x, y, z
+
+    def _noise(self, std: float) -> float:
+        return self._draw.gauss(0.0, std) if self._draw else 0.0
+
+    def _pressure(self, boot_ms: int, now_s: float, pose: Pose) -> Any:
         """Barometric formula p = p0 exp(-h / 8434 m); the temperature is the barometer's and too warm."""
-        height_m = -pose.position_ned_m[2]
+        self._drift_m += self._noise(BAROMETER_DRIFT_M * math.sqrt(now_s - self._drift_s))
+        self._drift_s = now_s
+        height_m = self._drift_m + self._noise(BAROMETER_STD_M) - pose.position_ned_m[2]
         temperature_cdeg = round((self._air_c(pose) + BAROMETER_WARMER_C) * 100)
         pressure_hpa = SEA_LEVEL_HPA * math.exp(-height_m / 8434.0)
         return dialect.MAVLink_scaled_pressure_message(boot_ms, pressure_hpa, 0.0, temperature_cdeg)
@@ -143,6 +215,10 @@ class LoopbackAutopilot:
         elif kind == "COMMAND_LONG" and message.target_component == dialect.MAV_COMP_ID_AUTOPILOT1:
             source = (message.get_srcSystem(), message.get_srcComponent())
             result = dialect.MAV_RESULT_ACCEPTED
+            if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL and int(message.param1) in _MESSAGES:
+                what = _MESSAGES[int(message.param1)]
+                self._intervals_s[what] = message.param2 * 1e-6
+                self._due_s.setdefault(what, now_s)
             self._put(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
 
     def _put(self, message: Any) -> None:
@@ -152,6 +228,8 @@ class LoopbackAutopilot:
 
 class Tee:
     """A real link beside the loopback autopilot: both hear the bridge, and the real link hears the autopilot too."""
+
+    quiet_until_s = float("-inf")
 
     def __init__(self, link: Transport, autopilot: LoopbackAutopilot) -> None:
         self.description = link.description

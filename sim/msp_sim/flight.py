@@ -5,6 +5,7 @@ link. What comes out is a `Flight`: what each reading became, beside the truth.
 """
 
 import hashlib
+import random
 from collections.abc import Callable
 from collections.abc import Generator as Steps
 from pathlib import Path
@@ -49,6 +50,10 @@ class _Keeping:
     @property
     def connected(self) -> bool:
         return self._transport.connected
+
+    @property
+    def quiet_until_s(self) -> float:
+        return self._transport.quiet_until_s
 
     def send(self, frame: bytes) -> bool:
         self.sha256.update(frame)
@@ -100,7 +105,7 @@ class Simulation:
         tlog: Path | None = None,
     ) -> None:
         airframe = scenario.airframe
-        for_vehicle, for_sensors = SeedSequence(seed).spawn(2)
+        for_vehicle, for_sensors, for_autopilot = SeedSequence(seed).spawn(3)
         self._clock = clock
         self._start_s = clock.now()
         self._duration_s = scenario.duration_s
@@ -126,8 +131,10 @@ class Simulation:
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
             clock,
-            lambda time_s: plan.sent_pose(self.vehicle.pose(time_s)) if plan else self.vehicle.pose(time_s),
+            self.vehicle.pose,
             lambda pose: self._shown_c(pose.time_s, self._air_c),
+            sent_pose=plan.sent_pose if plan else None,
+            draw=random.Random(int(for_autopilot.generate_state(1)[0])),
             kind=(plan.kind if plan else None) or airframe.link.autopilot,
             heard_from_s=plan.heard_from_s if plan else float("inf"),
             reboots_at_s=plan.reboots_at_s if plan else (),

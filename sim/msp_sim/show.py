@@ -34,8 +34,8 @@ class Live:
         """Note what the bridge did."""
         for step in steps:
             reading = step.ranging.reading
-            estimate = step.filtered.estimate
-            shown = step.filtered.rejected or (f"{estimate.range_m:.2f} m" if estimate else "-")
+            estimate = step.filtered.estimate or step.corrected
+            shown = step.filtered.rejected or f"{estimate.range_m:.2f} m"
             self._last[reading.sensor] = shown
             if step.fused is not None:
                 self._fused_m = step.fused.range_m

@@ -87,7 +87,7 @@ def test_boxes_beside_the_middle_are_told_one_by_one() -> None:
         "Range front_right",
         "Range front_left",
     ]
-    highs_m = [float(each[1].split(" of ")[1].split(" m")[0]) for each in firsts if each is not None]
+    highs_m = [float(each[1].split("below, ")[1].split(" m")[0]) for each in firsts if each is not None]
     assert highs_m == pytest.approx([0.3, 0.4, 0.5, 0.6], abs=0.11)
 
 

@@ -5,10 +5,12 @@ import pytest
 
 from msp_range.assembly import fusion_of
 from msp_range.config import load_airframe
-from msp_range.fusion import AttitudeTrack
+from msp_range.fusion import OUTLIER, AttitudeTrack
 from msp_range.reading import Reading
 from msp_range.reading_model.mixture import ReadingModel
-from msp_range.sensors.mb1242 import decode, encode
+from msp_range.sensors.mb1242 import MB1242, decode, encode
+from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_sim.bus import EmulatedBus
 from tests.support.bench import CONFIGS
 
 AIRFRAME = load_airframe(CONFIGS / "quad_pallet.yaml")
@@ -16,6 +18,7 @@ NAMES = [sensor.name for sensor in AIRFRAME.sensors]
 SLOT_S = 0.1
 ANSWERED_S = 0.030
 STD_M = 0.0196
+ANY_DEVICE = MB1242(EmulatedBus([], lambda: 0.0), 0x70)
 
 
 class Hover:
@@ -33,18 +36,27 @@ class Hover:
         self.readings = ReadingModel.of(AIRFRAME.sensors[0].sensor_model)
         self.fusion = fusion_of(AIRFRAME, AttitudeTrack())
         self.height_m, self.draw, self.slot = height_m, draw, 0
+        # The real order of pings: a reading that does not fit is asked for again.
+        self.order = RoundRobin(
+            [[PolledSensor(name, ANY_DEVICE, Timing(0.01, 0.08))] for name in NAMES], Spacing(SLOT_S), 0.0
+        )
+        self.next = self.order.turn(0.0, True)[1][0].name
 
     def step(self, below: str | None = None, object_m: float = 0.0) -> tuple[str, float, float | None]:
         """One reading: whose, when it was told [s], and what is now thought to be below that sensor [m]."""
         assert self.fusion is not None
-        name, time_s = NAMES[self.slot % 4], self.slot * SLOT_S
+        name, time_s = self.next, self.slot * SLOT_S
         self.slot += 1
         range_m = self.height_m + 0.05 * np.sin(1.5 * time_s) - (object_m if name == below else 0.0)
         decoded = decode(encode(self.readings.sample_one(100 * range_m, self.draw)))
         std_m = None if decoded.range_m is None else STD_M
         echo_s = time_s + range_m * 2.9e-3
         reading = Reading(echo_s, name, decoded.status, decoded.range_m, std_m, decoded.raw, decoded.suspect)
-        self.fusion.update(self.fusion.judge(reading), time_s + ANSWERED_S)
+        outcome = self.fusion.update(reading, time_s + ANSWERED_S)
+        # The next turn is planned before this reading's outcome is known.
+        self.next = self.order.turn(time_s, True)[1][0].name
+        if outcome.rejected == OUTLIER and outcome.fused is not None:
+            self.order.again(name)
         return name, time_s + ANSWERED_S, self.fusion.object_m(name)
 
 

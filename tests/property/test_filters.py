@@ -127,14 +127,17 @@ def test_shifted_time_stamps_change_nothing(
 @settings(deadline=None, max_examples=25)
 @given(flight=flights)
 def test_a_chain_of_one_is_that_one(parameters: dict[str, Any], flight: list[tuple[float, int]]) -> None:
-    """But for what the chain is there for: after a long gap it starts anew."""
-    one, last_s = ADAPTER.validate_python(parameters).make(SENSOR), 0.0
+    """But for what the chain is there for: after a long gap it starts anew, once two readings agree."""
+    one, last_s = ADAPTER.validate_python(parameters).make(SENSOR), float("-inf")
     chain = Chain([ADAPTER.validate_python(parameters).make(SENSOR)])
     time_s = 0.0
     for step_s, range_cm in flight:
         time_s += step_s
         if time_s - last_s > MEMORY_S:
             one.reset()
+            one.update(time_s, Estimate(range_cm / 100, STD_M * STD_M))
+            assert chain.update(Reading(time_s, "a", Status.OK, range_cm / 100, STD_M)).estimate is None
+            time_s += 0.1
         last_s = time_s
         alone = one.update(time_s, Estimate(range_cm / 100, STD_M * STD_M))
         assert chain.update(Reading(time_s, "a", Status.OK, range_cm / 100, STD_M)).estimate == alone

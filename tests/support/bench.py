@@ -71,6 +71,7 @@ class Wire:
         self.stats = TransportStats()
         self.last_error: str | None = None
         self.connected = True
+        self.quiet_until_s = float("-inf")
         self.arriving = b""
         self.frames: list[tuple[float, bytes]] = []
         self._clock = clock

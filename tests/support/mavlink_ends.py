@@ -11,6 +11,7 @@ class MemoryTransport:
 
     description = "memory"
     connected = True
+    quiet_until_s = float("-inf")
     last_error: str | None = None
 
     def __init__(self) -> None:

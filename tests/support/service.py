@@ -35,7 +35,7 @@ def sonars(forward_cm: Sequence[int], slanted_cm: Sequence[int], down_cm: Sequen
     return [Sonar(0x70, forward_cm), Sonar(0x71, slanted_cm), Sonar(0x72, down_cm), Sonar(0x73, down_cm)]
 
 
-VARIED = sonars(forward_cm=[120, 121, 765, 300, 20], slanted_cm=[411, 765, 409], down_cm=[250, 251, 249, 252])
+VARIED = sonars(forward_cm=[24, 25, 765, 22, 20], slanted_cm=[411, 765, 409], down_cm=[250, 251, 249, 252])
 """Ranges, missed echoes and the shortest report, so that messages differ from each other."""
 
 

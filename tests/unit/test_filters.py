@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msp_range.filters.base import Estimate, Filter
-from msp_range.filters.chain import Chain, Filtered
+from msp_range.filters.chain import MEMORY_S, UNCONFIRMED, Chain, Filtered
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
 from msp_range.filters.median import MedianParameters
 from msp_range.filters.moving_average import MovingAverageParameters
@@ -169,25 +169,32 @@ def outcome(chain: Chain, time_s: float, range_m: float, *, suspect: bool = Fals
     return filtered.rejected if filtered.estimate is None else filtered.estimate.range_m
 
 
+def started(filters: list[Any], time_s: float, range_m: float, memory_s: float = MEMORY_S) -> Chain:
+    """A chain that has two readings alike behind it, the second at ``time_s``."""
+    chain = Chain(filters, memory_s)
+    assert outcome(chain, time_s - 0.1, range_m) == UNCONFIRMED
+    outcome(chain, time_s, range_m)
+    return chain
+
+
 @pytest.mark.parametrize("status", [status for status in Status if not status.has_range])
 def test_no_code_passes_the_gate_and_none_touches_a_filter(status: Status) -> None:
-    chain = Chain([MovingAverageParameters(filter="moving_average").make()])
-    chain.update(reading(0.0, 3.0))
+    chain = started([MovingAverageParameters(filter="moving_average").make()], 0.0, 3.0)
     assert chain.update(reading(0.4, None, status)) == Filtered(None, status.value)
-    assert outcome(chain, 0.8, 4.0) == 3.5
+    assert outcome(chain, 0.8, 4.5) == 3.5
 
 
 def test_an_empty_chain_gives_the_reading_and_its_variance() -> None:
-    assert Chain([]).update(reading(0.0, 3.0)).estimate == (3.0, pytest.approx(VARIANCE_M2))
-    at_minimum = Reading(0.0, "a", Status.AT_MINIMUM, 0.2)
-    assert Chain([]).update(at_minimum).estimate == (0.2, math.inf)
+    assert started([], 0.0, 3.0).update(reading(0.1, 3.0)).estimate == (3.0, pytest.approx(VARIANCE_M2))
+    at_minimum = Reading(0.1, "a", Status.AT_MINIMUM, 0.2)
+    assert started([], 0.0, 0.2).update(at_minimum).estimate == (0.2, math.inf)
 
 
 def test_filters_run_in_order() -> None:
     median, mean = MedianParameters(filter="median", window=3), MovingAverageParameters(filter="moving_average")
     chain = Chain([median.make(), mean.make()])
     out = [outcome(chain, ROUND_S * i, range_m) for i, range_m in enumerate([3.0, 3.0, 9.0, 3.0])]
-    assert out == [3.0, 3.0, 3.0, 3.0]
+    assert out == [UNCONFIRMED, 3.0, 3.0, 3.0]
 
 
 def test_what_a_filter_holds_back_goes_no_further() -> None:
@@ -219,10 +226,12 @@ def test_what_a_filter_holds_back_goes_no_further() -> None:
     ],
 )
 def test_255_passes_where_the_prediction_contains_it(ranges_m: list[float], passes: bool) -> None:
-    chain = Chain([])
+    chain = started([], 59.9, 4.0)
     # A flight before, whose speed must be forgotten.
     for time_s, range_m in [(60.0, 4.0), (60.4, 5.5)]:
         outcome(chain, time_s, range_m)
+    for range_m in ranges_m[:1]:
+        assert outcome(chain, 70.0 - 1e-3, range_m) == UNCONFIRMED
     for i, range_m in enumerate(ranges_m):
         assert outcome(chain, 70.0 + ROUND_S * i, range_m) == range_m
     assert outcome(chain, 70.0 + ROUND_S * len(ranges_m), 2.55, suspect=True) == (2.55 if passes else "suspect")
@@ -238,20 +247,36 @@ def test_255_for_ever_is_believed_only_where_the_vehicle_was_there() -> None:
 
 
 def test_an_ordinary_reading_at_255_needs_no_prediction() -> None:
-    assert outcome(Chain([]), 0.0, 2.55) == 2.55
+    assert outcome(started([], 0.0, 2.6), 0.1, 2.55) == 2.55
 
 
 @pytest.mark.parametrize(("gap_s", "forgotten"), [(1.4, False), (1.6, True)])
 def test_after_a_gap_the_filters_start_anew(gap_s: float, forgotten: bool) -> None:
-    chain = Chain([MovingAverageParameters(filter="moving_average").make()])
-    outcome(chain, 10.0, 3.0)
-    assert outcome(chain, 10.0 + gap_s, 4.0) == (4.0 if forgotten else 3.5)
+    chain = started([MovingAverageParameters(filter="moving_average").make()], 10.0, 3.0)
+    first, second = outcome(chain, 10.0 + gap_s, 4.5), outcome(chain, 10.1 + gap_s, 4.5)
+    assert (first, second) == ((UNCONFIRMED, 4.5) if forgotten else (3.5, pytest.approx(3.75)))
+
+
+def test_the_memory_follows_the_polling() -> None:
+    chain = started([], 10.0, 3.0, memory_s=8.0)
+    assert outcome(chain, 17.9, 4.0) == 4.0
+
+
+def test_after_a_start_two_readings_must_agree() -> None:
+    """As after a long time without an echo, when an outlier comes alone."""
+    chain = Chain([])
+    ranges_m = [0.32, 4.0, 3.9, 3.8]
+    out = [outcome(chain, 20.0 + ROUND_S * i, range_m) for i, range_m in enumerate(ranges_m)]
+    assert out == [UNCONFIRMED, UNCONFIRMED, 3.9, 3.8]
+    # A vehicle that climbs fast agrees with itself, and a reading of long ago with nothing.
+    assert outcome(started([], 10.0, 3.0), 30.0, 3.0) == UNCONFIRMED
+    fast = Chain([])
+    assert [outcome(fast, 0.4 * i, 3.0 + 2.0 * i) for i in range(2)] == [UNCONFIRMED, 5.0]
 
 
 @pytest.mark.parametrize(("gap_s", "passes"), [(1.4, True), (1.6, False)])
 def test_a_prediction_is_as_old_as_the_filters_memory_at_most(gap_s: float, passes: bool) -> None:
-    chain = Chain([])
-    outcome(chain, 10.0, 2.55)
+    chain = started([], 10.0, 2.55)
     assert outcome(chain, 10.0 + gap_s, 2.55, suspect=True) == (2.55 if passes else "suspect")
 
 
@@ -261,6 +286,7 @@ def test_after_a_gap_every_filter_of_the_chain_starts_anew() -> None:
         chain = Chain([parameters.make() for parameters in filters])
         for number in range(5):
             chain.update(Reading(0.1 * number, "a", Status.OK, 6.0, 0.02, 600))
+        chain.update(Reading(2.9, "a", Status.OK, 1.0, 0.02, 100))
         filtered = chain.update(Reading(3.0, "a", Status.OK, 1.0, 0.02, 100))
         assert filtered.estimate is not None
         assert filtered.estimate.range_m == 1.0

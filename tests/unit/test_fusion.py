@@ -7,10 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, RecordedAttitude
+from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, RecordedAttitude, Windows
 from msp_range.fusion.attitude import OLDEST_S
-from msp_range.fusion.fusion import MEMORY_S, NEWEST_S
-from msp_range.fusion.sightings import WINDOW_S
 from msp_range.geometry import Vector, boresight
 from msp_range.reading import Reading, Status
 
@@ -19,12 +17,14 @@ SLOT_S = 0.1
 NAMES = "abcd"
 CORNERS = {"a": (0.25, -0.2), "b": (0.25, 0.2), "c": (-0.25, -0.2), "d": (-0.25, 0.2)}
 DOWN: Vector = (0.0, 0.0, 1.0)
+WINDOWS = Windows()
+NEWEST_S, MEMORY_S, HELD_S = WINDOWS.newest_s, WINDOWS.memory_s, WINDOWS.held_s
 
 
 def four(below_m: float = 0.0, oblique: Oblique = "slant", attitude: AttitudeTrack | None = None) -> Fusion:
     """Sensors under the corners of a pallet, straight down."""
     sensors = {name: DownwardSensor((x, y, below_m), DOWN, oblique) for name, (x, y) in CORNERS.items()}
-    return Fusion(sensors, attitude or AttitudeTrack())
+    return Fusion(sensors, attitude or AttitudeTrack(), WINDOWS, maximum_m=1000.0)
 
 
 def reading(name: str, time_s: float, range_m: float | None, raw: int | None = None, suspect: bool = False) -> Reading:
@@ -36,7 +36,7 @@ def reading(name: str, time_s: float, range_m: float | None, raw: int | None = N
 
 
 def take(fusion: Fusion, each: Reading) -> Fused | None:
-    return fusion.update(fusion.judge(each), each.time_s + 0.03)
+    return fusion.update(each, each.time_s + 0.03).fused
 
 
 def fly(
@@ -189,7 +189,7 @@ def test_a_canted_sensor_reads_the_slant_or_the_nearest_point(
         )
         for i, name in enumerate(NAMES)
     }
-    fused = fly(Fusion(sensors, AttitudeTrack()), lambda name, time_s: 5.0, 40)[-1]
+    fused = fly(Fusion(sensors, AttitudeTrack(), WINDOWS), lambda name, time_s: 5.0, 40)[-1]
     assert fused is not None
     cosine = math.cos(math.radians(tilt_deg))
     assert fused.range_m == pytest.approx(down(5.0, cosine) + 0.07, rel=1e-6)
@@ -200,15 +200,22 @@ def test_a_canted_sensor_reads_the_slant_or_the_nearest_point(
 
 def test_the_first_reading_waits_for_one_that_agrees() -> None:
     fusion = four()
-    assert take(fusion, reading("a", 0.0, 1.2)) is None
-    assert take(fusion, reading("b", 0.1, 3.0)) is None
-    fused = take(fusion, reading("c", 0.2, 3.02))
+    assert take(fusion, reading("a", 0.0, 3.0)) is None
+    fused = take(fusion, reading("b", 0.1, 3.02))
     assert fused is not None
     assert fused.range_m == pytest.approx(3.02)
 
 
+def test_a_first_reading_that_does_not_agree_makes_the_others_wait_for_more() -> None:
+    fusion = four()
+    out = [take(fusion, reading(NAMES[i % 4], i * SLOT_S, 1.2 if i == 0 else 3.0)) for i in range(12)]
+    assert [each is None for each in out] == [True] * 7 + [False] * 5
+    assert out[7] is not None
+    assert out[7].range_m == pytest.approx(3.0)
+
+
 def test_one_sensor_alone_needs_two_readings_to_believe_a_step_and_knows_no_objects() -> None:
-    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack())
+    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS)
     wild = [4.0] * 20 + [2.0] + [4.0] * 9 + [3.0] * 10
     out = [take(fusion, reading("a", i * SLOT_S, range_m)) for i, range_m in enumerate(wild)]
     assert [i for i, each in enumerate(out) if each is None] == [0, 20, 30]
@@ -234,7 +241,7 @@ def test_nothing_is_told_of_what_was_seen_too_long_ago() -> None:
     def after(gap_s: float, told_s: float = 0.03) -> Fused | None:
         fusion = four()
         fly(fusion, lambda name, time_s: 3.0, 20)
-        return fusion.update(reading("a", 1.9 + gap_s, None), 1.9 + gap_s + told_s)
+        return fusion.update(reading("a", 1.9 + gap_s, None), 1.9 + gap_s + told_s).fused
 
     assert after(NEWEST_S - 0.01) is not None
     assert after(NEWEST_S + 0.01) is None
@@ -250,11 +257,11 @@ def test_of_two_sensors_one_must_go_on_seeing_the_ground() -> None:
     fusion = four()
     for i in range(20):
         take(fusion, reading("ab"[i % 2], i * SLOT_S, 3.0))
-    take(fusion, reading("a", 2.0, 3.0))
-    take(fusion, reading("a", 2.3, 3.0))
-    assert take(fusion, reading("c", 1.9 + WINDOW_S - 0.02, None)) is not None
-    take(fusion, reading("a", 2.6, 3.0))
-    assert take(fusion, reading("c", 2.7, None)) is None
+    for i in range(20, 34):
+        take(fusion, reading("a", i * SLOT_S, 3.0))
+        # The other's last reading was at 1.9 s.
+        told = take(fusion, reading("c", (i + 0.5) * SLOT_S, None)) is not None
+        assert told is ((i + 0.5) * SLOT_S <= 1.9 + HELD_S), i
 
 
 def test_only_downward_sensors_belong_to_it() -> None:
@@ -316,12 +323,12 @@ def test_stuck_sensors_do_not_hold_the_ground_and_are_faults(stuck: str, speed_m
     assert out[-1] is not None
     assert out[-1].range_m == pytest.approx(end_m, abs=0.06)
     for name in NAMES:
-        judged = fusion.judge(reading(name, 12.0, 3.01, raw=301))
+        judged = fusion.update(reading(name, 8.0, 3.01, raw=301), 8.0).reading
         assert (judged.status is Status.STUCK) is (name in stuck)
         assert (judged.range_m is None) is (name in stuck)
     # What it reads is not an object either.
     assert [fusion.object_m(name) for name in stuck] == [None] * len(stuck)
-    healthy = fusion.judge(reading(stuck[0], 12.1, end_m, raw=round(100 * end_m)))
+    healthy = fusion.update(reading(stuck[0], 8.1, end_m, raw=round(100 * end_m)), 8.1).reading
     assert healthy.status is Status.OK
 
 
@@ -329,8 +336,9 @@ def test_a_sensor_that_repeats_itself_over_calm_ground_is_not_stuck() -> None:
     fusion = four()
     for i in range(200):
         each = reading(NAMES[i % 4], i * SLOT_S, 3.0, raw=300)
-        assert fusion.judge(each) is each
-        assert fusion.update(each, each.time_s) is not None or i == 0
+        outcome = fusion.update(each, each.time_s)
+        assert outcome.reading is each
+        assert outcome.fused is not None or i == 0
 
 
 def test_sensors_at_their_minimum_on_the_ground_are_not_stuck() -> None:
@@ -340,8 +348,9 @@ def test_sensors_at_their_minimum_on_the_ground_are_not_stuck() -> None:
         height_m = 0.1 + max(0.0, 0.5 * (i * SLOT_S - 5.0))
         range_m = max(round(height_m, 2), 0.20)
         each = reading(NAMES[i % 4], i * SLOT_S, range_m, raw=round(100 * range_m))
-        assert fusion.judge(each) is each
-        fused = fusion.update(each, each.time_s)
+        outcome = fusion.update(each, each.time_s)
+        assert outcome.reading is each
+        fused = outcome.fused
     assert fused is not None
     assert fused.range_m == pytest.approx(height_m, abs=0.05)
 

@@ -7,7 +7,7 @@ for two others that see the floor. It is measured and not made up, and knows not
 import numpy as np
 import pytest
 
-from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion
+from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
 from msp_range.reading import Reading, Status
 from tests.support.data import measured_data
 
@@ -22,14 +22,16 @@ BOX_M = 0.16
 def test_the_boxes_of_a_real_flight_are_found_and_left_out_of_the_ground() -> None:
     table = np.genfromtxt(measured_data("crazyflie-terrain/log07.csv"), delimiter=",", names=True)
     fusion = Fusion(
-        {name: DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant") for name in ("ranger", "p", "q")}, AttitudeTrack()
+        {name: DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant") for name in ("ranger", "p", "q")},
+        AttitudeTrack(),
+        Windows(),
     )
     seen, off_m = [], []
     for i, (time_s, range_m, floor_m) in enumerate(zip(table["t_s"], table["range_m"], table["est_z_m"], strict=True)):
         if floor_m < FLYING_M:
             continue
         for name, each_m, raw in (("pq"[i % 2], floor_m, 2 * i), ("ranger", range_m, 2 * i + 1)):
-            fused = fusion.update(Reading(time_s, name, Status.OK, each_m, STD_M, raw), time_s)
+            fused = fusion.update(Reading(time_s, name, Status.OK, each_m, STD_M, raw), time_s).fused
         object_m = fusion.object_m("ranger")
         seen.append((time_s, 0.0 if object_m is None else object_m))
         if fused is not None:

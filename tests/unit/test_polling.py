@@ -108,6 +108,23 @@ def test_four_sensors_in_turn_are_two_and_a_half_hertz_each_and_ten_together() -
     assert all(late - early == pytest.approx(0.1) for early, late in pairwise(times_s))
 
 
+def test_a_sensor_whose_reading_did_not_fit_has_another_turn_soon_and_not_for_ever() -> None:
+    bench = Bench(ROUND)
+    order = []
+    for _ in range(24):
+        order += [ranging.reading.sensor for ranging in bench.poll(0.1)]
+        if order[-1:] == ["b"]:
+            bench.schedule.again("b")
+    # The turn after b's is planned when its answer comes; twice within two seconds it has the one after that.
+    assert "".join(order).startswith("abcbdbabcdabcdabcdab")
+    # A sensor that is alone has all turns anyway.
+    alone = Bench(["a"])
+    alone.poll(0.3)
+    alone.schedule.again("a")
+    alone.poll(0.3)
+    assert alone.intervals_s("a") == pytest.approx([0.1] * 5)
+
+
 def test_a_group_pings_together_and_groups_take_turns() -> None:
     bench = Bench(["ab", "c"])
     bench.sonars["a"].ready_s, bench.sonars["b"].ready_s = 0.050, 0.025

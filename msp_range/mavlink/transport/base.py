@@ -54,6 +54,11 @@ class Transport(Protocol):
         """Whether somebody is there, as far as can be known."""
         ...
 
+    @property
+    def quiet_until_s(self) -> float:
+        """Nothing arrives before this time [s]; minus infinity where that is not known, as on every real link."""
+        ...
+
     def send(self, frame: bytes) -> bool:
         """Send one whole frame now or within its deadline; False where it was dropped at once."""
         ...
@@ -73,6 +78,7 @@ class Nowhere:
     description = "nowhere"
     last_error = None
     connected = True
+    quiet_until_s = float("inf")
 
     def __init__(self) -> None:
         self.stats = TransportStats()
@@ -95,6 +101,8 @@ class Reconnecting(ABC):
 
     Subclasses say how to open and how to let go.
     """
+
+    quiet_until_s = float("-inf")
 
     def __init__(self, description: str, clock: Clock) -> None:
         self.description = description

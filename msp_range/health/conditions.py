@@ -35,6 +35,7 @@ _WORDS = {
     Status.IMPOSSIBLE: "impossible answers",
     Status.PART_INFO: "answers without ranging",
     Status.STUCK: "stuck at one value",
+    Status.GARBLED: "garbled answers, check the bus",
 }
 
 
@@ -69,6 +70,11 @@ class Health:
     def bad_sensors(self) -> list[str]:
         """Sensors that are out of order now."""
         return [name for name, sensor in self._sensors.items() if sensor.fault is not None]
+
+    @property
+    def failing_sensors(self) -> list[str]:
+        """Sensors that are out of order, and those whose newest reading was a fault."""
+        return [name for name, sensor in self._sensors.items() if sensor.fault is not None or sensor.streak_bad]
 
     @property
     def complete(self) -> bool:

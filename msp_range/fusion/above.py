@@ -1,0 +1,84 @@
+"""Whether the vehicle is above its sensors' range, or they hear nothing of a ground that is near.
+
+What the downward sensors heard and the last known distance to the ground enter. 'Above the maximum' is an answer that
+an autopilot believes, so it is given only where the vehicle can be there: where it may have climbed so far since the
+ground was last seen, or, where no ground was ever seen, where all sensors have heard nothing for some turns.
+"""
+
+from typing import NamedTuple
+
+from msp_range.fusion.vertical import Mark, VerticalMotion
+
+TURNS = 3
+"""Readings in a row of every working sensor that must be without an echo where no ground is known. Fewer take a soft
+landing place for the sky, more are late after a restart in cruise."""
+MARGIN_M = 0.3
+"""A climb that ends this far below the maximum counts as one to it [m]: sensors lose the ground a little sooner."""
+CLIMB_SIGMAS = 3.0
+"""A climb by the barometer may be longer than it says by so many standard deviations."""
+ACCELERATION_M_S2, FASTEST_M_S = 2.0, 5.0
+"""How fast a vehicle without a barometer may have begun to climb [m/s^2], and the fastest that it may climb [m/s].
+Larger says 'above the maximum' sooner over ground that the sensors do not hear, smaller is silent longer after a climb
+through the maximum."""
+
+
+class LastSeen(NamedTuple):
+    """The ground when last seen: when [s], how far away [m], how fast that grew [m/s], and the barometer's mark."""
+
+    time_s: float
+    range_m: float
+    climb_m_s: float
+    mark: Mark | None
+
+
+class AboveMaximum:
+    """Decides at each reading whether the vehicle is above its sensors' range.
+
+    Parameters
+    ----------
+    maximum_m
+        The longest distance that the sensors can tell [m].
+    motion
+        How the vehicle moves by its barometer.
+    """
+
+    def __init__(self, maximum_m: float, motion: VerticalMotion) -> None:
+        self._maximum_m = maximum_m
+        self._motion = motion
+        self._no_echo: dict[str, int] = {}
+        self._last: LastSeen | None = None
+
+    def note(self, sensor: str, no_echo: bool, works: bool) -> None:
+        """Count a sensor's readings in a row without an echo; a sensor at fault does not count."""
+        if works:
+            self._no_echo[sensor] = self._no_echo.get(sensor, 0) + 1 if no_echo else 0
+        else:
+            self._no_echo.pop(sensor, None)
+
+    def on_ground_seen(self, last: LastSeen) -> None:
+        """The ground is seen: from here the vehicle climbs or does not."""
+        self._last = last
+
+    def decide(self, now_s: float) -> bool:
+        """Whether the vehicle is above the maximum: most working sensors hear nothing, and it may have got there."""
+        counts = self._no_echo.values()
+        silent = sum([count > 0 for count in counts])
+        if not silent or 2 * silent <= len(counts):
+            return False
+        if self._last is None:
+            if min(counts) < TURNS:
+                return False
+            self._last = LastSeen(now_s, self._maximum_m, 0.0, self._motion.mark(now_s))
+        return self._reachable(self._last, now_s)
+
+    def _reachable(self, last: LastSeen, now_s: float) -> bool:
+        elapsed_s = now_s - last.time_s
+        climb = self._motion.climbed(last.mark, now_s)
+        if climb is not None:
+            highest_m = climb.height_m + CLIMB_SIGMAS * climb.std_m
+        else:
+            rate_m_s = min(max(last.climb_m_s, 0.0), FASTEST_M_S)
+            speeding_s = min((FASTEST_M_S - rate_m_s) / ACCELERATION_M_S2, elapsed_s)
+            highest_m = rate_m_s * speeding_s + 0.5 * ACCELERATION_M_S2 * speeding_s**2
+            highest_m += FASTEST_M_S * (elapsed_s - speeding_s)
+        return last.range_m + highest_m >= self._maximum_m - MARGIN_M

@@ -1,0 +1,245 @@
+"""How the vehicle moves up and down by its accelerometer and its barometer: a witness that no range has a part in.
+
+Vertical accelerations and pressures enter as the autopilot sends them, never an estimate of its height, which may rest
+on the stream that is to be judged. What leaves is the acceleration between two readings, for the prediction of the
+ground filter, and how far the vehicle has climbed since some time, for decisions that ranges alone cannot make.
+
+A Kalman filter of height z [m], climb w [m/s] and accelerometer bias b [m/s^2] joins them:
+
+    z' = w    w' = a - b    b' = white noise    barometer: y = z + white noise
+
+The barometer's slow drift is not told from z; it is counted where a climb is quoted (`VerticalMotion.climbed`).
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+GRAVITY_M_S2 = 9.80665
+CURRENT_S = 0.3
+"""An acceleration or a pressure this old says nothing of now [s]: seven samples of the accelerations that are asked
+for, three of the pressures."""
+GREATEST_M_S2 = 80.0
+"""A vertical acceleration beyond this is a fault of the message and not a motion [m/s^2]."""
+FASTEST_M_S, SHORTEST_S = 30.0, 0.1
+"""A pressure that changes faster than this is another level of pressure and no climb [m/s]; over at least this time
+[s], so that the noise of two that follow at once is no speed."""
+FORGOTTEN_S = 2.0
+"""After this long without a pressure the filter starts anew [s]: by accelerations alone 2 m are soon lost."""
+ACCELERATION_STD_M_S2 = 0.4
+"""Of one acceleration, vibration and the turning of the body included [m/s^2]; larger trusts the barometer sooner."""
+UNKNOWN_ACCELERATION_STD_M_S2 = 2.0
+"""Of the vehicle's acceleration where no accelerometer says it [m/s^2]."""
+BIAS_STD_M_S2, BIAS_WALK_M_S2 = 0.3, 0.01
+"""Of the accelerometer's bias at the start [m/s^2], and how it wanders in a second [m/s^2 per root second]."""
+PRESSURE_STD_M = 0.3
+"""Of one pressure as a height [m]: a barometer in the wash of rotors."""
+CLIMB_STD_M, DRIFT_M = 0.3, 0.1
+"""Standard deviation of a climb that is quoted: by the noise of the barometer [m], or by the speed's where that is
+less, and what the barometer's drift adds, growing with the root of time [m per root second]: 1 m in a minute and a
+half. Smaller values decide sooner, and wrongly in gusts."""
+SAMPLES_KEPT = 64
+"""Accelerations that are kept: 2.5 s at 25 Hz, longer than any time between readings that they are used for."""
+
+_START = (PRESSURE_STD_M**2, 0.0, 0.0, 1.0, 0.0, BIAS_STD_M_S2**2)
+"""Covariance of a filter that knows one pressure: zz, zw, zb, ww, wb, bb in SI units."""
+
+
+class Mark(NamedTuple):
+    """A height to compare later ones with: when [s], how high [m], and since which start of the filter."""
+
+    time_s: float
+    height_m: float
+    start: int
+
+
+class Climb(NamedTuple):
+    """How much higher the vehicle is than at an earlier time [m], and the standard deviation of that [m]."""
+
+    height_m: float
+    std_m: float
+
+
+class Rate(NamedTuple):
+    """How fast the vehicle climbs [m/s], and the variance of the error of that [m^2/s^2]."""
+
+    m_s: float
+    variance: float
+
+
+class VerticalMotion:
+    """Height changes of the vehicle, by accelerometer and barometer.
+
+    Examples
+    --------
+    >>> motion = VerticalMotion()
+    >>> for i in range(201):
+    ...     _ = motion.on_acceleration(i * 0.04, 0.0)
+    ...     _ = motion.on_pressure_height(i * 0.04, 120.0 + 0.5 * i * 0.04)
+    ...     mark = motion.mark(i * 0.04) if i == 150 else mark if i > 150 else None
+    >>> climb = motion.climbed(mark, 8.0)
+    >>> print(f"{climb.height_m:.1f} m, standard deviation {climb.std_m:.1f} m")
+    1.0 m, standard deviation 0.3 m
+    """
+
+    def __init__(self) -> None:
+        self._time_s = float("-inf")
+        self._acceleration_s = self._pressure_s = float("-inf")
+        self._acceleration_m_s2 = self._pressure_m = 0.0
+        self._z = self._w = self._b = 0.0
+        self._covariance = _START
+        self._start = 0
+        self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES_KEPT)
+
+    def on_acceleration(self, time_s: float, up_m_s2: float) -> bool:
+        """Update with the vehicle's acceleration upwards, gravity taken off [m/s^2]; False where it makes no sense."""
+        if not abs(up_m_s2) < GREATEST_M_S2 or time_s < self._time_s:
+            return False
+        self._predict(time_s)
+        self._acceleration_m_s2, self._acceleration_s = up_m_s2, time_s
+        self._samples.append((time_s, up_m_s2 - self._b))
+        return True
+
+    def on_pressure_height(self, time_s: float, height_m: float) -> bool:
+        """Update with the pressure as a height over any level [m]; False where it makes no sense."""
+        if not math.isfinite(height_m) or time_s < self._time_s:
+            return False
+        elapsed_s = time_s - self._pressure_s
+        jumped = abs(height_m - self._pressure_m) > FASTEST_M_S * max(elapsed_s, SHORTEST_S)
+        self._pressure_m, self._pressure_s = height_m, time_s
+        if elapsed_s > FORGOTTEN_S or jumped:
+            # Another level of pressure is no climb: nothing is known of how it compares with the heights before.
+            self._start += 1
+            self._time_s, self._z, self._w, self._covariance = time_s, height_m, 0.0, _START
+            return not jumped
+        self._predict(time_s)
+        zz, zw, zb, ww, wb, bb = self._covariance
+        total = zz + PRESSURE_STD_M * PRESSURE_STD_M
+        k_z, k_w, k_b = zz / total, zw / total, zb / total
+        off_m = height_m - self._z
+        self._z += k_z * off_m
+        self._w += k_w * off_m
+        self._b += k_b * off_m
+        self._covariance = (
+            zz - k_z * zz,
+            zw - k_z * zw,
+            zb - k_z * zb,
+            ww - k_w * zw,
+            wb - k_w * zb,
+            bb - k_b * zb,
+        )
+        return True
+
+    def acceleration(self, from_s: float, to_s: float) -> float | None:
+        """Mean acceleration upwards between two times, bias taken off [m/s^2]; None where it is not known."""
+        if to_s - self._acceleration_s > CURRENT_S or not self._samples:
+            return None
+        count, total = 0, 0.0
+        for time_s, up_m_s2 in reversed(self._samples):
+            if time_s <= from_s:
+                break
+            if time_s <= to_s:
+                count, total = count + 1, total + up_m_s2
+        return total / count if count else self._samples[-1][1]
+
+    def rate(self, time_s: float) -> Rate | None:
+        """How fast the vehicle climbs at a time close to now; None where the barometer says nothing."""
+        return Rate(self._w, self._covariance[3]) if time_s - self._pressure_s <= CURRENT_S else None
+
+    def mark(self, time_s: float) -> Mark | None:
+        """The height at a time close to now, for `climbed` later; None where the barometer says nothing."""
+        if not time_s - self._pressure_s <= CURRENT_S:
+            return None
+        return Mark(time_s, self._z + self._w * (time_s - self._time_s), self._start)
+
+    def climbed(self, since: Mark | None, now_s: float) -> Climb | None:
+        """How much higher the vehicle is now than at a mark; None where that is not known."""
+        now = self.mark(now_s)
+        if since is None or now is None or now.start != since.start:
+            return None
+        elapsed_s = max(now_s - since.time_s, 0.0)
+        short_m = min(math.sqrt(self._covariance[3]) * elapsed_s, CLIMB_STD_M)
+        return Climb(now.height_m - since.height_m, math.hypot(short_m, DRIFT_M * math.sqrt(elapsed_s)))
+
+    def _predict(self, time_s: float) -> None:
+        """x' = F x, P' = F P F^T + Q with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, 1]] for (z, w, b)."""
+        t = time_s - self._time_s
+        self._time_s = time_s
+        if not 0.0 < t < float("inf"):
+            return
+        known = time_s - self._acceleration_s <= CURRENT_S
+        net_m_s2 = self._acceleration_m_s2 - self._b if known else 0.0
+        self._z += (self._w + 0.5 * net_m_s2 * t) * t
+        self._w += net_m_s2 * t
+        zz, zw, zb, ww, wb, bb = self._covariance
+        if known:
+            half = 0.5 * t * t
+            zz += 2 * t * zw - 2 * half * zb + t * t * ww - 2 * t * half * wb + half * half * bb
+            zw += t * ww - half * wb - t * zb - t * t * wb + t * half * bb
+            zb += t * wb - half * bb
+            ww += t * t * bb - 2 * t * wb
+            wb -= t * bb
+        else:
+            zz, zw, zb = zz + t * (2 * zw + t * ww), zw + t * ww, zb + t * wb
+        speed = (ACCELERATION_STD_M_S2 if known else UNKNOWN_ACCELERATION_STD_M_S2) * t
+        way = 0.5 * speed * t
+        self._covariance = (
+            zz + way * way,
+            zw + way * speed,
+            zb,
+            ww + speed * speed,
+            wb,
+            bb + BIAS_WALK_M_S2 * BIAS_WALK_M_S2 * t,
+        )
+
+
+class Moved(NamedTuple):
+    """One message of the autopilot: when [s], and either the acceleration [m/s^2] or the pressure as a height [m]."""
+
+    time_s: float
+    up_m_s2: float | None
+    pressure_height_m: float | None
+
+
+class RecordedMotion(VerticalMotion):
+    """Recorded accelerations and pressures, each known from its time on.
+
+    Parameters
+    ----------
+    moved
+        In order of time.
+    now
+        The time that it is [s].
+    keep
+        Called with the time and each when that time has come.
+    """
+
+    def __init__(
+        self, moved: Sequence[Moved], now: Callable[[], float], keep: Callable[[float, Moved], None] | None = None
+    ) -> None:
+        super().__init__()
+        self._coming = deque(moved)
+        self._now = now
+        self._keep = keep
+
+    def acceleration(self, from_s: float, to_s: float) -> float | None:
+        """As `VerticalMotion.acceleration`, of what has been received by now."""
+        self._catch_up()
+        return super().acceleration(from_s, to_s)
+
+    def mark(self, time_s: float) -> Mark | None:
+        """As `VerticalMotion.mark`, of what has been received by now."""
+        self._catch_up()
+        return super().mark(time_s)
+
+    def _catch_up(self) -> None:
+        now_s = self._now()
+        while self._coming and self._coming[0].time_s <= now_s:
+            each = self._coming.popleft()
+            if each.up_m_s2 is not None:
+                self.on_acceleration(each.time_s, each.up_m_s2)
+            elif each.pressure_height_m is not None:
+                self.on_pressure_height(each.time_s, each.pressure_height_m)
+            if self._keep is not None:
+                self._keep(each.time_s, each)

@@ -1,0 +1,183 @@
+"""What each downward sensor saw lately, against the ground that all of them make up: its vote.
+
+A reading that fits the plane is ground. One that does not is off the ground by some distance, nearer or farther; a
+reading without a range says nothing. A sensor's last three readings are its vote, so that one missed reading and one
+outlier change nothing. Votes decide whether the ground may be sent, whether it has a step, and what is an object below
+one sensor or a hole.
+"""
+
+from collections import deque
+from collections.abc import Collection
+from statistics import median
+from typing import NamedTuple
+
+from msp_range.fusion.windows import Windows
+
+READINGS_OF_A_VOTE = 3
+"""Readings of a sensor that make its vote: with two of three one may be missed or wrong. More are surer and later."""
+AGREE_M = 0.12
+"""Readings of different sensors that are this close, moved to one time and place, see the same ground [m]: three times
+the noise of two sensors and the slope between them. Twice as much takes a kerb for no step."""
+CLOSE_M = 0.06
+"""Where only two sensors see a step and others do not, they must be this close [m]: half of what two outliers are by
+chance within `AGREE_M`."""
+LEAVING_M_S = 2.0
+"""Readings of two sensors that move on may differ by as much as the vehicle climbs between them [m/s]."""
+LEAVING_M = 0.5
+"""What moves away from the ground that stuck sensors hold is first seen no farther from it than this [m]."""
+
+
+class Seen(NamedTuple):
+    """One reading: when [s]; how much farther than the ground it was [m], None where it had no range; and its kind."""
+
+    time_s: float
+    off_m: float | None
+    is_ground: bool
+
+
+class Sight:
+    """One sensor's last readings against the ground.
+
+    Attributes
+    ----------
+    repeated
+        Whether it has given the same answer for long: where others move on, it has no vote.
+    works
+        Whether its last reading was none of a fault.
+    read_s
+        When it was last read [s].
+    """
+
+    __slots__ = ("_seen", "read_s", "repeated", "works")
+
+    def __init__(self) -> None:
+        self.repeated = False
+        self.works = False
+        self.read_s = float("-inf")
+        self._seen: deque[Seen] = deque(maxlen=READINGS_OF_A_VOTE)
+
+    def ground(self, time_s: float) -> None:
+        """It saw the ground."""
+        self._seen.append(Seen(time_s, 0.0, True))
+
+    def off(self, time_s: float, off_m: float) -> None:
+        """It saw something ``off_m`` farther than the ground."""
+        self._seen.append(Seen(time_s, off_m, False))
+
+    def nothing(self, time_s: float) -> None:
+        """Its reading had no range, or none to be believed."""
+        self._seen.append(Seen(time_s, None, False))
+
+    def newest(self, since_s: float) -> Seen | None:
+        """Its newest reading with a range, where that is not older than ``since_s``."""
+        for seen in reversed(self._seen):
+            if seen.off_m is not None:
+                return seen if seen.time_s >= since_s else None
+        return None
+
+    def clear(self) -> None:
+        """Forget its readings."""
+        self._seen.clear()
+
+    def before(self) -> Seen | None:
+        """The reading before the newest one."""
+        return self._seen[-2] if len(self._seen) > 1 else None
+
+    def votes_ground(self, since_s: float) -> bool:
+        """Whether two of its last three readings were ground, or the only one with a range."""
+        recent = [seen for seen in self._seen if seen.off_m is not None and seen.time_s >= since_s]
+        grounds = sum([seen.is_ground for seen in recent])
+        return grounds >= 2 or (grounds == 1 and len(recent) == 1)
+
+    def votes_off_m(self, since_s: float) -> float | None:
+        """Where two of its last three readings agree on another height: how much farther that is [m]."""
+        offs = [
+            seen.off_m
+            for seen in self._seen
+            if seen.off_m is not None and not seen.is_ground and seen.time_s >= since_s
+        ]
+        for i, one in enumerate(offs):
+            for other in offs[i + 1 :]:
+                if abs(one - other) < AGREE_M:
+                    return (one + other) / 2
+        return None
+
+    def move(self, by_m: float) -> None:
+        """The ground is now taken to be ``by_m`` lower than before."""
+        moved = [seen if seen.off_m is None else _moved(seen, seen.off_m - by_m) for seen in self._seen]
+        self._seen.clear()
+        self._seen.extend(moved)
+
+
+def _moved(seen: Seen, off_m: float) -> Seen:
+    return Seen(seen.time_s, off_m, abs(off_m) < AGREE_M)
+
+
+def supporters(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
+    """Sensors that vote for the ground."""
+    return sum([sight.votes_ground(now_s - windows.held_s) for sight in sights])
+
+
+def opponents(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
+    """The most sensors that vote for one and the same other height."""
+    offs = [
+        off_m
+        for sight in sights
+        if sight.works and not sight.repeated and (off_m := sight.votes_off_m(now_s - windows.held_s)) is not None
+    ]
+    return max([sum([abs(off_m - other_m) < AGREE_M for other_m in offs]) for off_m in offs], default=0)
+
+
+def electorate(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
+    """Sensors that work and have given a range lately: a step of the ground needs more than half of them."""
+    return sum([sight.works and sight.newest(now_s - windows.held_s) is not None for sight in sights])
+
+
+def working(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
+    """Sensors that are in order and do not repeat themselves, whether they give ranges or hear nothing."""
+    since_s = now_s - windows.held_s
+    return sum([sight.works and not sight.repeated and sight.read_s >= since_s for sight in sights])
+
+
+def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Windows) -> float | None:
+    """How much lower the ground is by the sensors that agree with the newest reading; None where they are too few.
+
+    More sensors must see it than still vote for the old ground, more than half of those that give ranges, and two at
+    least; a sensor that is alone must see it twice in a row. Sensors that repeat themselves do not count for the old
+    ground: where they alone hold it, they may be stuck, and the others may be climbing.
+    """
+    fresh_s, held_s = now_s - windows.fresh_s, now_s - windows.held_s
+    own = newest.newest(fresh_s)
+    if own is None or own.off_m is None or own.is_ground:
+        return None
+    recent = {sight: seen for sight in sights if sight.works and (seen := sight.newest(fresh_s)) is not None}
+    if electorate(sights, now_s, windows) == 1:
+        before = newest.before()
+        agrees = before is not None and before.off_m is not None and abs(own.off_m - before.off_m) < AGREE_M
+        return own.off_m if agrees else None
+    holding = [sight for sight, seen in recent.items() if seen.is_ground]
+    leaving = bool(holding) and all(sight.repeated for sight in holding) and abs(own.off_m) < LEAVING_M
+    speed_m_s = LEAVING_M_S if leaving else 0.0
+    agreeing = {
+        sight: seen.off_m
+        for sight, seen in recent.items()
+        if seen.off_m is not None
+        and not seen.is_ground
+        and abs(seen.off_m - own.off_m) < AGREE_M + speed_m_s * (own.time_s - seen.time_s)
+    }
+    old = [
+        sight
+        for sight in sights
+        if sight.works and sight not in agreeing and not sight.repeated and sight.votes_ground(held_s)
+    ]
+    voters = [
+        sight
+        for sight in sights
+        if sight.works and sight.newest(held_s) is not None and not (sight.repeated and sight not in agreeing)
+    ]
+    offs = list(agreeing.values())
+    if len(offs) < 2 or len(offs) <= len(old) or 2 * len(offs) <= len(voters):
+        return None
+    if len(offs) == 2 and old and abs(offs[0] - offs[1]) > CLOSE_M:
+        return None
+    return own.off_m if leaving else median(offs)

@@ -1,0 +1,99 @@
+"""What goes out, watched: silence of a stream, readings that disagree, and a deviation that is too small.
+
+Every stream's messages and every reading's use enter; conditions leave, for `msp_range.health.Health` to report when
+they change. A sensor's own faults are not here: this is what the autopilot gets of it all.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+from msp_range.health.conditions import Health, Severity
+
+FUSED = "the fused stream"
+"""Its name here, which no sensor can have."""
+DISAGREE_READINGS = 8
+"""The share of readings that were not used is taken over so many, two turns of four sensors. Fewer report what two
+outliers can do, more report later."""
+DISAGREE_SHARE = 0.5
+"""Where more than this share of the readings with a range was not used, the readings disagree [share]. At half of them
+one sensor of two, or two of four, are faulty and the others still agree."""
+NOISY_FIT = 4.0
+"""Mean square of the normalised innovations from which the readings are noisy: twice the deviation that their model
+states. The variance that is sent grows with it already; this is where the pilot should know."""
+LASTS_S, OVER_S = 1.0, 3.0
+"""A condition is reported when it has lasted so long, and over when it has been gone so long [s]: a step of the ground
+takes less than the first, and one that flickers is reported once."""
+
+
+class _Lasting:
+    """A condition that has to last, and to stay away."""
+
+    def __init__(self) -> None:
+        self.active = False
+        self._changes_s: float | None = None
+
+    def update(self, present: bool, now_s: float) -> bool:
+        """Whether the condition counts now."""
+        if present == self.active:
+            self._changes_s = None
+        elif self._changes_s is None:
+            self._changes_s = now_s
+        elif now_s - self._changes_s >= (LASTS_S if present else OVER_S):
+            self.active, self._changes_s = present, None
+        return self.active
+
+
+class OutputWatch:
+    """The streams of a vehicle, as an autopilot sees them.
+
+    Parameters
+    ----------
+    streams
+        Names of the streams that should always have something usable: `FUSED`, and sensors with one of their own.
+    silence_s
+        Nothing usable for longer than this is reported [s].
+    start_s
+        Now [s].
+    """
+
+    def __init__(self, streams: Iterable[str], silence_s: float, start_s: float) -> None:
+        self._usable_s = dict.fromkeys(streams, start_s)
+        self._silence_s = silence_s
+        self._used: deque[bool] = deque(maxlen=DISAGREE_READINGS)
+        self._fit = 1.0
+        self._disagree, self._noisy = _Lasting(), _Lasting()
+
+    def on_usable(self, stream: str, now_s: float) -> None:
+        """Note that a distance, or 'above the maximum', of a stream has gone out."""
+        if stream in self._usable_s:
+            self._usable_s[stream] = now_s
+
+    def on_range(self, used: bool, fit: float) -> None:
+        """Note whether a reading with a range was used, and the mean square of the normalised innovations."""
+        self._used.append(used)
+        self._fit = fit
+
+    @property
+    def next_event_s(self) -> float:
+        """When a stream will have been silent for too long [s]; in the past while one is."""
+        return min(self._usable_s.values(), default=float("inf")) + self._silence_s
+
+    def silent(self, now_s: float) -> list[str]:
+        """Streams that have said nothing usable for too long."""
+        return [name for name, usable_s in self._usable_s.items() if now_s - usable_s > self._silence_s]
+
+    def report(self, health: Health, now_s: float) -> None:
+        """Set the conditions as they are now."""
+        silent, failing = self.silent(now_s), health.failing_sensors
+        for name in self._usable_s:
+            text = None
+            if name in silent and name not in failing:
+                text = "Range: no distance to the ground" if name == FUSED else f"Range {name}: no distance"
+            over = "Range: distance is back" if name == FUSED else f"Range {name}: distance is back"
+            health.set(f"silent {name}", text, over, Severity.ERROR)
+        rejected = len(self._used) - sum(self._used)
+        disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
+        text = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
+        health.set("disagree", text, "Range: readings agree")
+        text = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
+        health.set("noisy", text, "Range: readings are steady")

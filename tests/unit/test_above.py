@@ -1,0 +1,88 @@
+"""When 'above the maximum' is said, and when sensors that hear nothing mean silence."""
+
+import pytest
+
+from msp_range.fusion.above import AboveMaximum, LastSeen
+from msp_range.fusion.vertical import VerticalMotion
+
+NAMES = "abcd"
+MAXIMUM_M = 7.65
+
+
+class Flight:
+    """Four sensors and a vehicle whose barometer, if it has one, says how it climbs."""
+
+    def __init__(self, barometer: bool = True) -> None:
+        self.motion = VerticalMotion()
+        self.above = AboveMaximum(MAXIMUM_M, self.motion)
+        self.barometer = barometer
+        self.time_s, self.height_m, self._i = 0.0, 2.0, 0
+
+    def fly(self, seconds: float, to_m: float | None = None, heard: str = "", faulty: str = "") -> list[bool]:
+        """One reading each 0.1 s; ``heard`` are sensors with a range. What is decided at each."""
+        steps, out = round(seconds / 0.1), []
+        climb_m = 0.0 if to_m is None else (to_m - self.height_m) / steps
+        for _ in range(steps):
+            name, self._i = NAMES[self._i % 4], self._i + 1
+            self.time_s, self.height_m = self.time_s + 0.1, self.height_m + climb_m
+            if self.barometer:
+                self.motion.on_acceleration(self.time_s, 0.0)
+                self.motion.on_pressure_height(self.time_s, self.height_m)
+            self.above.note(name, name not in heard, name not in faulty)
+            out.append(self.above.decide(self.time_s))
+        return out
+
+    def see(self, climb_m_s: float = 0.0) -> None:
+        """The ground is seen now."""
+        mark = self.motion.mark(self.time_s)
+        self.above.on_ground_seen(LastSeen(self.time_s, self.height_m, climb_m_s, mark))
+
+
+def test_a_ground_that_is_not_heard_any_more_is_not_above_the_maximum() -> None:
+    flight = Flight()
+    flight.fly(10.0, heard=NAMES)
+    flight.see()
+    assert not any(flight.fly(30.0)), "nobody has climbed 5 m"
+    flight = Flight()
+    flight.fly(10.0, to_m=7.5, heard=NAMES)
+    flight.see()
+    assert any(flight.fly(1.0, to_m=8.0))
+    assert all(flight.fly(20.0, to_m=10.0))
+
+
+def test_a_descent_that_nobody_hears_ends_what_was_above_the_maximum() -> None:
+    flight = Flight()
+    flight.height_m = 9.0
+    assert any(flight.fly(5.0)), "a restart in cruise"
+    assert all(flight.fly(10.0))
+    assert not any(flight.fly(10.0, to_m=3.0)[-20:])
+
+
+def test_without_a_barometer_it_counts_what_a_vehicle_can_climb() -> None:
+    flight = Flight(barometer=False)
+    flight.fly(2.0, heard=NAMES)
+    flight.see()
+    out = flight.fly(5.0)
+    # 5.35 m at 2 m/s^2.
+    assert out.index(True) == pytest.approx(23, abs=2)
+    assert all(out[out.index(True) :])
+    rising = Flight(barometer=False)
+    rising.height_m = 7.0
+    rising.fly(2.0, heard=NAMES)
+    rising.see(climb_m_s=3.0)
+    assert rising.fly(1.0).index(True) <= 2
+
+
+def test_where_no_ground_was_ever_seen_all_sensors_must_hear_nothing_for_three_turns() -> None:
+    out = Flight().fly(2.0)
+    assert out.index(True) == 11
+    assert Flight().fly(2.0, faulty="b").index(True) == 11, "a dead sensor has no say"
+    assert not any(Flight().fly(2.0, heard="c"))
+    assert not any(Flight().fly(2.0, faulty=NAMES))
+
+
+def test_one_outlier_in_cruise_changes_nothing_and_two_that_hear_the_ground_do() -> None:
+    flight = Flight()
+    flight.fly(3.0)
+    assert all(flight.fly(1.0, heard="b"))
+    assert not flight.fly(1.0, heard="ab")[-1]

@@ -1,0 +1,128 @@
+"""Climb by accelerometer and barometer: what it knows, how sure it is of it, and what it does not believe."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from msp_range.fusion.vertical import CLIMB_STD_M, Moved, RecordedMotion, VerticalMotion
+from msp_range.mavlink.inertial import pressure_height_m, specific_force
+
+IMU_S, PRESSURE_S = 0.04, 0.1
+
+
+def fly(
+    height_m: Callable[[float], float], until_s: float, seed: int = 1, bias_m_s2: float = 0.15, noise: float = 1.0
+) -> VerticalMotion:
+    """A motion as noisy sensors see it; the acceleration by second differences."""
+    motion, draw = VerticalMotion(), np.random.default_rng(seed)
+    drift_m = 0.0
+    for i in range(round(until_s / IMU_S)):
+        time_s = i * IMU_S
+        up_m_s2 = (height_m(time_s + 1e-3) - 2 * height_m(time_s) + height_m(time_s - 1e-3)) / 1e-6
+        motion.on_acceleration(time_s, up_m_s2 + bias_m_s2 + noise * draw.normal(scale=0.3))
+        if i % 2 == 0:
+            drift_m += noise * draw.normal(scale=0.05 * math.sqrt(2 * IMU_S))
+            motion.on_pressure_height(time_s, 250.0 + height_m(time_s) + drift_m + noise * draw.normal(scale=0.15))
+    return motion
+
+
+def bob(time_s: float) -> float:
+    return 3.0 + 1.5 * math.sin(0.8 * time_s)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_climb_is_known_within_three_of_its_deviations(seed: int) -> None:
+    draw, off = np.random.default_rng(seed + 50), []
+    for end_s in (20.0, 27.0, 40.0):
+        back_s = draw.uniform(0.3, 6.0)
+        motion = fly(bob, end_s, seed)
+        early = fly(bob, end_s - back_s, seed)
+        # The same seed gives the same start: a mark of the shorter flight is one of the longer.
+        mark = early.mark(end_s - back_s)
+        climb = motion.climbed(mark, end_s)
+        assert mark is not None
+        assert climb is not None
+        assert climb.std_m < 0.6
+        off.append((climb.height_m - (bob(end_s) - bob(end_s - back_s))) / climb.std_m)
+    assert max(map(abs, off)) < 3.0
+
+
+def test_the_accelerometers_bias_is_learnt() -> None:
+    motion = fly(lambda time_s: 3.0, 60.0, bias_m_s2=0.3, noise=0.2)
+    up_m_s2 = motion.acceleration(59.0, 60.0)
+    assert up_m_s2 == pytest.approx(0.0, abs=0.1)
+    rate = motion.rate(60.0)
+    assert rate is not None
+    assert rate.m_s == pytest.approx(0.0, abs=0.1)
+
+
+def test_the_drift_of_the_barometer_makes_a_long_climb_unsure() -> None:
+    motion = fly(lambda time_s: 3.0, 100.0)
+    mark = fly(lambda time_s: 3.0, 1.0).mark(1.0)
+    short, long = motion.climbed(motion.mark(99.9), 100.0), motion.climbed(mark, 100.0)
+    assert short is not None
+    assert long is not None
+    assert short.std_m < 0.1
+    assert long.std_m == pytest.approx(math.hypot(CLIMB_STD_M, 0.1 * math.sqrt(99)), rel=0.01)
+
+
+def test_what_is_old_or_makes_no_sense_is_not_used() -> None:
+    motion = fly(lambda time_s: 3.0, 10.0)
+    mark = motion.mark(9.9)
+    assert mark is not None
+    assert motion.acceleration(9.9, 10.0) is not None
+    assert motion.acceleration(10.9, 11.0) is None
+    assert motion.mark(11.0) is None
+    assert motion.climbed(mark, 11.0) is None
+    for nonsense in (math.nan, math.inf, -1e38, 100.0):
+        assert not motion.on_acceleration(10.0, nonsense)
+    assert not motion.on_pressure_height(10.0, math.nan)
+    assert motion.climbed(mark, 10.0) is not None
+    # Another level of pressure, as after a reboot or a valve: nobody has climbed 80 m.
+    assert not motion.on_pressure_height(10.1, 330.0)
+    assert motion.climbed(mark, 10.1) is None
+    assert motion.mark(10.1) is not None
+
+
+def test_pressures_alone_give_a_climb_too() -> None:
+    motion = VerticalMotion()
+    for i in range(201):
+        motion.on_pressure_height(i * PRESSURE_S, 0.7 * i * PRESSURE_S)
+        if i == 150:
+            mark = motion.mark(i * PRESSURE_S)
+    climb = motion.climbed(mark, 20.0)
+    assert climb is not None
+    assert climb.height_m == pytest.approx(3.5, abs=0.05)
+    assert motion.acceleration(19.9, 20.0) is None
+
+
+def test_recorded_motion_is_known_from_its_time_on() -> None:
+    now, kept = [0.0], []
+    moved = [Moved(0.1 * i, None, 50.0 + 0.1 * i) for i in range(100)]
+    motion = RecordedMotion(moved, lambda: now[0], lambda time_s, each: kept.append(each))
+    assert motion.mark(0.05) is not None
+    now[0] = 5.0
+    mark = motion.mark(5.0)
+    now[0] = 8.0
+    climb = motion.climbed(mark, 8.0)
+    assert climb is not None
+    assert climb.height_m == pytest.approx(3.0, abs=0.05)
+    assert kept == moved[:81]
+
+
+def test_messages_in_si_units() -> None:
+    raw = mavlink.MAVLink_raw_imu_message(0, 100, 0, -1000, 0, 0, 0, 0, 0, 0)
+    assert specific_force(raw) == pytest.approx((0.980665, 0.0, -9.80665))
+    highres = mavlink.MAVLink_highres_imu_message(0, 0.5, 0.0, -9.8, *[0.0] * 10, 0)
+    assert specific_force(highres) == pytest.approx((0.5, 0.0, -9.8))
+    assert specific_force(mavlink.MAVLink_raw_imu_message(0, *[0] * 9)) is None, "no accelerometer"
+    low, high = (mavlink.MAVLink_scaled_pressure_message(0, hpa, 0.0, 2000) for hpa in (1013.25, 1012.05))
+    climbed_m = (pressure_height_m(high) or 0.0) - (pressure_height_m(low) or 0.0)
+    assert climbed_m == pytest.approx(10.0, rel=0.01), "0.12 hPa a metre near the ground"
+    for hpa in (0.0, math.nan, 5000.0):
+        assert pressure_height_m(mavlink.MAVLink_scaled_pressure_message(0, hpa, 0.0, 2000)) is None
+    assert pressure_height_m(raw) is None
+    assert specific_force(low) is None
