@@ -45,9 +45,9 @@ GARBLED_AGAIN_S = 10.0
 """On a bus that has garbled an answer within this time [s] a reading is garbled, too, where it fits no better than a
 reading of the ground has to (`GATE_M`). Longer keeps a real step of the same height out for longer."""
 OFF_IN_A_ROW = 3
-"""After so many readings in a row that are not of the ground, or two that agree with each other, nothing is sent until
-one is: the ground may have a step, or the vehicle a motion that the filter has not seen. Fewer make gaps of outliers,
-more send an old ground for longer."""
+"""After readings of so many sensors in a row that are not of the ground, or of two that agree with each other, nothing
+is sent until one is: the ground may have a step, or the vehicle a motion that the filter has not seen. Fewer make gaps
+of outliers, more send an old ground for longer."""
 ON_TRIAL, DOUBT_READINGS = 3, 8
 """A first ground with which other readings do not agree, or after most of the last readings were of no ground, is sent
 after so many further readings of it in a row: four outliers may lie on a line once in some seconds of nothing else,
@@ -62,7 +62,7 @@ ROUGHEST_M = 0.08
 """More scatter than this about the plane is not put down to roughness [m]."""
 FIT_READINGS = 10.0
 """The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
-FIT_CAP, FIT_OUTLIER = 25.0, 9.0
+FIT_CAP, FIT_OUTLIER = 25.0, 12.0
 """A reading counts in it by no more than the first, one of five standard deviations; an outlier of a sensor that
 otherwise sees the ground by the second. What is not used is not in the estimate, but where it is much of what these
 sensors say, what is used was chosen from it. Larger doubts the ground for longer after one outlier."""
@@ -174,8 +174,9 @@ class Fusion:
         self._shared_m2 = 0.0
         self._fit = 1.0
         self._tilted = False
-        self._off_in_a_row = self._on_trial = 0
-        self._odd_m: float | None = None
+        self._off_m: dict[str, float] = {}
+        self._stepping = False
+        self._on_trial = 0
         self._used: deque[bool] = deque(maxlen=DOUBT_READINGS)
 
     @property
@@ -399,7 +400,8 @@ class Fusion:
     def _on_ground(self, sensor: _Sensor, view: View) -> None:
         sensor.sight.ground(self._time_s)
         sensor.below.ground(self._time_s)
-        self._off_in_a_row, self._odd_m = 0, None
+        self._off_m.clear()
+        self._stepping = False
         self._used.append(True)
         self._on_trial = max(self._on_trial - 1, 0)
         self._seen_s = self._known_s = self._time_s
@@ -414,12 +416,14 @@ class Fusion:
         self._used.append(False)
         sensor.below.off(time_s, off_m, self._ground_is_seen())
         known_object = sensor.below.is_object(off_m)
-        if self._odd_m is not None and abs(off_m - self._odd_m) < AGREE_M:
-            self._off_in_a_row = OFF_IN_A_ROW
-        self._odd_m = None if known_object else off_m
+        if not known_object:
+            agreeing = [
+                each for name, each in self._off_m.items() if name != reading.sensor and abs(each - off_m) < AGREE_M
+            ]
+            self._off_m[reading.sensor] = off_m
+            self._stepping |= bool(agreeing)
         if sensor.sight.votes_ground(time_s - windows.held_s):
             self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
-        self._off_in_a_row += not known_object
         if self._on_trial:
             self._on_trial = ON_TRIAL
         lower_m = step_m(sensor.sight, self._sights, time_s, windows)
@@ -463,7 +467,7 @@ class Fusion:
             return False
         if support < against or (support == against and not self._proven):
             return False
-        return was_used or (support >= 2 and self._off_in_a_row < OFF_IN_A_ROW)
+        return was_used or (support >= 2 and not self._stepping and len(self._off_m) < OFF_IN_A_ROW)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""

@@ -102,8 +102,8 @@ def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) ->
     """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
     flight, _ = demo
     summary = summarise(flight, "demo", 1)["fused"]
-    # Where two readings in a row agree on another height than the ground's, nothing is told: a step or an object.
-    assert summary["rate_hz"] == pytest.approx(10.0, rel=0.02)
+    # Where two sensors in a row agree on another height than the ground's, nothing is sent: ten steps and edges of boxes.
+    assert summary["rate_hz"] == pytest.approx(10.0, rel=0.035)
     assert summary["error"]["p95_cm"] < 3.5
     assert summary["error"]["rms_cm"] < 2.0
     assert abs(summary["error"]["bias_cm"]) < 1.0
