@@ -6,6 +6,7 @@ the way of the datagram. The sensors are emulated behind the kernel's I2C interf
 Bytecode is there, as after an installation with pip; where the processor and the disk are slower, so is the start.
 """
 
+import itertools
 import signal
 import socket
 import statistics
@@ -33,7 +34,7 @@ def run() -> list[dict[str, Any]]:
     with kernel_bus(sonars) as testbed, tempfile.TemporaryDirectory() as folder, _sink() as sink:
         flights = [_fly(testbed, sink, Path(folder)) for _ in range(STARTS + 1)]
     start_s = statistics.median(first_s - started_s for started_s, first_s, _ in flights)
-    outages_s = [after[1] - before[2] for before, after in zip(flights, flights[1:], strict=False)]
+    outages_s = [after[1] - before[2] for before, after in itertools.pairwise(flights)]
     return [
         {
             "key": "start_to_first_message",

@@ -49,12 +49,13 @@ def run(
         signal.signal(signum, _leave)
     from msp_range import service
     from msp_range.config import load_airframe
+    from msp_range.log import Log
 
     airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
     if no_record:
         airframe = airframe.model_copy(update={"recording": None})
         record = None
-    raise typer.Exit(service.run(airframe, service.make_log(log), record))
+    raise typer.Exit(service.run(airframe, Log(log), record))
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:

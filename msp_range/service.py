@@ -4,52 +4,26 @@ Exit codes: 0 ended by SIGTERM, SIGINT or the end of its input; 1 a mistake in t
 3 an airframe, sensor model or data file that cannot be used. Broken equipment never ends the service.
 """
 
-import json
 import os
 import signal
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
-
-import structlog
 
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.health import Report, Severity
+from msp_range.log import Log
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
 from msp_range.recording.writer import Recorder
 
 EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
-
-Log = structlog.typing.FilteringBoundLogger
-
-
-def make_log(form: str, stream: TextIO = sys.stderr) -> Log:
-    """A logger that writes for a person (``text``) or for a machine (``json``, one object a line)."""
-    renderer: structlog.typing.Processor
-    if form == "json":
-        renderer = structlog.processors.JSONRenderer(serializer=json.dumps)
-    else:
-        renderer = structlog.dev.ConsoleRenderer(colors=stream.isatty())
-    structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            renderer,
-        ],
-        logger_factory=structlog.WriteLoggerFactory(file=stream),
-        cache_logger_on_first_use=False,
-    )
-    log: Log = structlog.get_logger()
-    return log
 
 
 def reporter(log: Log) -> Report:

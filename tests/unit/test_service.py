@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from msp_range.log import Log
 from msp_range.mavlink.transport.base import Nowhere
-from msp_range.service import make_log, open_recording, serve
+from msp_range.service import open_recording, serve
 from tests.support.bench import Bench, airframe
 
 
@@ -28,7 +29,7 @@ def test_systemd_hears_from_the_loop_that_works(tmp_path: Path, monkeypatch: pyt
             return list(step())
 
         monkeypatch.setattr(bench.bridge, "step", step_or_end)
-        assert serve(bench.bridge, bench.clock, make_log("json", io.StringIO()), Nowhere()) == 0
+        assert serve(bench.bridge, bench.clock, Log("json", io.StringIO()), Nowhere()) == 0
         told = [systemd.recv(100).decode() for _ in range(6)]
     assert told == ["READY=1", *["WATCHDOG=1"] * 4, "STOPPING=1"]
 

@@ -1,0 +1,70 @@
+"""Log lines on standard error: an event with its values, for a person or for a machine.
+
+``text`` writes time, level, event and ``key=value``; ``json`` writes one object per line. systemd's journal keeps
+either.
+"""
+
+import json
+import sys
+from contextlib import suppress
+from datetime import UTC, datetime
+from typing import TextIO
+
+from msp_range.clock import Clock, SystemClock
+
+
+class Log:
+    """Writes events; a stream that takes no more loses them, which is no reason to stop flying.
+
+    Parameters
+    ----------
+    form
+        ``text`` or ``json``.
+    stream
+        Where the lines go; None: standard error.
+    clock
+        Its UTC stands in every line.
+
+    Examples
+    --------
+    >>> from msp_range.clock import VirtualClock
+    >>> Log("text", sys.stdout, VirtualClock(1.7e9)).warning("link", connected=False, error="no such device")
+    2023-11-14T22:13:20.000000Z warning  link  connected=false error="no such device"
+    """
+
+    def __init__(self, form: str, stream: TextIO | None = None, clock: Clock | None = None) -> None:
+        self._line = _json_line if form == "json" else _text_line
+        self._stream = stream or sys.stderr
+        self._clock = clock or SystemClock()
+
+    def info(self, event: str, **values: object) -> None:
+        """Something that is as it should be."""
+        self._write("info", event, values)
+
+    def warning(self, event: str, **values: object) -> None:
+        """Something that does not work and may come back."""
+        self._write("warning", event, values)
+
+    def error(self, event: str, **values: object) -> None:
+        """Something that is missed until it works again."""
+        self._write("error", event, values)
+
+    def _write(self, level: str, event: str, values: dict[str, object]) -> None:
+        utc = datetime.fromtimestamp(self._clock.utc(), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        # A full disk, or nobody at the other end of the pipe.
+        with suppress(OSError):
+            print(self._line(utc, level, event, values), file=self._stream, flush=True)
+
+
+def _json_line(utc: str, level: str, event: str, values: dict[str, object]) -> str:
+    return json.dumps({"timestamp": utc, "level": level, "event": event, **values})
+
+
+def _text_line(utc: str, level: str, event: str, values: dict[str, object]) -> str:
+    words = " ".join(f"{key}={_word(value)}" for key, value in values.items())
+    return f"{utc} {level:<8} {event}  {words}".rstrip()
+
+
+def _word(value: object) -> str:
+    plain = isinstance(value, str) and value.isprintable() and " " not in value
+    return value if isinstance(value, str) and plain else json.dumps(value)
