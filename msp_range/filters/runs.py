@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
+from msp_range.filters.normal import normal_cdf, normal_quantile
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 HYPOTHESES = 24
@@ -285,10 +285,10 @@ class Runs:
         self.state, self.time_s = state, time_s
         probability, x, _, p_xx, _, _, _, _ = moved.runs
         likelihood = self.likelihood
-        below = ndtr((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
+        below = normal_cdf((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
         share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
         cumulative = (probability * below).sum(axis=1) + (moved.jump[:, 0] + self.nowhere) * share
-        deviate: _Array = ndtri(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
+        deviate: _Array = normal_quantile(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
         return deviate
 
     def _predict(self, elapsed_s: _Array) -> "_Moved":
@@ -373,7 +373,7 @@ def _median(probability: _Array, x: _Array, std: _Array, nowhere: _Array, minimu
     going = np.ones(x.shape[0], dtype=bool)
     for _ in range(MOST_ITERATIONS):
         z = (median[:, None] - x) / std
-        over = (probability * ndtr(z)).sum(axis=1) - 0.5
+        over = (probability * normal_cdf(z)).sum(axis=1) - 0.5
         over += nowhere * np.clip((median - minimum_m) / length_m, 0.0, 1.0)
         slope = (peak * np.exp(-0.5 * z * z)).sum(axis=1) + nowhere / length_m
         high = np.where(over >= 0.0, median, high)

@@ -1,0 +1,41 @@
+"""The normal distribution's cumulative probability and its inverse, for arrays.
+
+Both come from the standard library, element by element: importing scipy.special takes 0.15 s, a third of the bridge's
+start, and the filter that flies asks for 24 values at a time.
+"""
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STANDARD = NormalDist()
+
+
+def normal_cdf(z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Phi(z) = erfc(-z / sqrt 2) / 2, exact to rounding in both tails.
+
+    Parameters
+    ----------
+    z : ndarray, any shape
+        Deviate in standard deviations.
+
+    Returns
+    -------
+    ndarray, same shape
+        Probability of less than ``z``.
+
+    Examples
+    --------
+    >>> print(normal_cdf(np.array([-1.959964, 0.0])).round(6))
+    [0.025 0.5  ]
+    """
+    doubled = map(math.erfc, (z * -math.sqrt(0.5)).ravel().tolist())
+    return 0.5 * np.fromiter(doubled, np.float64, z.size).reshape(z.shape)
+
+
+def normal_quantile(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The deviate below which a normal variable lies with this probability, above 0 and below 1 (Wichura's AS 241)."""
+    deviates = map(_STANDARD.inv_cdf, probability.ravel().tolist())
+    return np.fromiter(deviates, np.float64, probability.size).reshape(probability.shape)

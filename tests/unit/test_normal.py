@@ -1,0 +1,17 @@
+"""The filters' normal distribution against scipy's."""
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from msp_range.filters.normal import normal_cdf, normal_quantile
+
+
+def test_the_cumulative_probability_is_scipys_far_into_both_tails() -> None:
+    z = np.linspace(-37.0, 37.0, 4001).reshape(1, -1)
+    np.testing.assert_allclose(normal_cdf(z), ndtr(z), rtol=1e-13)
+    assert normal_cdf(np.array([-np.inf, np.inf])).tolist() == [0.0, 1.0]
+
+
+def test_the_quantile_is_scipys() -> None:
+    probability = np.concatenate([np.geomspace(1e-12, 0.5, 500), 1.0 - np.geomspace(1e-12, 0.5, 500)])
+    np.testing.assert_allclose(normal_quantile(probability), ndtri(probability), rtol=1e-12, atol=1e-14)
