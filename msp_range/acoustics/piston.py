@@ -7,8 +7,6 @@ Far field, beyond D^2 / lambda: 3 cm for an MB1242. One way; an echo passes the 
 
 import math
 
-from scipy.special import j1
-
 FIRST_NULL_X = 3.8317059702
 """First zero of J1 above 0 (Abramowitz and Stegun, table 9.5)."""
 
@@ -17,6 +15,9 @@ HALF_POWER_X = 1.6163399561
 
 FIRST_SIDE_LOBE_X = 5.1356223018
 """First zero of J2 above 0 (Abramowitz and Stegun, table 9.5), where 2 J1(x) / x has its next extreme."""
+
+_DB = 20.0 / math.log(10.0)
+"""Decibels in a factor of e."""
 
 
 def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) -> float:
@@ -56,8 +57,43 @@ def level_db(x: float) -> float:
     # 2 J1(x) / x = 1 - x^2 / 8 + ..., which is 1 to the last digit.
     if abs(x) < 1e-8:
         return 0.0
-    ratio = abs(2.0 * float(j1(x)) / x)
+    ratio = abs(2.0 * bessel(1, abs(x)) / x)
     return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf
+
+
+def main_lobe_x(down_db: float) -> float:
+    """The x short of the first null at which the level is ``down_db``, 0 or more, below that on the axis.
+
+    Newton's method in u = x^2. The level is 20 log10 of the product of 1 - u / j^2 over all zeros j of J1, so it is
+    concave in u and lies below its first factor: from where that one is ``down_db`` down, steps fall towards the
+    solution and never past it.
+    """
+    if down_db < 1e-6:
+        # 2 J1(x) / x = 1 - x^2 / 8 + ...: closer than the difference of two levels near 0 dB.
+        return math.sqrt(8.0 * down_db / _DB)
+    null = FIRST_NULL_X * FIRST_NULL_X
+    u = -null * math.expm1(-down_db / _DB)
+    # Short of the null, where the level is minus infinity.
+    u = min(u, null * (1.0 - 1e-12))
+    while True:
+        x = math.sqrt(u)
+        slope = -0.5 * _DB * bessel(2, x) / (x * bessel(1, x))
+        step = (level_db(x) + down_db) / slope
+        if not step > 1e-15 * u:
+            return x
+        u = max(u - step, 0.0)
+
+
+def bessel(order: int, x: float) -> float:
+    """J_n(x) = 1/pi times the integral of cos(n t - x sin t) over 0 ... pi (Abramowitz and Stegun, 9.1.21).
+
+    By the trapezoidal rule, which for this integrand misses by J_m(x) with m of twice the number of points: nothing
+    that a float shows.
+    """
+    points = 12 + math.ceil(abs(x))
+    ends = 1.0 if order % 2 == 0 else 0.0
+    angles = (math.pi / points * k for k in range(1, points))
+    return (ends + sum(math.cos(order * t - x * math.sin(t)) for t in angles)) / points
 
 
 def half_power_angle_rad(diameter_m: float, wavelength_m: float) -> float:

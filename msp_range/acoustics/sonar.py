@@ -1,8 +1,7 @@
 """The sonar equation of one kind of sensor: how far off its axis it hears a wall, at ranges where nobody measured.
 
 A table of breakaway angles (report 4.3.3) enters, its three parameters are fitted, half angles beyond the table leave.
-An echo is heard where its level (`msp_range.acoustics.echo`) is over the detection threshold. Imports scipy: the
-bridge comes here once for a table, when it starts.
+An echo is heard where its level (`msp_range.acoustics.echo`) is over the detection threshold.
 """
 
 import math
@@ -12,12 +11,12 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, least_squares
 
 from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
 from msp_range.acoustics.echo import WALL, Target, echo_level_db
-from msp_range.acoustics.piston import FIRST_NULL_X, level_db
+from msp_range.acoustics.least_squares import least_squares
+from msp_range.acoustics.piston import main_lobe_x
 
 STEP_DEG = 1.8
 """Step of the report's motor [deg]: what a breakaway angle is known to, and a fit must come as near."""
@@ -163,8 +162,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     # A piston that is 12 dB down there and back, x = 2.2, at the widest angle of the table.
     diameter_m = 2.2 * wavelength_m / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
     start = [3.0, math.log(diameter_m), 5.0]
-    fitted = least_squares(misses_deg, start, bounds=([0.0, -math.inf, 0.0], math.inf))
-    return sonar_of(fitted.x)
+    return sonar_of(least_squares(misses_deg, start, [0.0, -math.inf, 0.0]))
 
 
 def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> list[float | None]:
@@ -250,11 +248,7 @@ def _trusted_fit(table: BreakawayTable, frequency_hz: float, on_axis_m: float | 
 
 def _angle_rad(excess_db: float, diameter_m: float, wavelength_m: float) -> float:
     """Angle within the main lobe at which a piston is ``excess_db``, 0 or more, down there and back [rad]."""
-    if excess_db == 0.0:
-        return 0.0
-    # Short of the null, where the level is minus infinity.
-    x = brentq(lambda x: 2.0 * level_db(x) + excess_db, 0.0, FIRST_NULL_X - 1e-12, xtol=1e-12)
-    sine = float(x) * wavelength_m / (math.pi * diameter_m)
+    sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * diameter_m)
     return math.asin(sine) if sine < 1.0 else math.pi / 2
 
 

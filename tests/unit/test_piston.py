@@ -6,12 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from scipy.special import jv
 
 from msp_range.acoustics.piston import (
+    FIRST_NULL_X,
+    bessel,
     directivity_db,
     first_null_angle_rad,
     first_side_lobe_db,
     half_power_angle_rad,
+    level_db,
+    main_lobe_x,
 )
 
 
@@ -59,3 +64,22 @@ def test_directivity_is_the_interference_of_the_pistons_points(angle_rad: float,
 def test_behind_the_piston_is_refused() -> None:
     with pytest.raises(ValueError, match="found 91 deg off the axis"):
         directivity_db(math.radians(91), 2.0, 1.0)
+
+
+@given(st.integers(0, 2), st.floats(-60.0, 60.0))
+def test_bessel_functions_are_scipys(order: int, x: float) -> None:
+    assert bessel(order, x) == pytest.approx(jv(order, x), abs=2e-15)
+
+
+@given(st.floats(1e-5, 100.0))
+def test_the_main_lobe_is_as_far_down_as_asked(down_db: float) -> None:
+    x = main_lobe_x(down_db)
+    assert 0.0 < x < FIRST_NULL_X
+    assert level_db(x) == pytest.approx(-down_db, rel=1e-7, abs=1e-11)
+
+
+def test_the_main_lobe_from_the_axis_to_the_null() -> None:
+    assert main_lobe_x(0.0) == 0.0
+    assert main_lobe_x(0.999999e-6) == pytest.approx(main_lobe_x(1.000001e-6), rel=2e-6)
+    assert main_lobe_x(1e4) == pytest.approx(FIRST_NULL_X)
+    assert main_lobe_x(10 * math.log10(2)) == pytest.approx(1.6163399561, rel=1e-8)
