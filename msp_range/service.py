@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
@@ -20,7 +21,9 @@ from msp_range.health import Report, Severity
 from msp_range.log import Log
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
-from msp_range.recording.writer import Recorder
+
+if TYPE_CHECKING:
+    from msp_range.recording.writer import Recorder
 
 EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
@@ -69,7 +72,7 @@ def stop_signals() -> Iterator[list[int]]:
             signal.signal(signum, handler)
 
 
-def open_recording(airframe: Airframe, folder: Path | None, clock: Clock) -> Recorder | None:
+def open_recording(airframe: Airframe, folder: Path | None, clock: Clock) -> "Recorder | None":
     """A recorder in ``folder``, else in the airframe's; None where neither is named.
 
     Raises
@@ -81,6 +84,9 @@ def open_recording(airframe: Airframe, folder: Path | None, clock: Clock) -> Rec
         folder = Path(airframe.recording.folder)
     if folder is None:
         return None
+    # Brings the mcap writer and its compression, which a flight without a recording need not wait for.
+    from msp_range.recording.writer import Recorder
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

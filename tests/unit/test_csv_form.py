@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from msp_range.recording import RecordingError
 from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, MeasuredData, read_csv, write_csv
+from msp_range.recording.error import RecordingError
 
 
 def written(path: Path, text: str) -> Path:

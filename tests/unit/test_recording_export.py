@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from msp_range.clock import VirtualClock
-from msp_range.recording import Recorder, Recording
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.export import export, measured_data
+from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
 
 
 def reading(ping_s: float, status: str, raw: int | None) -> dict[str, Any]:

@@ -12,8 +12,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from msp_range.clock import VirtualClock
-from msp_range.recording import Recorder, Recording, RecordingError
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
 from msp_range.recording.recover import recover
+from msp_range.recording.writer import Recorder
 
 
 def record(path: Path, seconds: int = 6) -> list[dict[str, Any]]:

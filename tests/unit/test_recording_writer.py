@@ -22,8 +22,11 @@ from mcap.records import Attachment, Chunk, Footer, MessageIndex, Metadata, Summ
 from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
-from msp_range.recording import Recorder, Recording, RecordingError, writer
+from msp_range.recording import writer
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
 from msp_range.recording.topics import TOPICS, schema_of
+from msp_range.recording.writer import Recorder
 
 START_S = 5000.25
 UTC_S = 1_760_000_000.5
