@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic_core import CoreSchema
+
+from msp_range.descriptions import descriptions
 
 _YAML_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _QUOTE = "'"
@@ -25,9 +28,16 @@ class ConfigError(ValueError):
 class Section(BaseModel):
     """Base of every part of a configuration file: unknown keys are errors, values never change, NaN is no value."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, strict=False
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The JSON Schema with each key's description."""
+        described = handler(schema)
+        properties = handler.resolve_ref_schema(described)["properties"]
+        for key, description in descriptions(cls).items():
+            properties[key]["description"] = description
+        return described
 
 
 SectionT = TypeVar("SectionT", bound=Section)
@@ -241,9 +251,8 @@ def _keys(choices: list[Any]) -> list[str]:
 
 def _meaning(choices: list[Any], key: str) -> str:
     for each in choices:
-        field = each.model_fields.get(key) if _is_section(each) else None
-        if field is not None:
-            return (field.description or "a value").strip().split("\n")[0]
+        if _is_section(each) and key in each.model_fields:
+            return descriptions(each).get(key, "a value").split("\n")[0]
     return "a value"
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from msp_range.descriptions import descriptions
 from msp_range.page.page import Table
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
 from msp_sim.effects.base import Effect
@@ -102,18 +103,18 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
     before, after = given.sensor.reading_model, extended.sensor.reading_model
     judged = {each.name: each for each in findings.calibration}
     rows = []
-    for part, one, other, fields in (
-        ("weights.", before.weights, after.weights, Weights.model_fields),
-        ("", before, after, MixtureParameters.model_fields),
+    for part, one, other, section in (
+        ("weights.", before.weights, after.weights, Weights),
+        ("", before, after, MixtureParameters),
     ):
-        for name, field in fields.items():
+        for name, description in descriptions(section).items():
             old, new = getattr(one, name), getattr(other, name)
             if not isinstance(old, float | int):
                 continue
             found = judged.get(part + name)
             known = found is not None and found.low is not None and found.high is not None
             interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
-            meaning = (field.description or "").split("\n")[0].rstrip(".").replace("`", "")
+            meaning = description.split("\n")[0].rstrip(".").replace("`", "")
             rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", interval))
     return Table(
         "model-numbers",

@@ -1,0 +1,36 @@
+"""What the keys of configuration files mean: the strings below the attributes of their classes, read when asked for.
+
+pydantic reads them too (``use_attribute_docstrings``), but for every class when it is made: 40 ms of each start of the
+bridge, which needs them only to explain a mistake.
+"""
+
+import ast
+import inspect
+import itertools
+import textwrap
+from functools import cache
+
+
+@cache
+def descriptions(section: type) -> dict[str, str]:
+    """Key -> description of a class and those that it extends; what has no string below it is left out."""
+    found: dict[str, str] = {}
+    for each in reversed(section.__mro__):
+        if each.__module__.split(".")[0] not in ("builtins", "pydantic"):
+            found |= _of_class(each)
+    return found
+
+
+def _of_class(section: type) -> dict[str, str]:
+    try:
+        source = inspect.getsource(section)
+    except OSError:  # typed in, or shipped without its source
+        return {}
+    (definition,) = ast.parse(textwrap.dedent(source)).body
+    assert isinstance(definition, ast.ClassDef)
+    return {
+        attribute.target.id: inspect.cleandoc(below.value.value)
+        for attribute, below in itertools.pairwise(definition.body)
+        if isinstance(attribute, ast.AnnAssign) and isinstance(attribute.target, ast.Name)
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and isinstance(below.value.value, str)
+    }
