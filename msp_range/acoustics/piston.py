@@ -77,8 +77,9 @@ def main_lobe_x(down_db: float) -> float:
     u = min(u, null * (1.0 - 1e-12))
     while True:
         x = math.sqrt(u)
-        slope = -0.5 * _DB * bessel(2, x) / (x * bessel(1, x))
-        step = (level_db(x) + down_db) / slope
+        j1 = bessel(1, x)
+        slope = -0.5 * _DB * bessel(2, x) / (x * j1)
+        step = (_DB * math.log(2.0 * j1 / x) + down_db) / slope
         if not step > 1e-15 * u:
             return x
         u = max(u - step, 0.0)
