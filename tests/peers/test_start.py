@@ -1,0 +1,72 @@
+"""What the commands import: each package is a part of a second of outage on a small computer."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.kernel_bus import Sonar, kernel_bus
+from tests.support.service import LinkEnd, running_service
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+LABORATORY = {
+    "IPython",
+    "asyncio",
+    "filterpy",
+    "jinja2",
+    "matplotlib",
+    "mcap.reader",
+    "mcap.stream_reader",
+    "msp_range.characterise",
+    "msp_range.page",
+    "msp_range.reading_model.fit",
+    "msp_range.reading_model.mixture",
+    "msp_range.recording.reader",
+    "msp_range.replay",
+    "msp_range.tuning",
+    "pymavlink.mavutil",
+    "rich",
+    "scipy",
+}
+"""Nothing of this is needed to fly; each takes from 20 ms to a second to import."""
+
+
+def imported(stderr: str) -> set[str]:
+    """Modules that a Python with ``-X importtime`` has imported, and the packages that they are in."""
+    names = re.findall(r"^import time:.*\| +([\w.]+)$", stderr, re.MULTILINE)
+    return {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}
+
+
+@pytest.mark.parametrize(("airframe", "records"), [("quad_pallet", True), ("loopback", False), ("proximity", False)])
+def test_flying_imports_nothing_of_the_laboratory(
+    airframe: str, records: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up to the first distances; Kalman filters, changepoint filters and a sonar equation to fit are among them."""
+    options = ["--record", str(tmp_path / "recordings")] if records else ["--no-record"]
+    with kernel_bus([Sonar(0x70 + number) for number in range(4)]) as testbed, LinkEnd() as end:
+        monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")
+        path = CONFIGS / f"{airframe}.yaml"
+        with running_service(testbed, end.url, tmp_path, *options, airframe=path) as service:
+            end.run_until(lambda: len(end.distances) >= 4)
+            assert service.stop() == 0
+    modules = imported((tmp_path / "log.jsonl").read_text())
+    assert "msp_range.bridge" in modules
+    assert modules & LABORATORY == set()
+    assert ("mcap" in modules) is records
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        (["--help"], LABORATORY | {"numpy", "pymavlink"}),
+        (["check", str(CONFIGS / "quad_pallet.yaml")], LABORATORY - {"rich"}),
+    ],
+    ids=["help", "check"],
+)
+def test_help_and_check_are_quick(arguments: list[str], heavy: set[str]) -> None:
+    command = [sys.executable, "-X", "importtime", "-c", "from msp_range.cli import main; main()"]
+    done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == 0
+    assert imported(done.stderr) & heavy == set()
