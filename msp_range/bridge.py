@@ -138,6 +138,12 @@ class Bridge:
         Knows how the vehicle is turned; None: what the autopilot sends.
     motion
         Knows how the vehicle moves up and down; None: what the autopilot sends.
+
+    Attributes
+    ----------
+    completed_s
+        When a step last left nothing undone that was due, and every message had been handed to the link or counted as
+        dropped [s]; whoever watches over the loop goes by it.
     """
 
     def __init__(
@@ -199,6 +205,7 @@ class Bridge:
         self._bus_fault = ""
         self._bus_fault_s = float("-inf")
         self._next_look_s = self._next_silence_s = clock.now()
+        self.completed_s = clock.now()
         self._known_reboots = 0
         self._autopilot_heard = False
         self._faults_due = False
@@ -217,6 +224,7 @@ class Bridge:
         if now_s >= min(self._next_look_s, self._next_silence_s):
             self._next_look_s = now_s + LOOK_INTERVAL_S
             self._look_after(now_s)
+        self.completed_s = now_s
         return steps
 
     def _take(self, ranging: Ranging) -> Step:

@@ -1,8 +1,10 @@
 """msp-range: the commands of what flies."""
 
+import faulthandler
 import json
 import os
 import signal
+import sys
 from collections.abc import Callable
 from datetime import date as day
 from pathlib import Path
@@ -48,6 +50,8 @@ def run(
     # The imports take a second or two, and a service that is stopped meanwhile has ended well too.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
+    # What the loop was doing when the watchdog ended it (SIGABRT), for the journal.
+    faulthandler.enable(sys.__stderr__ or sys.stderr)
     # Matrices here are 3 x 3: numpy's own threads would take processors from others and 25 ms from the start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from msp_range import service

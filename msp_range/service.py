@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
+FEED_INTERVAL_S = 0.1
+"""Between two messages to systemd's watchdog [s]. A transfer on a bus that has locked up takes the kernel 1 s, and
+WatchdogSec in systemd/msp-range.service is 1.5 s: more than 0.4 s would let such a bus restart the bridge, and less
+only keeps systemd busy."""
 
 
 def reporter(log: Log) -> Report:
@@ -40,7 +44,11 @@ def reporter(log: Log) -> Report:
 
 
 class Notifier:
-    """systemd's notification socket: ready, and alive from the loop that works; does nothing elsewhere."""
+    """systemd's notification socket: ready, and alive from the loop that works; does nothing elsewhere.
+
+    A bus that has locked up, an adapter that was unplugged, a full disk or a silent autopilot do not stop the loop, and
+    do not keep the watchdog from being fed: starting again would mend none of them. What does stop the loop, does.
+    """
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET")
@@ -105,6 +113,7 @@ def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
     """Step the bridge until a signal comes; the exit code."""
     notifier = Notifier()
     notifier.tell("READY=1")
+    next_feed_s = clock.now()
     next_note_s = clock.now() + 1.0
     next_summary_s = clock.now() + SUMMARY_INTERVAL_S
     autopilot: int | None = None
@@ -114,10 +123,12 @@ def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
         while not stopped:
             bridge.step()
             now_s = clock.now()
+            if bridge.completed_s >= next_feed_s:
+                notifier.tell("WATCHDOG=1")
+                next_feed_s = now_s + FEED_INTERVAL_S
             if now_s < next_note_s:
                 continue
             next_note_s = now_s + 1.0
-            notifier.tell("WATCHDOG=1")
             if bridge.link.autopilot_heard and bridge.link.autopilot_system != autopilot:
                 autopilot = bridge.link.autopilot_system
                 log.info("autopilot heard", system=autopilot)

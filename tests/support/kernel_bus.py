@@ -3,7 +3,7 @@
 A server under the system's Python (`kernel_bus_server.py`) holds a umockdev testbed with /dev/i2c-1 and temperature
 files in /sys; a program started on it opens, reads and controls them as it would on a Raspberry Pi, with the stock
 smbus2. One transfer takes about 0.3 ms. Two things differ from a kernel: a locked-up bus fails at once and not after a
-second, and a signal waits for the end of the current transfer.
+second, unless `kernel_bus` is asked for that, and a signal waits for the end of the current transfer.
 """
 
 import errno
@@ -108,6 +108,7 @@ def kernel_bus(
     temperature_c: float = 22.5,
     nack_errno: int = errno.EREMOTEIO,
     seed: int = 0,
+    timeout_s: float = 0.0,
 ) -> Iterator[KernelTestbed]:
     """A testbed with ``devices`` on /dev/i2c-1; skips the test where Debian's packages are missing, fails under CI.
 
@@ -121,6 +122,9 @@ def kernel_bus(
         What the adapter reports where nobody acknowledges.
     seed
         Of the faults with a probability below one.
+    timeout_s
+        How long each transfer takes while the bus is locked up [s]. Kernel drivers give up after 1 s; more is a driver
+        that hangs.
     """
     environment = {**os.environ, "PYTHONPATH": f"{_REPOSITORY / 'sim'}{os.pathsep}{_REPOSITORY}"}
     environment.pop("PYTHONHOME", None)
@@ -143,6 +147,7 @@ def kernel_bus(
             "temperature_c": temperature_c,
             "nack_errno": nack_errno,
             "seed": seed,
+            "timeout_s": timeout_s,
         }
         answer = _ask(server, json.dumps(specification))
         if "missing" in answer:

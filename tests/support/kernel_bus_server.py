@@ -45,8 +45,9 @@ class TimeSinceOpened:
 class KernelInterface:
     """Turns the ioctl calls of i2c-dev into transfers of an EmulatedBus."""
 
-    def __init__(self, bus):
+    def __init__(self, bus, timeout_s):
         self.bus = bus
+        self.timeout_s = timeout_s
         self.journal = deque(maxlen=200_000)
         self.addresses = {}
 
@@ -128,6 +129,8 @@ class KernelInterface:
             data = act()
         except OSError as failure:
             self.journal.append((time_s, verb, address, "", failure.errno))
+            if failure.errno == errno.ETIMEDOUT:
+                time.sleep(self.timeout_s)
             raise
         self.journal.append((time_s, verb, address, data.hex(), 0))
         return data
@@ -156,7 +159,7 @@ def main():
     now = TimeSinceOpened()
     chance = random.Random(spec["seed"])
     devices = [make_device(device, now, chance) for device in spec["devices"]]
-    interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]))
+    interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]), spec["timeout_s"])
 
     def opened(_device, _client):
         now.opened()
