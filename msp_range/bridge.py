@@ -211,6 +211,10 @@ class Bridge:
         self._faults_due = False
         self._faults_sent_s = float("-inf")
 
+    def record_to(self, recorder: Records) -> None:
+        """Keep every stage of every reading from here on."""
+        self._recorder = recorder
+
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         self._clock.sleep_until(min(self._poller.next_event_s, self._streams.next_event_s, self.link.next_event_s))

@@ -1,10 +1,9 @@
 """msp-range: the commands of what flies."""
 
-import faulthandler
+import gc
 import json
 import os
 import signal
-import sys
 from collections.abc import Callable
 from datetime import date as day
 from pathlib import Path
@@ -50,15 +49,18 @@ def run(
     # The imports take a second or two, and a service that is stopped meanwhile has ended well too.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
-    # What the loop was doing when the watchdog ended it (SIGABRT), for the journal.
-    faulthandler.enable(sys.__stderr__ or sys.stderr)
     # Matrices here are 3 x 3: numpy's own threads would take processors from others and 25 ms from the start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from msp_range import service
-    from msp_range.config import load_airframe
-    from msp_range.log import Log
+    # Imports make no garbage; looking for some takes 15 ms.
+    gc.disable()
+    try:
+        from msp_range import service
+        from msp_range.config import load_airframe
+        from msp_range.log import Log
 
-    airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
+        airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
+    finally:
+        gc.enable()
     if no_record:
         airframe = airframe.model_copy(update={"recording": None})
         record = None

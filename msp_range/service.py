@@ -4,6 +4,8 @@ Exit codes: 0 ended by SIGTERM, SIGINT or the end of its input; 1 a mistake in t
 3 an airframe, sensor model or data file that cannot be used. Broken equipment never ends the service.
 """
 
+import faulthandler
+import gc
 import os
 import signal
 import socket
@@ -159,19 +161,25 @@ def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
 
 def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     """The service on this computer's bus and link; the exit code."""
+    # What the loop was doing when the watchdog ended it (SIGABRT), for the journal.
+    faulthandler.enable()
     clock = SystemClock()
-    report = reporter(log)
+    bus = KernelBus(airframe.bus)
+    transport = open_transport(airframe.link.url, clock)
+    log.info("started", vehicle=airframe.vehicle, bus=str(bus.path), link=airframe.link.url, pid=os.getpid())
+    bridge = Bridge(airframe, bus, clock, transport, report=reporter(log))
+    # The first sensor is pinged, and ranges while the packages of the recording are imported.
+    bridge.step()
     recorder = None
     try:
         recorder = open_recording(airframe, record, clock)
     except RecordingError as error:
         log.error("flying without a recording", error=str(error))
-    bus = KernelBus(airframe.bus)
-    transport = open_transport(airframe.link.url, clock)
-    log.info("started", vehicle=airframe.vehicle, bus=str(bus.path), link=airframe.link.url, pid=os.getpid())
     if recorder is not None:
         log.info("recording", file=str(recorder.path))
-    bridge = Bridge(airframe, bus, clock, transport, recorder=recorder, report=report)
+        bridge.record_to(recorder)
+    # All this stays: looking through it for garbage would stop the polling for 10 ms now and then.
+    gc.freeze()
     try:
         return serve(bridge, clock, log, transport)
     finally:
