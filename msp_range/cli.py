@@ -46,7 +46,7 @@ def run(
     Exit codes: 0 stopped by SIGTERM or SIGINT, 1 a mistake in the program, 2 a wrong command line, 3 a file that
     cannot be used. Sensors, bus or link that do not work are reported to the pilot and tried again, for ever.
     """
-    # The imports take a second or two, and a service that is stopped meanwhile has ended well too.
+    # The imports take a while, and a service that is stopped meanwhile has ended well too.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
     # Matrices here are 3 x 3: numpy's own threads would take processors from others and 25 ms from the start.

@@ -63,7 +63,7 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
             end.run_for(0.05)
             log = service.log()
 
-    assert end.arrived[0].time_s - start_s < 10.0  # the goal is 4 s on an idle computer
+    assert end.arrived[0].time_s - start_s < 10.0  # benchmarks/bench_start.py has the goal on an idle computer
     assert {(each.get_srcSystem(), each.get_srcComponent()) for each in end.of(*KINDS)} == {(1, 191)}
     assert {each.message.get_type() for each in end.arrived} <= set(KINDS)
     numbers = [each.message.get_seq() for each in end.arrived]
