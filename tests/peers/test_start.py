@@ -43,7 +43,10 @@ def imported(stderr: str) -> set[str]:
 def test_flying_imports_nothing_of_the_laboratory(
     airframe: str, records: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Up to the first distances; Kalman filters, changepoint filters and a sonar equation to fit are among them."""
+    """Up to the first distances; a changepoint filter and a sonar equation to fit are among them.
+
+    filterpy and scipy come with a Kalman filter of a single stream only.
+    """
     options = ["--record", str(tmp_path / "recordings")] if records else ["--no-record"]
     with kernel_bus([Sonar(0x70 + number) for number in range(4)]) as testbed, LinkEnd() as end:
         monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")
