@@ -333,7 +333,7 @@ class Fusion:
             self._motion.rate(self._time_s),
         )
         self._steps_m = newest.height_m - climbed_m
-        self._established, self._proven, self._fit = False, False, 1.0
+        self._established = self._proven = False
         doubtful = found.in_doubt or self._used.count(False) > len(self._used) // 2 > 0
         self._on_trial = ON_TRIAL + 1 if doubtful else 0
         self._start.clear()

@@ -102,7 +102,7 @@ def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) ->
     """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
     flight, _ = demo
     summary = summarise(flight, "demo", 1)["fused"]
-    # Where two sensors in a row agree on another height than the ground's, nothing is sent: ten steps and edges of boxes.
+    # Where two sensors agree on another height than the ground's, nothing is sent: ten steps and edges of boxes.
     assert summary["rate_hz"] == pytest.approx(10.0, rel=0.035)
     assert summary["error"]["p95_cm"] < 3.5
     assert summary["error"]["rms_cm"] < 2.0
