@@ -7,6 +7,7 @@ most 50 characters, the length of a STATUSTEXT.
 from collections import deque
 from collections.abc import Callable, Iterable
 from enum import IntEnum
+from typing import NamedTuple
 
 from msp_range.reading import Status
 from msp_range.sensors.polling import Ranging
@@ -37,6 +38,14 @@ _WORDS = {
     Status.STUCK: "stuck at one value",
     Status.GARBLED: "garbled answers, check the bus",
 }
+
+
+class Condition(NamedTuple):
+    """What `Health.set` takes: a condition's key, what is wrong or None, and what to report at its end."""
+
+    key: str
+    text: str | None
+    over: str
 
 
 class _SensorHealth:

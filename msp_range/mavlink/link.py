@@ -11,12 +11,13 @@ from typing import Any
 
 from msp_range import __version__
 from msp_range.clock import Clock
+from msp_range.health import Condition
 from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFORMATION_BASIC
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import Frame, FrameReader
-from msp_range.mavlink.participants import Condition, Participants
+from msp_range.mavlink.participants import Participants
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages

@@ -4,8 +4,7 @@ Each is a condition with a text for the pilot, of at most 50 characters, while i
 has been received for `HOLD_S`, so that one that comes and goes is reported once.
 """
 
-from typing import NamedTuple
-
+from msp_range.health import Condition
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 
@@ -23,14 +22,6 @@ _TYPES: dict[Autopilot, int] = {
     "px4": dialect.MAV_AUTOPILOT_PX4,
 }
 _NAMES = {number: name for name, number in _TYPES.items()}
-
-
-class Condition(NamedTuple):
-    """What `msp_range.health.Health.set` takes: its key, what is wrong or None, and what to report at its end."""
-
-    key: str
-    text: str | None
-    over: str
 
 
 class _Sighting:
