@@ -9,13 +9,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from msp_range.acoustics.air import compensate_range
+from msp_range.acoustics.air import Air, compensate_range
 from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams, windows_of
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, Sensor
+from msp_range.correction.air_temperature import AirTemperature
 from msp_range.correction.calibration import IDENTITY, Calibration
-from msp_range.correction.temperature import AirTemperature, FileSource, MavlinkSource, read_thermometer
+from msp_range.correction.temperature import MavlinkSource
+from msp_range.correction.thermometer import LoopReader, ThermometerReader
 from msp_range.filters.chain import Chain, Filtered
 from msp_range.fusion import OBJECT, OUTLIER, SUSPECT, Angles, Attitude, AttitudeTrack, Fused, Fusion, VerticalMotion
 from msp_range.fusion.vertical import GRAVITY_M_S2
@@ -84,8 +86,8 @@ class Step(NamedTuple):
     ----------
     ranging
         As it came from the sensor.
-    temperature_c, temperature_source
-        Air temperature of the correction [deg C], and where it is from.
+    air
+        The air that the range was corrected for.
     corrected
         After the temperature correction.
     filtered
@@ -96,8 +98,7 @@ class Step(NamedTuple):
     """
 
     ranging: Ranging
-    temperature_c: float
-    temperature_source: str
+    air: Air
     corrected: Reading
     filtered: Filtered
     fused: Fused | None
@@ -129,11 +130,11 @@ class Bridge:
     wanted
         Messages to ask the autopilot for: name -> rate [Hz].
     thermometer
-        Reads the temperature sources that are files.
+        Reads the temperature sources that are files; None: in the loop.
     schedule
         Who pings when; None: the airframe's polling order.
-    air_c
-        Air temperature [deg C] at a time on the clock [s]; None: the airframe's sources, looked at now and then.
+    air
+        The air at a time on the clock [s]; None: by the airframe's sources.
     attitude
         Knows how the vehicle is turned; None: what the autopilot sends.
     motion
@@ -157,9 +158,9 @@ class Bridge:
         report: Report | None = None,
         hear: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
-        thermometer: Callable[[FileSource], float] = read_thermometer,
+        thermometer: ThermometerReader | None = None,
         schedule: Schedule | None = None,
-        air_c: Callable[[float], float] | None = None,
+        air: Callable[[float], Air] | None = None,
         attitude: Attitude | None = None,
         motion: VerticalMotion | None = None,
     ) -> None:
@@ -170,9 +171,11 @@ class Bridge:
         self._windows = windows_of(airframe)
         memory_s = self._windows.memory_s
         self._channels = {sensor.name: _Channel(sensor, airframe, memory_s) for sensor in airframe.sensors}
-        self._temperature = AirTemperature(airframe.temperature, clock.now(), thermometer)
-        self._temperature_c = self._temperature.now_c(clock.now())
-        self._air_c = air_c or self._looked_at_c
+        self._temperature = AirTemperature(
+            airframe.temperature, clock.now(), thermometer or LoopReader(), airframe.maximum_m
+        )
+        self._air = self._temperature.now(clock.now())
+        self._recorded_air = air
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
@@ -234,30 +237,32 @@ class Bridge:
     def _take(self, ranging: Ranging) -> Step:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
-        temperature_c = self._air_c(now_s)
-        corrected = correct(ranging.reading, temperature_c, channel.calibration_temperature_c, channel.calibration)
+        air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
+        corrected = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
         filtered, fused = Filtered(None), None
         if self._fusion is not None and channel.is_fused:
-            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, now_s, boot_ms)
+            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, air, now_s, boot_ms)
+            if corrected.range_m is not None:
+                self._temperature.record_range(ranging.reading)
         if channel.chain is not None:
             filtered = channel.chain.update(corrected)
-            if self._streams.send_single(now_s, boot_ms, channel.name, corrected.status, filtered):
+            if self._streams.send_single(now_s, boot_ms, channel.name, corrected.status, filtered, air):
                 self._output.on_usable(channel.name, now_s)
             if not channel.is_fused and corrected.range_m is not None:
                 self._output.on_range(filtered.estimate is not None, 1.0)
-        step = Step(ranging, temperature_c, self._temperature.source, corrected, filtered, fused)
+        step = Step(ranging, air, corrected, filtered, fused)
         self._record(now_s, channel.topic, step)
         self._count(channel, filtered)
         self._judge(now_s, ranging, corrected)
         return step
 
     def _fuse(
-        self, fusion: Fusion, channel: _Channel, corrected: Reading, now_s: float, boot_ms: int
+        self, fusion: Fusion, channel: _Channel, corrected: Reading, air: Air, now_s: float, boot_ms: int
     ) -> tuple[Reading, Fused | None, Filtered]:
         """Update the fusion and send its outcome: the reading as the fusion sees it, the distance, and why not used."""
         outcome = fusion.update(corrected, now_s)
-        if self._streams.send_fused(now_s, boot_ms, channel.name, outcome):
+        if self._streams.send_fused(now_s, boot_ms, channel.name, outcome, air):
             self._output.on_usable(FUSED, now_s)
         if outcome.reading.range_m is not None and outcome.rejected != SUSPECT:
             self._output.on_range(outcome.rejected in (None, OBJECT), fusion.fit)
@@ -265,12 +270,8 @@ class Bridge:
         if outcome.rejected == OUTLIER and outcome.fused is not None:
             self._schedule.again(channel.name)
         if outcome.rejected == OBJECT and (channel.object_m or 0.0) > 0.0:
-            self._streams.send_object(now_s, boot_ms, outcome.reading)
+            self._streams.send_object(now_s, boot_ms, outcome.reading, air)
         return outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
-
-    def _looked_at_c(self, now_s: float) -> float:
-        """The temperature of the last look: files are not read while a message waits to go out."""
-        return self._temperature_c
 
     def _report_below(self, fusion: Fusion, channel: _Channel) -> None:
         """Report what is below a sensor and is not ground, when it comes and when it goes."""
@@ -292,15 +293,16 @@ class Bridge:
     def _record(self, now_s: float, topic: str, step: Step) -> None:
         if self._recorder is None:
             return
-        ranging, temperature_c, temperature_source, corrected, filtered, fused = step
+        ranging, air, corrected, filtered, fused = step
         reading, estimate = ranging.reading, filtered.estimate
         stages: dict[str, Any] = {
             "time_s": reading.time_s,
             "ping_s": ranging.ping_s,
             "read_s": ranging.answered_s,
             "status": reading.status.value,
-            "temperature_c": temperature_c,
-            "temperature_source": temperature_source,
+            "temperature_c": air.temperature_c,
+            "temperature_std_c": air.std_c,
+            "temperature_source": air.source,
         }
         if reading.raw is not None:
             stages["raw"] = reading.raw
@@ -334,7 +336,7 @@ class Bridge:
             self._recorder.write(topic, time_s, message)
 
     def _take_message(self, now_s: float, message: Any) -> None:
-        self._temperature.hear(now_s, message)
+        self._temperature.on_message(now_s, message)
         if self._fusion is not None:
             self._take_motion(now_s, message)
         if self._hear is not None:
@@ -360,12 +362,11 @@ class Bridge:
         """Conditions that are not a reading's: bus, temperature, autopilot, disk."""
         bus_works = now_s - self._bus_fault_s > BUS_CALM_S
         self.health.set("bus", None if bus_works else self._bus_fault, "Range: I2C bus works again", Severity.ERROR)
-        self._temperature_c = self._temperature.now_c(now_s)
-        fell_back = f"Range: no air temperature, using {self._temperature.fixed_c:.0f} C"
-        self.health.set(
-            "temperature", fell_back if self._temperature.fallen_back(now_s) else None, "Range: air temp is back"
-        )
-        for condition in self.link.conditions():
+        conditions = self.link.conditions()
+        if self._recorded_air is None:
+            self._air = self._temperature.now(now_s)
+            conditions += self._temperature.conditions(now_s)
+        for condition in conditions:
             self.health.set(*condition)
         self._output.report(self.health, now_s)
         silence_s = self._output.next_event_s

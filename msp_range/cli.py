@@ -85,6 +85,7 @@ def check(airframe_file: AirframeFile) -> None:
 
     from msp_range.assembly import fused_stream, intervals_s
     from msp_range.config import load_airframe
+    from msp_range.correction.air_temperature import describe
     from msp_range.mavlink.distance_sensor import TIME_OUT_S
 
     airframe = load_airframe(airframe_file)
@@ -121,6 +122,8 @@ def check(airframe_file: AirframeFile) -> None:
                 f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s",
                 highlight=False,
             )
+    for line in describe(airframe.temperature, airframe.maximum_m):
+        console.print(line, highlight=False)
 
 
 @app.command()
@@ -231,7 +234,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import Nowhere, open_transport
-    from msp_range.recording.pings import recorded_attitudes, recorded_motion, recorded_pings, recorded_temperatures
+    from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -247,9 +250,8 @@ def replay(
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    temperatures, attitudes = recorded_temperatures(file, run_name), recorded_attitudes(file)
-    motion = recorded_motion(file)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, temperatures, attitudes, motion)
+    air, attitudes, motion = recorded_air(file, run_name), recorded_attitudes(file), recorded_motion(file)
+    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, air, attitudes, motion)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file)

@@ -272,6 +272,11 @@ class Airframe(Section):
         return list(self.send.sensors)
 
     @property
+    def maximum_m(self) -> float:
+        """Longest range of its sensors [m]."""
+        return max(sensor.sensor_model.maximum_cm for sensor in self.sensors) / 100
+
+    @property
     def _fused_names(self) -> list[str]:
         if self.send.fused is None:
             return []

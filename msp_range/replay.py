@@ -18,12 +18,12 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from msp_range.acoustics.air import FIXED, Air
 from msp_range.assembly import polled_sensors
 from msp_range.bridge import Bridge, Counts, Records
 from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
-from msp_range.correction.temperature import TemperatureParameters
 from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
@@ -109,7 +109,7 @@ def replay(
     clock: Clock,
     transport: Transport,
     recorder: Records | None = None,
-    temperatures: Sequence[tuple[float, float]] = (),
+    recorded_air: Sequence[tuple[float, Air]] = (),
     attitudes: Sequence[tuple[float, Angles]] = (),
     motion: Sequence[Moved] = (),
 ) -> Outcome:
@@ -127,9 +127,9 @@ def replay(
         Starts at the record's beginning.
     transport, recorder
         As of a bridge.
-    temperatures
-        Recorded air temperatures, (time [s], deg C) by time: they take the place of the airframe's sources, which are
-        not those of this computer now. None: the airframe's fixed temperature.
+    recorded_air
+        The recorded air, (time [s], air) by time: it takes the place of the airframe's sources, which are not those of
+        this computer now. None: the airframe's fixed temperature.
     attitudes
         When each recorded attitude was received [s], and the attitude, by that time.
     motion
@@ -143,14 +143,16 @@ def replay(
     _refuse_gaps(pings, source)
     bus = ReplayBus(_by_address(airframe, pings, source), clock)
     order = RecordedOrder(airframe, bus)
-    fixed_c = airframe.temperature.fixed_c
-    without_sources = airframe.model_copy(update={"temperature": TemperatureParameters(fixed_c=fixed_c)})
-    times_s = [time_s for time_s, _ in temperatures]
+    without_sources = airframe.model_copy(
+        update={"temperature": airframe.temperature.model_copy(update={"sources": ()})}
+    )
+    fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
+    times_s = [time_s for time_s, _ in recorded_air]
 
-    def air_c(now_s: float) -> float:
-        if not temperatures:
-            return fixed_c
-        return temperatures[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
+    def air(now_s: float) -> Air:
+        if not recorded_air:
+            return fixed
+        return recorded_air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
     bridge = Bridge(
         without_sources,
@@ -159,7 +161,7 @@ def replay(
         transport,
         recorder=recorder,
         schedule=order,
-        air_c=air_c,
+        air=air,
         attitude=RecordedAttitude(attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
         motion=RecordedMotion(motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )

@@ -19,6 +19,7 @@ from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
+from msp_range.correction.thermometer import ThreadReader
 from msp_range.health import Report, Severity
 from msp_range.log import Log
 from msp_range.mavlink.transport import Transport, open_transport
@@ -167,7 +168,8 @@ def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     bus = KernelBus(airframe.bus)
     transport = open_transport(airframe.link.url, clock)
     log.info("started", vehicle=airframe.vehicle, bus=str(bus.path), link=airframe.link.url, pid=os.getpid())
-    bridge = Bridge(airframe, bus, clock, transport, report=reporter(log))
+    thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
+    bridge = Bridge(airframe, bus, clock, transport, report=reporter(log), thermometer=thermometer)
     # The first sensor is pinged, and ranges while the packages of the recording are imported.
     bridge.step()
     recorder = None
@@ -183,6 +185,7 @@ def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     try:
         return serve(bridge, clock, log, transport)
     finally:
+        thermometer.close()
         bus.close()
         transport.close()
         if recorder is not None:

@@ -1,4 +1,4 @@
-"""Air as ultrasound sees it: speed of sound, time of flight, and ranges corrected for temperature.
+"""Air as ultrasound sees it: speed of sound, time of flight, ranges corrected for temperature, and what is left of it.
 
 Temperatures in degrees Celsius enter, metres per second, seconds and metres leave. Follows the characterization
 report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in air it is about
@@ -7,7 +7,7 @@ for each reading, so a plain number takes the way through `math` and an array th
 """
 
 import math
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,30 @@ MOLAR_MASS_KG_PER_MOL = 0.02896546
 ZERO_CELSIUS_K = 273.15
 """0 deg C [K], by definition."""
 
+FIXED, HELD = "fixed", "held"
+"""Sources of an `Air` that was not measured now: the airframe file's constant; an earlier value of a source."""
+TWO_SIDED_95_PERCENT = 1.96
+"""Standard deviations on either side of the mean that hold 95 % of a normal distribution."""
+
 _SPEED_SQUARED_PER_K = HEAT_CAPACITY_RATIO * GAS_CONSTANT_J_PER_MOL_K / MOLAR_MASS_KG_PER_MOL
+
+
+class Air(NamedTuple):
+    """What is known of the air between the sensors and the ground.
+
+    Attributes
+    ----------
+    temperature_c
+        Its mean temperature along the beam [deg C].
+    std_c
+        Standard deviation of the error of ``temperature_c`` [deg C].
+    source
+        Where it comes from: a temperature source's name, `FIXED` or `HELD`.
+    """
+
+    temperature_c: float
+    std_c: float
+    source: str
 
 
 @overload
@@ -146,6 +169,40 @@ def compensate_range(
     if isinstance(ratio, np.ndarray):
         return range_m * np.sqrt(ratio)
     return range_m * math.sqrt(ratio)
+
+
+def air_variance_m2(range_m: float, air: Air) -> float:
+    """Variance of a compensated range's error from the air's temperature, (R / 2T)^2 var(T), T in kelvin.
+
+    The derivative of eq 7 by the air's temperature. The error is the same in every reading of every sensor, so it is
+    added to what goes out and never to a reading's own variance, which filters average.
+
+    Parameters
+    ----------
+    range_m
+        Compensated range R [m].
+    air
+        The air that it was compensated for.
+
+    Returns
+    -------
+    float
+        Variance [m^2].
+
+    Examples
+    --------
+    5 m in air of 20 deg C, give or take 12 deg C:
+
+    >>> print(f"{100 * math.sqrt(air_variance_m2(5.0, Air(20.0, 12.0, 'fixed'))):.1f} cm")
+    10.2 cm
+    """
+    std_m = range_m * 0.5 * air.std_c / (air.temperature_c + ZERO_CELSIUS_K)
+    return std_m * std_m
+
+
+def air_error_m(range_m: float, air: Air) -> float:
+    """How far a range may be off by the air's temperature: the bound that 95 % of the errors do not pass [m]."""
+    return TWO_SIDED_95_PERCENT * math.sqrt(air_variance_m2(range_m, air))
 
 
 def _absolute_k(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:

@@ -14,7 +14,8 @@ from msp_range.bus.smbus import KernelBus
 from msp_range.characterise.campaign import Campaign
 from msp_range.characterise.plan import Point
 from msp_range.clock import Clock, SystemClock
-from msp_range.correction.temperature import FileSource, TemperatureFile, read_thermometer
+from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource
+from msp_range.correction.thermometer import Sample, ThreadReader
 from msp_range.sensors.base import Decoded, RangeSensor
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import Poller, Ranging
@@ -68,18 +69,21 @@ class KernelBench:
 
     def __init__(self, bus: int | str, thermometer: FileSource | None) -> None:
         self._bus = KernelBus(bus)
-        self._thermometer = None if thermometer is None else TemperatureFile(thermometer, read_thermometer)
         self.clock: Clock = SystemClock()
+        self._thermometer = thermometer
+        self._reader = ThreadReader(self.clock)
+        self._sample: Sample | None = None
         self.description = "sensors on a bus"
 
     def open(self) -> None:
-        """Open the bus, before anybody sets anything up for it.
+        """Open the bus, and have the thermometer read, before anybody sets anything up.
 
         Raises
         ------
         ConfigError
             It cannot be opened.
         """
+        self.air_c(self.clock.now())
         try:
             self._bus.reopen()
         except BusError as error:
@@ -93,11 +97,18 @@ class KernelBench:
         return self._bus, 0
 
     def air_c(self, now_s: float) -> float | None:
-        """What the thermometer says."""
-        return None if self._thermometer is None else self._thermometer.value_c(now_s)
+        """The thermometer's newest value, while it is new. No jump is refused: at a bench people cause them."""
+        if self._thermometer is None:
+            return None
+        self._sample = self._reader.newest(self._thermometer, now_s) or self._sample
+        if self._sample is None or now_s - self._sample.time_s > self._thermometer.max_age_s:
+            return None
+        air_c = self._sample.reported_c - self._thermometer.bias_c
+        return air_c if COLDEST_C <= air_c <= HOTTEST_C else None
 
     def close(self) -> None:
         """Release the bus."""
+        self._reader.close()
         self._bus.close()
 
 

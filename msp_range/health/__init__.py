@@ -1,6 +1,6 @@
 """What works and what does not: conditions of sensors and of all else, and what is reported of them to the pilot."""
 
-from msp_range.health.conditions import Health, Report, Severity
+from msp_range.health.conditions import Condition, Health, Report, Severity
 from msp_range.health.output import OutputWatch
 
-__all__ = ["Health", "OutputWatch", "Report", "Severity"]
+__all__ = ["Condition", "Health", "OutputWatch", "Report", "Severity"]

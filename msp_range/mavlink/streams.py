@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from msp_range.acoustics.air import Air, air_variance_m2
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.filters.base import Estimate
 from msp_range.filters.chain import UNCONFIRMED, Filtered
@@ -83,7 +84,7 @@ class Streams:
         """Send a single stream's message that waited for its turn."""
         self._outbox.send_due(now_s)
 
-    def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome) -> bool:
+    def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air) -> bool:
         """Send what a downward sensor's reading means for the fused stream; False where it means nothing usable.
 
         Parameters
@@ -94,6 +95,8 @@ class Streams:
             Time of the echo on the autopilot's clock [ms].
         sensor, outcome
             Whose reading, and what the fusion made of it.
+        air
+            What the ranges were compensated for. Its uncertainty is added to the variance of what is sent.
         """
         if outcome.rejected != UNCONFIRMED:
             self._of_fused.setdefault(sensor, _Quality()).note(outcome.rejected is None)
@@ -104,19 +107,21 @@ class Streams:
         beam = self._beams[sensor]
         if outcome.fused is not None:
             quality = sum([each.percent for each in self._of_fused.values()]) // self._downward
-            self._outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, beam, quality))
+            self._outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, air, beam, quality))
         elif outcome.above_maximum:
             self._outbox.send_now(now_s, _no_echo(self._fused, boot_ms, beam))
         else:
             return False
         return True
 
-    def send_single(self, now_s: float, boot_ms: int, sensor: str, status: Status, filtered: Filtered) -> bool:
+    def send_single(
+        self, now_s: float, boot_ms: int, sensor: str, status: Status, filtered: Filtered, air: Air
+    ) -> bool:
         """Send what a reading means for its sensor's own stream; False where it means nothing usable.
 
         Parameters
         ----------
-        now_s, boot_ms, sensor
+        now_s, boot_ms, sensor, air
             As for `send_fused`.
         status, filtered
             What the sensor's answer meant, and what its filters made of it.
@@ -126,7 +131,7 @@ class Streams:
         if filtered.rejected != UNCONFIRMED:
             quality.note(estimate is not None)
         if estimate is not None:
-            self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, beam, quality.percent))
+            self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality.percent))
         elif status is Status.NO_ECHO:
             self._outbox.put(stream.id, _no_echo(stream, boot_ms, beam))
         else:
@@ -134,7 +139,7 @@ class Streams:
         self._outbox.send_due(now_s)
         return True
 
-    def send_object(self, now_s: float, boot_ms: int, reading: Reading) -> None:
+    def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
         """Send the distance of an object below a downward sensor, where that has no stream of its own."""
         stream = self._objects.get(reading.sensor)
         if stream is None or reading.range_m is None:
@@ -142,15 +147,18 @@ class Streams:
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
         estimate, beam = Estimate(reading.range_m, variance_m2), self._beams[reading.sensor]
         quality = self._of_objects[reading.sensor].percent
-        self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, beam, quality))
+        self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality))
         self._outbox.send_due(now_s)
 
 
-def _distance(stream: Stream, boot_ms: int, estimate: Estimate | Fused, beam: BreakawayTable, quality: int) -> Any:
+def _distance(
+    stream: Stream, boot_ms: int, estimate: Estimate | Fused, air: Air, beam: BreakawayTable, quality: int
+) -> Any:
     view_rad = beam.field_of_view_rad(estimate.range_m)
     if estimate.range_m > beam.known_to_m + HALF_A_CENTIMETRE:
         quality = int(quality * HELD_BEAM_QUALITY)
-    return distance_sensor(stream, boot_ms, estimate.range_m, estimate.variance_m2, view_rad, quality)
+    variance_m2 = estimate.variance_m2 + air_variance_m2(estimate.range_m, air)
+    return distance_sensor(stream, boot_ms, estimate.range_m, variance_m2, view_rad, quality)
 
 
 def _no_echo(stream: Stream, boot_ms: int, beam: BreakawayTable) -> Any:

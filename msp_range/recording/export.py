@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from msp_range.acoustics.air import FIXED, HELD
 from msp_range.reading import Status
 from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, write_csv
 from msp_range.recording.reader import Recording
@@ -58,7 +59,7 @@ def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
                 row["reading_cm"] = message.get("raw")
             # A truth belongs to one ping: a ping that the sensor did not take leaves none behind.
             row |= truth.pop(sensor, {})
-            if message.get("temperature_source") != "fixed":
+            if message.get("temperature_source") not in (FIXED, HELD):
                 row.setdefault("air_temperature_c", message.get("temperature_c"))
             rows.append(row)
             pings_s.append(message["ping_s"])

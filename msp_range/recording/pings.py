@@ -4,11 +4,15 @@ A recording knows when each sensor was pinged and when it answered; a CSV file k
 the ping follows by half the time of flight.
 """
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from msp_range.acoustics.air import FIXED, Air
 from msp_range.bus.replay import RecordedPing
+from msp_range.correction.temperature import FIXED_STD_C, GRADIENT_STD_C, THERMOMETER_STD_C
 from msp_range.fusion.attitude import Angles
 from msp_range.fusion.vertical import Moved
 from msp_range.reading import Status
@@ -23,6 +27,9 @@ READY_S = 0.020
 """A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
 NO_ECHO_READY_S = 0.067
 """The full cycle, after which a sensor that heard nothing says so."""
+
+MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
+"""Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
 
 
 def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[RecordedPing]]:
@@ -47,8 +54,10 @@ def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[R
     return pings
 
 
-def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tuple[float, float]]:
-    """Air temperatures that readings were corrected with, or that a CSV file tells: (time [s], deg C), by time.
+def recorded_air(path: Path | str, run: str | None = None) -> list[tuple[float, Air]]:
+    """The air that readings were corrected for, or that a CSV file has: (time [s], air), by time.
+
+    Where the deviation was not recorded, it is that of a thermometer, or of a fixed temperature.
 
     Raises
     ------
@@ -57,7 +66,7 @@ def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tupl
     """
     if is_recording(path):
         return [
-            (time_s, message["temperature_c"])
+            (time_s, _air_of(message))
             for topic, time_s, message in Recording(path)
             if topic.startswith(RANGE_PREFIX) and "temperature_c" in message
         ]
@@ -66,7 +75,13 @@ def recorded_temperatures(path: Path | str, run: str | None = None) -> list[tupl
         return []
     known = ~np.isnan(data["air_temperature_c"])
     pairs = zip(data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist(), strict=True)
-    return sorted(pairs)
+    return [(time_s, Air(air_c, MEASURED_STD_C, "recorded")) for time_s, air_c in sorted(pairs)]
+
+
+def _air_of(message: dict[str, Any]) -> Air:
+    source = message.get("temperature_source", "recorded")
+    std_c = message.get("temperature_std_c", FIXED_STD_C if source == FIXED else MEASURED_STD_C)
+    return Air(message["temperature_c"], std_c, source)
 
 
 def recorded_attitudes(path: Path | str) -> list[tuple[float, Angles]]:

@@ -16,6 +16,7 @@ from numpy.random import SeedSequence, default_rng
 from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.correction.temperature import FileSource
+from msp_range.correction.thermometer import LoopReader
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.autopilot import LoopbackAutopilot
@@ -148,7 +149,7 @@ class Simulation:
             self._transport,
             recorder=recorder,
             report=lambda severity, text: self._log.note(self.now_s(), severity, text),
-            thermometer=self._thermometer,
+            thermometer=LoopReader(self._thermometer),
         )
 
     def now_s(self) -> float:

@@ -23,6 +23,7 @@ from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import FileSource
+from msp_range.correction.thermometer import LoopReader
 from msp_range.geometry import Vector
 from msp_range.health import Report, Severity
 from msp_range.mavlink.transport import Transport
@@ -237,7 +238,7 @@ class Sitl:
             report=self._note,
             hear=lambda now_s, message: self.vehicle.hear(now_s - self._start_s, message),
             wanted=WANTED,
-            thermometer=self._thermometer,
+            thermometer=LoopReader(self._thermometer),
         )
 
     def now_s(self) -> float:

@@ -1,17 +1,26 @@
 """Recorded flights and measured data through the bridge again."""
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 from typer.testing import CliRunner, Result
 
 from msp_range.cli import app
+from msp_range.clock import VirtualClock
+from msp_range.mavlink.transport import Nowhere
 from msp_range.recording.csv_form import read_csv, write_csv
+from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
+from msp_range.replay import first_ping_s, replay
 from msp_sim.cli import app as sim_app
+from tests.support.bench import START_S, Bench, airframe
 from tests.support.data import measured_data
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -45,6 +54,45 @@ def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "front_left" in result.output
     assert ranges(again) == ranges(flight)
+
+
+def test_a_replay_has_the_air_of_the_flight_and_how_well_it_was_known(tmp_path: Path) -> None:
+    """A thermometer that dies in flight: what was sent, variances and all, is sent again, and nothing is reported."""
+    thermometer = tmp_path / "temp1_input"
+    thermometer.write_text("-5000")
+    sources = [{"source": "file", "path": str(thermometer)}]
+    vehicle = airframe(temperature={"fixed_c": 22.5, "sources": sources})
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock(START_S))
+    bench = Bench(vehicle, lambda name, time_s: 500 + round(2 * math.sin(7 * time_s)), recorder=recorder).fly(10.0)
+    thermometer.unlink()
+    bench.fly(200.0)
+    recorder.close()
+    path, again = tmp_path / "flight.mcap", tmp_path / "again.mcap"
+    pings = recorded_pings(path)
+    clock = VirtualClock(first_ping_s(pings))
+    recorder = Recorder(again, clock)
+    replay(vehicle, pings, path, clock, Nowhere(), recorder, recorded_air(path))
+    recorder.close()
+
+    def stages(recording: Path, *keys: str) -> list[list[Any]]:
+        return [[each[key] for key in keys] for topic, _, each in Recording(recording) if topic.startswith("/range/")]
+
+    keys = ("time_s", "corrected_m", "temperature_c", "temperature_std_c", "temperature_source")
+    assert stages(again, *keys) == stages(path, *keys)
+    assert {source for *_, source in stages(path, *keys)} == {str(thermometer), "held"}
+
+    def covariances(recording: Path) -> list[int]:
+        frames = [
+            bytes.fromhex(each["hex"])
+            for topic, _, each in Recording(recording)
+            if topic == "/mavlink/sent" and each["name"] == "DISTANCE_SENSOR"
+        ]
+        return [message.covariance for each in frames for message in common.MAVLink(None).parse_buffer(each)]
+
+    sent = covariances(path)
+    assert covariances(again) == sent
+    assert sent[50] < 5 < 10 < sent[-1]
+    assert [each["text"] for topic, _, each in Recording(again) if topic == "/health"] == ["Range: all 4 sensors good"]
 
 
 def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:

@@ -42,7 +42,8 @@ def airframe(sensors: Sequence[dict[str, Any]] = FOUR_DOWN, **changed: Any) -> A
     content: dict[str, Any] = {
         "vehicle": "bench",
         "sensors": sensors,
-        "temperature": {"fixed_c": CALIBRATED_C},
+        # Known exactly: what it leaves uncertain is tested on its own.
+        "temperature": {"fixed_c": CALIBRATED_C, "fixed_std_c": 0.0},
         "link": {"url": "udpout:127.0.0.1:14550"},
         "send": {"fused": {"id": FUSED_ID}},
         # It puts out the first reading, which the changepoint filter keeps back.

@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from msp_range.acoustics.air import compensate_range, speed_of_sound, time_of_flight
+from msp_range.acoustics.air import (
+    Air,
+    air_error_m,
+    air_variance_m2,
+    compensate_range,
+    speed_of_sound,
+    time_of_flight,
+)
 
 
 @pytest.mark.parametrize(
@@ -71,3 +78,21 @@ def test_absolute_zero_and_below_are_refused() -> None:
         speed_of_sound(np.array([20.0, -300.0]))
     with pytest.raises(ValueError, match=r"absolute zero"):
         compensate_range(3.0, 20.0, -273.15)
+
+
+@pytest.mark.parametrize("air_c", [-20.0, 20.0, 45.0])
+@pytest.mark.parametrize("std_c", [0.5, 2.0])
+def test_the_variance_of_a_range_is_what_wrong_temperatures_do_to_it(air_c: float, std_c: float) -> None:
+    """Against eq 7 itself, with temperatures drawn about the true one: to the sampling error of 100,000."""
+    believed_c = air_c + std_c * np.random.default_rng(1).standard_normal(100_000)
+    errors_m = compensate_range(np.full(100_000, 5.0), believed_c, air_c) - 5.0
+    assert air_variance_m2(5.0, Air(air_c, std_c, "fixed")) == pytest.approx(errors_m.var(), rel=0.02)
+    bound_m = air_error_m(5.0, Air(air_c, std_c, "fixed"))
+    assert np.mean(np.abs(errors_m) <= bound_m) == pytest.approx(0.95, abs=0.005)
+
+
+def test_five_metres_in_air_of_20_give_or_take_12_degrees() -> None:
+    """(R / 2T)^2 var(T) by hand: 5 m / 586.3 K x 12 K is 10.23 cm."""
+    assert 1e4 * air_variance_m2(5.0, Air(20.0, 12.0, "fixed")) == pytest.approx(10.234**2, rel=1e-3)
+    assert air_variance_m2(10.0, Air(20.0, 12.0, "fixed")) == 4 * air_variance_m2(5.0, Air(20.0, 12.0, "fixed"))
+    assert air_variance_m2(5.0, Air(20.0, 0.0, "fixed")) == 0.0

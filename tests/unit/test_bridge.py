@@ -145,6 +145,42 @@ def test_the_covariance_is_the_filters_own_rounded_up(filters: list[dict[str, An
     assert last(Bench(one_down(filters=filters), 300).fly(4.0), 1).covariance == math.ceil(covariance)
 
 
+AIR_CM2 = (500 * 12 / (2 * (CALIBRATED_C + 273.15))) ** 2
+"""Of 5 m where nobody knows the air to better than 12 deg C."""
+
+
+@pytest.mark.parametrize("filters", [[], [{"filter": "moving_average", "window": 5}], [{"filter": "changepoint"}]])
+def test_the_covariance_of_a_single_stream_has_the_airs_on_top_of_its_filters(filters: list[dict[str, Any]]) -> None:
+    """However long a filter averages: the air's error is the same in all its readings."""
+    exact = {"temperature": {"fixed_c": CALIBRATED_C, "fixed_std_c": 0.0}}
+    unknown = {"temperature": {"fixed_c": CALIBRATED_C}}
+    own_m2 = [step.filtered.estimate for step in Bench(one_down(filters=filters, **exact), 500).fly(10.0).steps]
+    bench = Bench(one_down(filters=filters, **unknown), 500).fly(10.0)
+    assert [step.filtered.estimate for step in bench.steps] == own_m2
+    assert own_m2[-1] is not None
+    assert last(bench, 1).covariance == math.ceil(AIR_CM2 + 1e4 * own_m2[-1].variance_m2)
+
+
+def test_the_covariance_of_the_fused_stream_has_the_airs_however_many_sensors_agree() -> None:
+    bench = Bench(airframe(temperature={"fixed_c": CALIBRATED_C}), 500).fly(20.0)
+    fused = [step.fused for step in bench.steps if step.fused is not None][-1]
+    assert fused.variance_m2 < 1e-4
+    assert last(bench).covariance == math.ceil(AIR_CM2 + 1e4 * fused.variance_m2)
+
+
+def test_what_nobody_knows_of_the_air_lets_no_more_readings_through() -> None:
+    """An outlier of 60 cm is one, with a thermometer and without."""
+
+    def world(name: str, time_s: float) -> int:
+        return 440 if name == "b" and 5.0 < time_s < 5.5 else 500
+
+    for fixed_std_c in (0.0, 12.0):
+        temperature = {"fixed_c": CALIBRATED_C, "fixed_std_c": fixed_std_c}
+        bench = Bench(airframe(temperature=temperature), world).fly(8.0)
+        assert set(bench.distances_cm()) == {500}
+        assert bench.rejected("b") == {"unexpected": 1}
+
+
 def test_the_covariance_of_canted_sensors_covers_slant_and_nearest_point() -> None:
     canted = [sensor(name, number, -60.0, 90.0 * number) for number, name in enumerate(NAMES, start=1)]
     fused = {"id": FUSED_ID, "sensors": list(NAMES)}
@@ -297,6 +333,7 @@ def test_an_autopilot_that_comes_late_is_told_what_is_wrong() -> None:
 def test_an_air_temperature_that_does_not_come_is_said_and_that_it_is_back() -> None:
     temperature = {"fixed_c": 20.0, "sources": [{"source": "mavlink", "message": "SCALED_PRESSURE"}]}
     bench = Bench(airframe(temperature=temperature), 600)
+    assert "no thermometer" not in str(bench.texts())
     bench.hear(HEARTBEAT)
     bench.fly(8.0)
     assert "Range: no air temperature, using 20 C" in bench.texts()
@@ -309,6 +346,16 @@ def test_an_air_temperature_that_does_not_come_is_said_and_that_it_is_back() -> 
     assert "Range: air temp is back" in bench.said()
     # 15 deg C are 2.5 % of the range.
     assert last(bench).current_distance - before_cm == pytest.approx(600 * 0.0252, abs=1)
+
+
+def test_a_missing_thermometer_is_reported_at_the_start_and_to_an_autopilot_that_comes() -> None:
+    bench = Bench(airframe(temperature={"fixed_c": 20.0}), 600).fly(5.0)
+    text = "Range: no thermometer, up to 31 cm off at 7.65 m"
+    assert bench.said() == [text, "Range: all 4 sensors good"]
+    before = len(bench.texts())
+    bench.hear(HEARTBEAT)
+    bench.fly(7.0)
+    assert bench.texts()[before:] == [text]
 
 
 def test_every_text_fits_a_statustext() -> None:
@@ -335,11 +382,14 @@ class Paper:
 
 def test_every_stage_of_every_reading_is_recorded() -> None:
     paper = Paper(math.inf)
-    vehicle = airframe(temperature={"fixed_c": 0.0}, send={"fused": {"id": FUSED_ID}, "sensors": ["c"]}, link=PX4)
+    vehicle = airframe(
+        temperature={"fixed_c": 0.0, "fixed_std_c": 4.0}, send={"fused": {"id": FUSED_ID}, "sensors": ["c"]}, link=PX4
+    )
     bench = Bench(vehicle, lambda name, time_s: 765 if name == "b" else 300, recorder=paper).fly(9.95)
     assert [paper.topics[f"/range/{name}"] for name in NAMES] == [25] * 4
     good, silent, only_fused = paper.last["/range/c"], paper.last["/range/b"], paper.last["/range/a"]
     assert (good["status"], good["raw"], good["range_m"], good["temperature_c"]) == ("ok", 300, 3.0, 0.0)
+    assert (good["temperature_std_c"], good["temperature_source"]) == (4.0, "fixed")
     air_m = 3.0 * speed_of_sound(0.0) / speed_of_sound(CALIBRATED_C)
     assert (good["corrected_m"], good["filtered_m"]) == (pytest.approx(air_m), pytest.approx(air_m))
     assert good["ping_s"] < good["time_s"] < good["read_s"]

@@ -1,6 +1,7 @@
 """The commands as a person uses them: help that teaches, mistakes told in a line, exit codes."""
 
 import json
+import re
 import time
 from pathlib import Path
 
@@ -37,6 +38,14 @@ def test_check_shows_what_would_fly(path: Path) -> None:
     result = CliRunner().invoke(app, ["check", str(path)])
     assert result.exit_code == 0, result.output
     assert "0x70" in result.output
+    assert re.search(r"fixed_c 20 C \+-12 C: up to 31 cm off at 7\.65 m; right for air of -4 to 44 C", result.output)
+
+
+def test_check_says_what_each_thermometer_is_worth() -> None:
+    output = CliRunner().invoke(app, ["check", str(CONFIGS / "forward_and_down.yaml")]).output
+    assert "SCALED_PRESSURE.temperature +-4.16 C: up to 11 cm off at 7.65 m" in output
+    assert "no thermometer" not in output
+    assert "air: no thermometer" in CliRunner().invoke(app, ["check", str(CONFIGS / "loopback.yaml")]).output
 
 
 @pytest.mark.parametrize(

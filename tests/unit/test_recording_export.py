@@ -38,7 +38,7 @@ def test_one_row_is_one_ping_with_the_sensors_own_word(tmp_path: Path) -> None:
             ("/range/right", 0.15, reading(0.1, "no_echo", 765) | warm("fixed")),
             ("/fused", 0.15, {"range_m": 4.0}),
             ("/range/left", 0.25, reading(0.2, "no_answer", None)),
-            ("/range/right", 0.35, reading(0.3, "clock_fault", 0x8000 + 400)),
+            ("/range/right", 0.35, reading(0.3, "clock_fault", 0x8000 + 400) | warm("held")),
             ("/range/right", 0.45, reading(0.4, "part_info", 300)),
         ],
     )
@@ -58,7 +58,7 @@ def test_one_row_is_one_ping_with_the_sensors_own_word(tmp_path: Path) -> None:
     assert set(data["run"]) == {"flight7"}
     np.testing.assert_array_equal(data["reading_cm"], [400, 765, np.nan, 0x8000 + 400, np.nan])
     assert np.isnan(data["true_range_cm"]).all()
-    # Only a temperature that was measured is known; the airframe's constant is not.
+    # Only a temperature that was measured then is known; the airframe's constant and an old value are not.
     np.testing.assert_array_equal(data["air_temperature_c"], [15.5, np.nan, np.nan, np.nan, np.nan])
     # Rounded to microseconds.
     np.testing.assert_allclose(data["neighbour_lag_ms"], [np.nan, 100, 100, 100, 200], atol=5e-4)

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from msp_range.acoustics.air import Air
 from msp_range.bus.base import Bus, BusError
 from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
-from msp_range.recording.pings import recorded_pings
+from msp_range.recording.pings import MEASURED_STD_C, recorded_air, recorded_pings
 from msp_range.recording.writer import Recorder
 from msp_range.sensors.mb1242 import COMMAND_RANGE, MB1242
 from msp_range.sensors.polling import Poller, Ranging
@@ -136,6 +137,24 @@ def test_a_recorded_answer_is_there_for_the_try_that_found_it(tmp_path: Path) ->
     ((ping_s, word, ready_s),) = recorded_pings(tmp_path / "flight.mcap")["left"]
     assert (ping_s, word) == (1.0, 300)
     assert 0.0352 < ready_s < 0.0372
+
+
+def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_path: Path) -> None:
+    path = write_csv_text(
+        tmp_path / "a.csv", "1,left,200,4.5\n2,left,200,\n", "time_s,sensor,reading_cm,air_temperature_c"
+    )
+    assert recorded_air(path) == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    air = {"temperature_c": 20.0, "temperature_source": "fixed"}
+    recorder.write("/range/left", 1.0, {"time_s": 1.0} | air)
+    recorder.write("/range/left", 2.0, {"time_s": 2.0} | air | {"temperature_source": "SCALED_PRESSURE.temperature"})
+    recorder.write("/range/left", 3.0, {"time_s": 3.0} | air | {"temperature_std_c": 3.5, "temperature_source": "held"})
+    recorder.close()
+    assert [each for _, each in recorded_air(tmp_path / "flight.mcap")] == [
+        Air(20.0, 12.0, "fixed"),
+        Air(20.0, MEASURED_STD_C, "SCALED_PRESSURE.temperature"),
+        Air(20.0, 3.5, "held"),
+    ]
 
 
 def test_one_run_at_a_time(tmp_path: Path) -> None:

@@ -1,0 +1,189 @@
+"""The air's temperature for the speed of sound, and how well it is known.
+
+Values of the airframe's sources enter, an `Air` leaves: the first source in the order of trust that has a new and good
+value; else the best value that a source had, with a deviation that grows with its age; else the airframe's fixed
+temperature with its own. A source that jumps is believed when another source or the raw ranges confirm it, or after it
+was steady for long. What the pilot should know of all this are `conditions`.
+"""
+
+import math
+from typing import Any
+
+from msp_range.acoustics.air import FIXED, HELD, TWO_SIDED_95_PERCENT, Air, air_error_m
+from msp_range.correction.range_comparison import RangeHistory
+from msp_range.correction.temperature import MAVLINK_FIELDS, FileSource, MavlinkSource, TemperatureParameters
+from msp_range.correction.temperature_track import BELIEVED_AFTER_S, TemperatureTrack
+from msp_range.correction.thermometer import ThermometerReader
+from msp_range.health import Condition
+from msp_range.reading import Reading, Status
+
+GRACE_S = 5.0
+"""Sources may be silent for this long before it is reported [s]."""
+JUMP_REPORTED_S = 2.0
+"""A jump that is over sooner is not reported [s]: one damaged value."""
+AGREE_STDS = 2.0
+"""Two sources agree where they differ by no more than this many standard deviations of their difference."""
+WORTH_REPORTING_M = 0.10
+"""A missing thermometer is reported where ranges may be off by more than this [m]: 4 C at the maximum of an MB1242.
+Smaller: it is also reported where the pilot states the temperature before each flight."""
+BACK = "Range: air temp is back"
+
+_NO_SOURCE = {("HIGHRES_IMU", "temperature"): 15.0, "temperature_press_diff": 0.0}
+"""Values that autopilots send where they have no such sensor."""
+
+
+class AirTemperature:
+    """The best value that there is.
+
+    Parameters
+    ----------
+    parameters
+        Sources and fixed temperature.
+    start_s
+        Now [s].
+    reader
+        Reads the sources that are files.
+    maximum_m
+        Longest range of the vehicle's sensors, for the report to the pilot [m].
+    """
+
+    def __init__(
+        self, parameters: TemperatureParameters, start_s: float, reader: ThermometerReader, maximum_m: float
+    ) -> None:
+        self._reader = reader
+        self._maximum_m = maximum_m
+        self._fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
+        self._air = self._fixed
+        self._history = RangeHistory()
+        self._tracks = [(source, TemperatureTrack(source, self._history)) for source in parameters.sources]
+        self._had_value_s = start_s
+        self._settled = BACK
+
+    def on_message(self, now_s: float, message: Any) -> None:
+        """Take a message from the autopilot, whatever it is."""
+        kind = message.get_type()
+        for source, track in self._tracks:
+            if isinstance(source, MavlinkSource) and source.message == kind:
+                reported_c = getattr(message, source.field) * MAVLINK_FIELDS[kind, source.field].c_per_unit
+                if reported_c not in (_NO_SOURCE.get((kind, source.field)), _NO_SOURCE.get(source.field)):
+                    track.update(now_s, reported_c)
+
+    def record_range(self, reading: Reading) -> None:
+        """Take a reading of a downward sensor as it came, for comparison where a thermometer jumps."""
+        if self._tracks and reading.status is Status.OK and reading.range_m is not None and not reading.suspect:
+            self._history.record(reading.time_s, reading.sensor, reading.range_m)
+
+    def now(self, now_s: float) -> Air:
+        """The air at ``now_s``; reads the files that are due."""
+        self._settled = BACK
+        for source, track in self._tracks:
+            if isinstance(source, FileSource) and (sample := self._reader.newest(source, now_s)) is not None:
+                track.update(*sample)
+        for _, track in self._tracks:
+            self._settle(track, now_s)
+        self._air = self._best(now_s)
+        if self._air.source not in (FIXED, HELD):
+            self._had_value_s = now_s
+        return self._air
+
+    def _best(self, now_s: float) -> Air:
+        known = [(track, good) for _, track in self._tracks if (good := track.good(now_s)) is not None]
+        for track, good in known:
+            if good.source != HELD:
+                return track.air(good)
+        known = [(track, good) for track, good in known if good.std_c < self._fixed.std_c]
+        if not known:
+            return self._fixed
+        track, good = min(known, key=lambda each: each[1].std_c)
+        return track.air(good)
+
+    def _settle(self, track: TemperatureTrack, now_s: float) -> None:
+        """Decide on a jump, where that is possible now."""
+        jump, good, new = track.jump, track.good(now_s), track.reported(now_s)
+        if jump is None or good is None or new is None:
+            return
+        others = [
+            other for _, each in self._tracks if each is not track and (other := each.reported(now_s)) is not None
+        ]
+        verdicts = {_agree(new, other) for other in others if _agree(new, other) != _agree(good, other)}
+        words = "another source agrees", "another source disagrees"
+        if not verdicts:
+            jump.ranges.update(now_s)
+            changed = jump.ranges.changed(now_s, good.temperature_c, new.temperature_c)
+            verdicts = set() if changed is None else {changed}
+            words = "the ranges agree", "the ranges disagree"
+        text = f"Range: air temp {new.temperature_c:.0f} C"
+        if verdicts == {True}:
+            self._settled = f"{text}: {words[0]}"
+            track.confirm()
+        elif verdicts == {False}:
+            self._settled = f"{text}: {words[1]}"
+            jump.refused = True
+        elif not jump.refused and now_s - jump.steady_since_s >= BELIEVED_AFTER_S:
+            self._settled = f"{text} used after {BELIEVED_AFTER_S / 60:.0f} min, +-{track.doubt_c:.0f}"
+            track.confirm(track.doubt_c)
+
+    def conditions(self, now_s: float) -> list[Condition]:
+        """What the pilot should know, after the last call of `now`."""
+        fixed_error_m = air_error_m(self._maximum_m, self._fixed)
+        no_thermometer = not self._tracks and fixed_error_m > WORTH_REPORTING_M
+        off = f"Range: no thermometer, up to {100 * fixed_error_m:.0f} cm off at {self._maximum_m:.3g} m"
+        using = f"using {self._air.temperature_c:.0f} C"
+        is_without = bool(self._tracks) and self._air.source in (FIXED, HELD)
+        jumps = [track.jump for _, track in self._tracks if track.jump is not None]
+        wrong = next((jump for jump in jumps if jump.refused), None)
+        # While another source has a value, it decides on the jump.
+        is_open = is_without and jumps and wrong is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
+        is_silent = is_without and not jumps and now_s - self._had_value_s > GRACE_S
+        return [
+            Condition("no thermometer", off if no_thermometer else None, ""),
+            Condition(
+                "temperature jump",
+                f"Range: air temp jumps to {jumps[0].level.value_c:.0f} C, {using}" if is_open else None,
+                self._settled,
+            ),
+            Condition(
+                "thermometer wrong",
+                None if wrong is None else f"Range: thermometer wrong at {wrong.level.value_c:.0f} C, {using}",
+                BACK,
+            ),
+            Condition("temperature", f"Range: no air temperature, {using}" if is_silent else None, BACK),
+            Condition(
+                "thermometer hangs",
+                "Range: thermometer file does not answer" if self._reader.hangs(now_s) else None,
+                "Range: thermometer file answers again",
+            ),
+        ]
+
+
+def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
+    """What the sources of an airframe file are worth, for a person: a line each.
+
+    Parameters
+    ----------
+    maximum_m
+        Longest range of the vehicle's sensors [m].
+
+    Examples
+    --------
+    >>> print(*describe(TemperatureParameters(), 7.65), sep="\\n")
+    air: no thermometer
+      fixed_c 20 C +-12 C: up to 31 cm off at 7.65 m; right for air of -4 to 44 C
+    """
+
+    def off(air: Air) -> str:
+        return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
+
+    fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
+    sources = [f"  {each.name} {off(Air(fixed.temperature_c, each.error_std_c, ''))}" for each in parameters.sources]
+    margin_c = TWO_SIDED_95_PERCENT * fixed.std_c
+    held_c = f"{fixed.temperature_c - margin_c:.0f} to {fixed.temperature_c + margin_c:.0f} C"
+    return [
+        "air: the first of these that has a value" if sources else "air: no thermometer",
+        *sources,
+        f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
+    ]
+
+
+def _agree(one: Air, other: Air) -> bool:
+    return abs(one.temperature_c - other.temperature_c) <= AGREE_STDS * math.hypot(one.std_c, other.std_c)

@@ -1,0 +1,129 @@
+"""Raw ranges before and after a thermometer jumps: did the air change, or the thermometer alone?
+
+A range finder times its echo: when the air goes from T1 to T2 all raw ranges change together by sqrt(T1 / T2), in
+kelvin, with the air and not after it. Raw downward ranges enter; True where they changed by that, False where they did
+not change, and None where that is open leaves. They decide nothing while the vehicle climbs.
+"""
+
+import math
+from collections import deque
+from itertools import islice, takewhile
+from statistics import median
+
+from msp_range.acoustics.air import ZERO_CELSIUS_K
+
+HISTORY_S = 20.0
+"""Ranges are kept for this long [s]. A source that is read less often than every 15 s has no ranges from before its
+jump, and its jumps are left open."""
+GUARD_S = 2.0
+"""Ranges of this time before the last good value are left out [s]: the air changes before a thermometer shows it."""
+FEWEST_BEFORE, MOST_BEFORE = 24, 64
+"""Readings that make the level before a jump: at least a second of four sensors in turn, at most 6 s. With fewer their
+noise (2 cm each) would show as a climb."""
+READINGS = 16
+"""Readings of one comparison with the level before: a median of so many has a standard error of 0.6 cm."""
+STAYS_S = 5.0
+"""The ranges must show the same for this long before they decide [s]."""
+READINGS_OF_A_DIP, DIP = 5, 0.5
+"""Where the median of so many readings in a row has moved by this share of the expected change, the ranges have not
+stayed: an autopilot that holds its height by these distances brings them back within two seconds. Fewer readings or a
+smaller share: noise leaves more jumps open. More: a jump of the air that an autopilot has corrected is refused."""
+OVERLAP_S = 1.0
+"""Readings are looked at again for this long [s], since a median takes several of them."""
+SMALLEST_M = 0.05
+"""Changes of the air that move the ranges by less than this are left open [m]: 7 deg C at 4 m, 28 at 1 m. Medians of
+whole centimetres are good to one. Smaller: noise decides."""
+TOLERANCE = 1 / 3
+"""Share of the expected change by which the ranges may differ from it, or from none."""
+
+Readings = list[tuple[str, float]]
+"""Sensor and logarithm of the raw range."""
+
+
+class RangeHistory:
+    """The raw downward ranges of the last seconds."""
+
+    def __init__(self) -> None:
+        self._readings: deque[tuple[float, str, float]] = deque()
+
+    def record(self, time_s: float, sensor: str, range_m: float) -> None:
+        """Keep a range as the sensor reported it; in the order of their times."""
+        self._readings.append((time_s, sensor, range_m))
+        while self._readings[0][0] < time_s - HISTORY_S:
+            self._readings.popleft()
+
+    def between(self, from_s: float, to_s: float, most: int) -> Readings:
+        """Those after ``from_s`` and not after ``to_s``, the newest ``most`` of them, in the order of their times."""
+        since = takewhile(lambda each: each[0] > from_s, reversed(self._readings))
+        newest = islice((each for each in since if each[0] <= to_s), most)
+        return [(sensor, math.log(range_m)) for _, sensor, range_m in newest][::-1]
+
+
+class RangeComparison:
+    """The ranges since a jump against those before it.
+
+    Parameters
+    ----------
+    history
+        Goes on being kept up to date by its owner.
+    good_s, jump_s
+        Times of the last good value and of the first one at the new level [s].
+    """
+
+    def __init__(self, history: RangeHistory, good_s: float, jump_s: float) -> None:
+        self._history = history
+        self._jump_s = jump_s
+        self._compared_s = good_s - GUARD_S
+        self._dip = 0.0
+        before = history.between(float("-inf"), good_s - GUARD_S, MOST_BEFORE)
+        by_sensor: dict[str, list[float]] = {}
+        for sensor, log_range in before:
+            by_sensor.setdefault(sensor, []).append(log_range)
+        self._before = {sensor: median(each) for sensor, each in by_sensor.items()}
+        self._range_m = math.exp(median([log_range for _, log_range in before])) if before else 0.0
+        half = len(before) // 2
+        self._climbed = float("inf")
+        if len(before) >= FEWEST_BEFORE:
+            self._climbed = abs(self._change(before[half:]) - self._change(before[:half]))
+        self._first_s = float("inf")
+        self._least, self._most = float("inf"), float("-inf")
+
+    def update(self, now_s: float) -> None:
+        """Compare the newest ranges."""
+        if self._climbed == float("inf"):
+            return
+        new = self._known(self._compared_s, now_s, MOST_BEFORE)
+        if len(new) >= READINGS_OF_A_DIP:
+            self._compared_s = now_s - OVERLAP_S
+            windows = [new[i : i + READINGS_OF_A_DIP] for i in range(len(new) - READINGS_OF_A_DIP + 1)]
+            self._dip = max(self._dip, *[abs(self._change(each)) for each in windows])
+        known = self._known(self._jump_s, now_s, READINGS)
+        if len(known) < READINGS:
+            return
+        self._first_s = min(self._first_s, now_s)
+        change = self._change(known)
+        self._least, self._most = min(self._least, change), max(self._most, change)
+
+    def changed(self, now_s: float, from_c: float, to_c: float) -> bool | None:
+        """Whether the ranges have changed as they do when the air goes from ``from_c`` to ``to_c``.
+
+        Returns
+        -------
+        bool or None
+            True: all along since the jump, by that; False: not at all; None: it is open.
+        """
+        expected = 0.5 * math.log((from_c + ZERO_CELSIUS_K) / (to_c + ZERO_CELSIUS_K))
+        tolerance = TOLERANCE * abs(expected)
+        if now_s - self._first_s < STAYS_S or abs(expected) * self._range_m < SMALLEST_M or self._climbed > tolerance:
+            return None
+        if expected - tolerance <= self._least and self._most <= expected + tolerance:
+            return True
+        if -tolerance <= self._least and self._most <= tolerance and self._dip <= DIP * abs(expected):
+            return False
+        return None
+
+    def _known(self, from_s: float, to_s: float, most: int) -> Readings:
+        return [each for each in self._history.between(from_s, to_s, most) if each[0] in self._before]
+
+    def _change(self, readings: Readings) -> float:
+        return median([log_range - self._before[sensor] for sensor, log_range in readings])

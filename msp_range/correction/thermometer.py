@@ -1,0 +1,173 @@
+"""Reading the files of thermometers without ever waiting for them in the loop that polls the sensors.
+
+A file source enters, its newest value with its time leaves, or nothing. On a vehicle a thread reads the files
+(`ThreadReader`): a DS18B20 takes 0.75 s for each value. Under a virtual clock they are read in the loop
+(`LoopReader`), so that the same flight gives the same bytes each time.
+"""
+
+import glob
+import math
+import os
+import stat
+import threading
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from msp_range.clock import Clock
+from msp_range.correction.temperature import FileSource
+
+LONGEST_NUMBER_BYTES = 64
+"""A file with more than this holds no single number [bytes]: hwmon and iio files have at most 12."""
+HANGS_S = 5.0
+"""A read that takes longer than this is reported [s]: seven times as long as a DS18B20 takes."""
+
+LONGEST_WAIT_S = 0.25
+"""The thread looks for sources that were added after this long at the latest [s]."""
+
+
+class Sample(NamedTuple):
+    """A value as a source reported it [deg C], and when the read of it began [s]."""
+
+    time_s: float
+    reported_c: float
+
+
+class ThermometerReader(Protocol):
+    """Whoever reads the files."""
+
+    def newest(self, source: FileSource, now_s: float) -> Sample | None:
+        """A value that was not returned before; None where there is none. Never waits on a vehicle."""
+        ...
+
+    def hangs(self, now_s: float) -> bool:
+        """True where a read has begun long ago and does not end."""
+        ...
+
+
+def read_thermometer(source: FileSource) -> float:
+    """The number in a source's file, in the file's unit.
+
+    Raises
+    ------
+    OSError, ValueError
+        There is no such file, it is a pipe or a device, or it holds no number.
+    """
+    paths = sorted(glob.glob(source.path))
+    path = paths[0] if paths else source.path
+    # A pipe that nobody writes to would hold an open without O_NONBLOCK for ever.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise ValueError(f"{path}: is a pipe, a device or a folder; expected a file that holds a number")
+        content = os.read(descriptor, LONGEST_NUMBER_BYTES + 1)
+    finally:
+        os.close(descriptor)
+    try:
+        if len(content) > LONGEST_NUMBER_BYTES:
+            raise ValueError
+        number = float(content)
+        if not math.isfinite(number):
+            raise ValueError
+    except ValueError:
+        raise ValueError(f"{path}: found {content[:20]!r}, expected a number") from None
+    return number
+
+
+class LoopReader:
+    """Reads a file in the loop when it is due; for virtual clocks.
+
+    Parameters
+    ----------
+    read
+        The number in a source's file, in the file's unit; OSError or ValueError where there is none.
+    """
+
+    def __init__(self, read: Callable[[FileSource], float] = read_thermometer) -> None:
+        self._read = read
+        self._next_s: dict[FileSource, float] = {}
+
+    def newest(self, source: FileSource, now_s: float) -> Sample | None:
+        """Read the file where that is due."""
+        if now_s < self._next_s.get(source, now_s):
+            return None
+        self._next_s[source] = now_s + source.period_s
+        try:
+            return Sample(now_s, self._read(source) * source.scale)
+        except (OSError, ValueError):
+            return None
+
+    def hangs(self, now_s: float) -> bool:
+        """Never: the loop itself would hang."""
+        return False
+
+
+class ThreadReader:
+    """Reads all files in one thread of its own; the loop takes the newest values.
+
+    The thread starts with the first source that is asked for. It is a daemon: a read that never ends does not keep the
+    program from ending.
+
+    Parameters
+    ----------
+    clock
+        Time of the values.
+    read
+        As for `LoopReader`.
+    on_error
+        Called in the thread with what is wrong with a file when that changes, for the log.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        read: Callable[[FileSource], float] = read_thermometer,
+        on_error: Callable[[str], object] | None = None,
+    ) -> None:
+        self._clock = clock
+        self._read = read
+        self._on_error = on_error
+        self._next_s: dict[FileSource, float] = {}
+        self._newest: dict[FileSource, Sample] = {}
+        self._errors: dict[FileSource, str] = {}
+        self._reading_since_s: float | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="thermometers", daemon=True)
+
+    def newest(self, source: FileSource, now_s: float) -> Sample | None:
+        """The newest value since the last call; the first call for a source has it read from now on."""
+        if source not in self._next_s:
+            self._next_s[source] = now_s
+            if len(self._next_s) == 1:
+                self._thread.start()
+        return self._newest.pop(source, None)
+
+    def hangs(self, now_s: float) -> bool:
+        """True where the thread has waited for a file for longer than `HANGS_S`."""
+        since_s = self._reading_since_s
+        return since_s is not None and now_s - since_s > HANGS_S
+
+    def close(self) -> None:
+        """End the thread; one that hangs in a read ends with the program."""
+        self._closing.set()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            for source, due_s in list(self._next_s.items()):
+                now_s = self._clock.now()
+                if now_s >= due_s:
+                    self._next_s[source] = now_s + source.period_s
+                    self._read_one(source, now_s)
+            wait_s = min(list(self._next_s.values())) - self._clock.now()
+            self._closing.wait(min(max(wait_s, 0.0), LONGEST_WAIT_S))
+
+    def _read_one(self, source: FileSource, now_s: float) -> None:
+        self._reading_since_s = now_s
+        error_text = ""
+        try:
+            self._newest[source] = Sample(now_s, self._read(source) * source.scale)
+        except (OSError, ValueError) as error:
+            error_text = str(error)
+        self._reading_since_s = None
+        if error_text and error_text != self._errors.get(source) and self._on_error is not None:
+            self._on_error(error_text)
+        self._errors[source] = error_text

@@ -1,0 +1,34 @@
+"""The thermometer of a bench with real sensors."""
+
+import time
+from pathlib import Path
+
+from msp_range.characterise.bench import KernelBench
+from msp_range.correction.temperature import FileSource
+
+
+def test_a_bench_reads_its_thermometer_in_a_thread_and_refuses_no_jump(tmp_path: Path) -> None:
+    """People put hot boxes over sensors there; and a slow thermometer must not delay the pings."""
+    file = tmp_path / "temp1_input"
+    file.write_text("21000")
+    source = FileSource.model_validate(
+        {"source": "file", "path": str(file), "period_s": 0.01, "max_age_s": 0.3, "bias_c": 1.0}
+    )
+    bench = KernelBench(str(tmp_path / "i2c-1"), source)
+
+    def read_until(expected_c: float | None) -> None:
+        end_s = time.monotonic() + 5.0
+        while bench.air_c(bench.clock.now()) != expected_c:
+            assert time.monotonic() < end_s
+            time.sleep(0.005)
+
+    read_until(20.0)
+    file.write_text("48000")
+    read_until(47.0)
+    file.write_text("99000")
+    read_until(None)
+    file.write_text("22000")
+    read_until(21.0)
+    file.unlink()
+    read_until(None)
+    bench.close()
