@@ -116,7 +116,11 @@ def draw_plan(seed: int, index: int) -> Plan:
     flight = draw_flight(dice, hover=group == "hover")
     on_air = group in ("temperature", "thermometer")
     source = turn if on_air else "file"
-    ground_c = dice.between(-20.0, 45.0) if on_air else dice.between(-5.0, 35.0)
+    if source == "none":
+        # Nothing is stated: the airframe's 20 C, and air that is 12 C from it, as one that states nothing is taken to be.
+        ground_c = min(max(dice.around(20.0, FIXED_STD_C), -20.0), 45.0)
+    else:
+        ground_c = dice.between(-20.0, 45.0) if on_air else dice.between(-5.0, 35.0)
     air: dict[str, Any] = {"ground_c": ground_c}
     if on_air and dice.happens(0.3):
         air["warm_layer"] = {"bottom_m": -1.0, "top_m": 1.0, "warmer_by_c": dice.between(1.0, 5.0)}

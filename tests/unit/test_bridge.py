@@ -178,7 +178,7 @@ def test_what_nobody_knows_of_the_air_lets_no_more_readings_through() -> None:
         temperature = {"fixed_c": CALIBRATED_C, "fixed_std_c": fixed_std_c}
         bench = Bench(airframe(temperature=temperature), world).fly(8.0)
         assert set(bench.distances_cm()) == {500}
-        assert bench.rejected("b") == {"unexpected": 1}
+        assert bench.rejected("b") == {"outlier": 1}
 
 
 def test_the_covariance_of_canted_sensors_covers_slant_and_nearest_point() -> None:
