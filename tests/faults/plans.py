@@ -117,7 +117,7 @@ def draw_plan(seed: int, index: int) -> Plan:
     on_air = group in ("temperature", "thermometer")
     source = turn if on_air else "file"
     if source == "none":
-        # Nothing is stated: the airframe's 20 C, and air that is 12 C from it, as one that states nothing is taken to be.
+        # Nothing is stated: 20 C, and air that is 12 C from it, as the bridge then assumes.
         ground_c = min(max(dice.around(20.0, FIXED_STD_C), -20.0), 45.0)
     else:
         ground_c = dice.between(-20.0, 45.0) if on_air else dice.between(-5.0, 35.0)
