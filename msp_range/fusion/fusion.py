@@ -35,6 +35,9 @@ takes an outlier for the ground after a manoeuvre, narrower loses the ground in 
 DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
 """The same of a reading that is also a fault code, or one that a sensor keeps repeating [1/m, m]: neither may pass for
 ground that is merely near it."""
+STILL_M_S, STILL_SIGMAS = 0.2, 2.0
+"""A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so many
+standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 GARBLED_M, GARBLED_SIGMAS, GARBLED_WIDEST_M = 0.04, 3.0, 0.25
 """A reading is the garbled form of the ground's where it is this close to it [m], and so many standard deviations of
 what is known of the ground and of the reading, if that is no more than the third in all [m]. Wider takes a roof of just
@@ -358,7 +361,7 @@ class Fusion:
         sight.repeated = sensor.stuck.repeated
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
-        fits = abs(innovation_m) <= most_m
+        fits = abs(innovation_m) <= most_m and not (reading.suspect and self._climbs())
         if sight.repeated and self._others_see_more():
             # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
             if fits:
@@ -384,6 +387,11 @@ class Fusion:
         sensor.sight.nothing(self._time_s)
         sensor.below.nothing(self._time_s, self._windows.memory_s)
         return SUSPECT if reading.suspect else REPEATED
+
+    def _climbs(self) -> bool:
+        """Whether the vehicle climbs or sinks for sure, by its barometer."""
+        rate = self._motion.rate(self._time_s)
+        return rate is not None and abs(rate.m_s) > STILL_M_S + STILL_SIGMAS * math.sqrt(rate.variance)
 
     def _others_see_more(self) -> bool:
         """Whether two sensors see the ground that do not repeat themselves."""

@@ -152,6 +152,8 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
         return None
     recent = {sight: seen for sight in sights if sight.works and (seen := sight.newest(fresh_s)) is not None}
     if electorate(sights, now_s, windows) == 1:
+        if any(sight is not newest and not sight.repeated and sight.votes_ground(held_s) for sight in sights):
+            return None
         before = newest.before()
         agrees = before is not None and before.off_m is not None and abs(own.off_m - before.off_m) < AGREE_M
         return own.off_m if agrees else None

@@ -80,7 +80,7 @@ class OutputWatch:
 
     def silent(self, now_s: float) -> list[str]:
         """Streams that have said nothing usable for too long."""
-        return [name for name, usable_s in self._usable_s.items() if now_s - usable_s > self._silence_s]
+        return [name for name, usable_s in self._usable_s.items() if now_s - usable_s >= self._silence_s]
 
     def report(self, health: Health, now_s: float) -> None:
         """Set the conditions as they are now."""

@@ -50,6 +50,9 @@ ROWS_BY_TURN = ("one", "airframe")
 STRIDE = 37
 """Indices that follow each other are of groups this far apart, so that a short campaign has flights of all; any number
 without a common divisor with 100 does."""
+THERMOMETER_STD_C, BIAS_STD_C, DIE_STD_C = 0.7, 1.5, 4.0
+"""How far thermometers are off [C]: one in outside air, half a degree of its own and some of the sun's; one whose bias
+was measured on another day; a barometer's die, whose board runs hotter or cooler than usual."""
 FIXED_STD_C = 12.0
 """A fixed temperature is set once for all seasons: the air differs from it by this, one standard deviation [K]."""
 
@@ -165,15 +168,15 @@ def _airframe(dice: Dice, name: str) -> dict[str, Any]:
 def _thermometer(dice: Dice, source: str, ground_c: float) -> tuple[dict[str, Any], float]:
     """The airframe's section for a source of temperature, and how much too warm the thermometers are [K]."""
     file = {"source": "file", "path": "/sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input"}
-    error_c = dice.around(0.0, 0.3)
+    error_c = dice.around(0.0, THERMOMETER_STD_C)
     if source == "fixed":
         return {"fixed_c": min(max(dice.around(ground_c, FIXED_STD_C), -20.0), 45.0)}, error_c
     if source == "file":
         return {"sources": [file]}, error_c
     if source == "file with bias":
         bias_c = dice.between(2.0, 15.0)
-        return {"sources": [file | {"bias_c": bias_c}]}, dice.around(bias_c, 1.0)
+        return {"sources": [file | {"bias_c": bias_c}]}, dice.around(bias_c, BIAS_STD_C)
     if source == "mavlink":
         barometer = {"source": "mavlink", "message": "SCALED_PRESSURE", "bias_c": BAROMETER_WARMER_C}
-        return {"sources": [barometer]}, error_c
+        return {"sources": [barometer]}, dice.around(0.0, DIE_STD_C)
     return {}, error_c
