@@ -36,8 +36,8 @@ DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
 """The same of a reading that is also a fault code, or one that a sensor keeps repeating [1/m, m]: neither may pass for
 ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
-"""A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so many
-standard deviations: one that climbs past it while all sensors have the code must get away from it."""
+"""A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
+many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 GARBLED_M, GARBLED_SIGMAS, GARBLED_WIDEST_M = 0.04, 3.0, 0.25
 """A reading is the garbled form of the ground's where it is this close to it [m], and so many standard deviations of
 what is known of the ground and of the reading, if that is no more than the third in all [m]. Wider takes a roof of just
