@@ -5,9 +5,7 @@ an autopilot believes, so it is given only where the vehicle can be there: where
 ground was last seen, or, where no ground was ever seen, where all sensors have heard nothing for some turns.
 """
 
-from typing import NamedTuple
-
-from msp_range.fusion.vertical import Mark, VerticalMotion
+from msp_range.fusion.vertical import Known, VerticalMotion
 
 TURNS = 3
 """Readings in a row of every working sensor that must be without an echo where no ground is known. Fewer take a soft
@@ -20,15 +18,6 @@ ACCELERATION_M_S2, FASTEST_M_S = 2.0, 5.0
 """How fast a vehicle without a barometer may have begun to climb [m/s^2], and the fastest that it may climb [m/s].
 Larger says 'above the maximum' sooner over ground that the sensors do not hear, smaller is silent longer after a climb
 through the maximum."""
-
-
-class LastSeen(NamedTuple):
-    """The ground when last seen: when [s], how far away [m], how fast that grew [m/s], and the barometer's mark."""
-
-    time_s: float
-    range_m: float
-    climb_m_s: float
-    mark: Mark | None
 
 
 class AboveMaximum:
@@ -46,7 +35,7 @@ class AboveMaximum:
         self._maximum_m = maximum_m
         self._motion = motion
         self._no_echo: dict[str, int] = {}
-        self._last: LastSeen | None = None
+        self._last: Known | None = None
 
     def note(self, sensor: str, no_echo: bool, works: bool) -> None:
         """Count a sensor's readings in a row without an echo; a sensor at fault does not count."""
@@ -55,9 +44,9 @@ class AboveMaximum:
         else:
             self._no_echo.pop(sensor, None)
 
-    def on_ground_seen(self, last: LastSeen) -> None:
+    def on_ground_seen(self, known: Known) -> None:
         """The ground is seen: from here the vehicle climbs or does not."""
-        self._last = last
+        self._last = known
 
     def decide(self, now_s: float) -> bool:
         """Whether the vehicle is above the maximum: most working sensors hear nothing, and it may have got there."""
@@ -68,10 +57,10 @@ class AboveMaximum:
         if self._last is None:
             if min(counts) < TURNS:
                 return False
-            self._last = LastSeen(now_s, self._maximum_m, 0.0, self._motion.mark(now_s))
+            self._last = Known(now_s, self._maximum_m, self._maximum_m, 0.0, self._motion.mark(now_s))
         return self._reachable(self._last, now_s)
 
-    def _reachable(self, last: LastSeen, now_s: float) -> bool:
+    def _reachable(self, last: Known, now_s: float) -> bool:
         elapsed_s = now_s - last.time_s
         climb = self._motion.climbed(last.mark, now_s)
         if climb is not None:

@@ -12,15 +12,17 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from msp_range.filters.chain import UNCONFIRMED
-from msp_range.fusion.above import AboveMaximum, LastSeen
+from msp_range.fusion import garbled
+from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
+from msp_range.fusion.garbled import GarbledAnswers
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.fusion.objects import Below
 from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
-from msp_range.fusion.vertical import VerticalMotion
-from msp_range.fusion.votes import AGREE_M, Sight, electorate, opponents, step_m, supporters, working
+from msp_range.fusion.vertical import Known, VerticalMotion
+from msp_range.fusion.votes import AGREE_M, Sight, step_m, tally, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix
 from msp_range.reading import Reading, Status
@@ -38,15 +40,6 @@ ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
-GARBLED_M, GARBLED_SIGMAS, GARBLED_WIDEST_M = 0.04, 3.0, 0.25
-"""A reading is the garbled form of the ground's where it is this close to it [m], and so many standard deviations of
-what is known of the ground and of the reading, if that is no more than the third in all [m]. Wider takes a roof of just
-the wrong height for a fault."""
-GARBLED_STD_M = 0.05
-"""How far a garbled answer is trusted to be that of the ground, standard deviation [m]: it may be a code by itself."""
-GARBLED_AGAIN_S = 10.0
-"""On a bus that has garbled an answer within this time [s] a reading is garbled, too, where it fits no better than a
-reading of the ground has to (`GATE_M`). Longer keeps a real step of the same height out for longer."""
 OFF_IN_A_ROW = 3
 """After readings of so many sensors in a row that are not of the ground, or of two that agree with each other, nothing
 is sent until one is: the ground may have a step, or the vehicle a motion that the filter has not seen. Fewer make gaps
@@ -171,7 +164,8 @@ class Fusion:
         self._filter: GroundFilter | None = None
         self._established = self._proven = False
         self._time_s = float("-inf")
-        self._seen_s = self._known_s = self._garbled_s = float("-inf")
+        self._seen_s = self._known_s = float("-inf")
+        self._garbled = GarbledAnswers()
         self._steps_m = 0.0
         self._rough_m2 = 0.0
         self._shared_m2 = 0.0
@@ -215,10 +209,8 @@ class Fusion:
         time_s = max(reading.time_s, self._time_s)
         self._predict(time_s)
         rotation = self._rotation(time_s)
-        reading = self._checked(sensor, reading, rotation)
-        sensor.sight.works, sensor.sight.read_s = not reading.status.is_fault, time_s
-        if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
-            self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
+        reading = self._unless_stuck(sensor, reading)
+        sensor.sight.read_s, sensor.sight.works = time_s, not reading.status.is_fault
         if reading.range_m is None:
             self._on_nothing(sensor, reading)
             rejected: str | None = reading.status.value
@@ -226,11 +218,16 @@ class Fusion:
             rejected = self._on_first(sensor, reading, reading.range_m, rotation)
         else:
             rejected = self._on_range(self._filter, sensor, reading, reading.range_m, rotation)
+            if rejected == Status.GARBLED.value:
+                reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
+                sensor.sight.works = False
+        if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
+            self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
         if self._filter is not None and self._is_supported(rejected is None, now_s):
             fused = self._down_axis(self._filter, rotation)
-            mark = self._motion.mark(time_s)
-            self._above.on_ground_seen(LastSeen(time_s, fused.range_m, fused.climb_m_s, mark))
-            self._start.remember(Candidate(time_s, "", fused.height_m, fused.variance_m2, (), mark))
+            known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
+            self._above.on_ground_seen(known)
+            self._start.on_ground_seen(known)
             is_above = fused.range_m > self._maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
         return Outcome(reading, None, not self._ground_is_seen() and self._above.decide(time_s), rejected)
@@ -252,42 +249,32 @@ class Fusion:
                 self._filter.level()  # Slopes were of the other frame.
         return rotation or LEVEL
 
-    def _checked(self, sensor: _Sensor, reading: Reading, rotation: Matrix) -> Reading:
-        """The reading; without its range where the sensor is stuck, or where it is the ground's, garbled on the bus."""
+    def _unless_stuck(self, sensor: _Sensor, reading: Reading) -> Reading:
+        """The reading; without its range where the sensor is stuck."""
         if reading.raw is None:
             return reading
-        climbed_m = None if self._filter is None else self._filter.height_m - self._steps_m
-        stuck = sensor.stuck.update(reading.raw, climbed_m, self._motion, self._time_s)
-        if reading.range_m is None:
+        height_m = None if self._filter is None else self._filter.height_m - self._steps_m
+        stuck = sensor.stuck.update(reading.raw, height_m, self._motion, self._time_s)
+        if not stuck or reading.range_m is None:
             return reading
-        if stuck:
-            return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)
-        if self._filter is not None and self._was_garbled(self._filter, sensor, reading, reading.range_m, rotation):
-            return Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
-        return reading
+        return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)
 
-    def _was_garbled(
-        self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix
-    ) -> bool:
+    def _was_garbled(self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, view: View) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
 
         It is no reason to send a distance, but without it the garbled answers of all sensors would soon be the only
         ground that is known.
         """
-        words = () if reading.suspect else sensor.mounted.garbled_from(reading.raw or 0)
-        view = sensor.mounted.view(rotation, known.height_m, known.rise_north, known.rise_east)
-        if not words or not reading.raw or view is None or abs(range_m - view.expected_m) < self._gate_m:
+        raw = reading.raw
+        if not raw or reading.suspect:
             return False
-        if sensor.below.is_object((range_m - view.expected_m) / view.by_height):
+        answers_m = [word * range_m / raw for word in sensor.mounted.garbled_from(raw)]
+        variance_m2 = _variance_m2(reading)
+        known_m2 = known.variance(1.0, 0.0, 0.0)
+        off_m = self._garbled.innovation_m(self._time_s, answers_m, view.expected_m, known_m2 + variance_m2)
+        if off_m is None:
             return False
-        innovation_m = min([word * range_m / reading.raw - view.expected_m for word in words], key=abs)
-        variance_m2 = known.variance(1.0, 0.0, 0.0) + _variance_m2(reading)
-        near_m = GARBLED_M + GARBLED_SIGMAS * math.sqrt(variance_m2)
-        again = self._time_s - self._garbled_s < GARBLED_AGAIN_S and abs(innovation_m) < GATE_M
-        if not again and not abs(innovation_m) < near_m < GARBLED_WIDEST_M:
-            return False
-        self._garbled_s = self._time_s
-        known.update(view, innovation_m, _variance_m2(reading) + GARBLED_STD_M**2, OTHER_PER_M)
+        known.update(view, off_m, variance_m2 + garbled.STD_M**2, OTHER_PER_M)
         self._known_s = self._time_s
         return True
 
@@ -358,6 +345,10 @@ class Fusion:
         innovation_m = range_m - view.expected_m
         off_m = innovation_m / view.by_height
         sight, below = sensor.sight, sensor.below
+        far = abs(innovation_m) >= self._gate_m and not below.is_object(off_m)
+        if far and self._was_garbled(known, sensor, reading, range_m, view):
+            self._on_nothing(sensor, reading)
+            return Status.GARBLED.value
         sight.repeated = sensor.stuck.repeated
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
@@ -451,8 +442,8 @@ class Fusion:
         """Whether two sensors vote for the ground, or the only one that gives ranges, and one has seen it just now."""
         if self._filter is None or self._time_s - self._seen_s > self._windows.newest_s:
             return False
-        voters = electorate(self._sights, self._time_s, self._windows)
-        return supporters(self._sights, self._time_s, self._windows) >= min(2, voters) > 0
+        votes = tally(self._sights, self._time_s, self._windows)
+        return votes.ground >= min(2, votes.voters) > 0
 
     def _is_supported(self, was_used: bool, now_s: float) -> bool:
         """Whether the ground may be sent: sensors enough see it, and no more of them agree on another one.
@@ -464,18 +455,16 @@ class Fusion:
             self._established = False
         if time_s - self._seen_s > windows.newest_s:
             return False
-        support = supporters(self._sights, time_s, windows)
-        against = opponents(self._sights, time_s, windows)
-        voters = electorate(self._sights, time_s, windows)
-        self._established |= support >= min(2, voters) and support > against
+        votes = tally(self._sights, time_s, windows)
+        self._established |= votes.ground >= min(2, votes.voters) and votes.ground > votes.against
         # Sensors that have not been read yet may see another ground.
         possible = sum([sight.works or sight.read_s == float("-inf") for sight in self._sights])
-        self._proven |= 2 * support > possible
-        if not self._established or self._on_trial or support < 1 or now_s - time_s > STALE_S:
+        self._proven |= 2 * votes.ground > possible
+        if not self._established or self._on_trial or votes.ground < 1 or now_s - time_s > STALE_S:
             return False
-        if support < against or (support == against and not self._proven):
+        if votes.ground < votes.against or (votes.ground == votes.against and not self._proven):
             return False
-        return was_used or (support >= 2 and not self._stepping and len(self._off_m) < OFF_IN_A_ROW)
+        return was_used or (votes.ground >= 2 and not self._stepping and len(self._off_m) < OFF_IN_A_ROW)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""

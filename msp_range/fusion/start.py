@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from msp_range.fusion.vertical import Mark, VerticalMotion
+from msp_range.fusion.vertical import Known, Mark, VerticalMotion
 from msp_range.fusion.windows import Windows
 
 AGREE_M = 0.15
@@ -79,14 +79,14 @@ class Start:
         self._windows = windows
         self._motion = motion
         self._heights: dict[str, deque[Candidate]] = {}
-        self._known: Candidate | None = None
+        self._known: Known | None = None
 
     def clear(self) -> None:
         """Forget all heights."""
         self._heights.clear()
 
-    def remember(self, known: Candidate) -> None:
-        """Remember the ground that was known, to tell its garbled forms from another one."""
+    def on_ground_seen(self, known: Known) -> None:
+        """Remember the ground, to distinguish its garbled forms from another one."""
         self._known = known
 
     def without(self, sensor: str) -> None:
@@ -106,9 +106,10 @@ class Start:
             How many sensors are in order, whether they give ranges or hear nothing.
         """
         self._heights.setdefault(newest.sensor, deque(maxlen=READINGS_KEPT)).append(newest)
-        known = self._known
-        if known is not None and self._slack_m(known, newest) < REMEMBERED_M and self._is_garbled(newest, known):
-            return None
+        if self._known is not None:
+            known = Candidate(self._known.time_s, "", self._known.height_m, 0.0, (), self._known.mark)
+            if self._slack_m(known, newest) < REMEMBERED_M and self._is_garbled(newest, known):
+                return None
         since_s = newest.time_s - self._windows.memory_s
         heights = [each for of in self._heights.values() for each in of if each.time_s >= since_s]
         best: Found | None = None

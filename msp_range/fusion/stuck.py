@@ -58,7 +58,6 @@ class StuckWatch:
         self._times += 1
         if self._times >= STUCK_READINGS and height_m is not None and abs(height_m - self._since_m) >= STUCK_M:
             self._stuck = True
-        climb = motion.climbed(self._mark, time_s)
-        if self.repeated and climb is not None:
+        if self.repeated and (climb := motion.climbed(self._mark, time_s)) is not None:
             self._stuck |= abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)
         return self._stuck

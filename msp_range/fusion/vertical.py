@@ -54,6 +54,26 @@ class Mark(NamedTuple):
     start: int
 
 
+class Known(NamedTuple):
+    """The ground when it was last seen, and where the vehicle was.
+
+    Attributes
+    ----------
+    time_s
+        When [s].
+    range_m, height_m, climb_m_s
+        How far away along the vehicle's down axis and straight down [m], and how fast that grew [m/s].
+    mark
+        The height by the barometer; None where it said nothing.
+    """
+
+    time_s: float
+    range_m: float
+    height_m: float
+    climb_m_s: float
+    mark: Mark | None
+
+
 class Climb(NamedTuple):
     """How much higher the vehicle is than at an earlier time [m], and the standard deviation of that [m]."""
 
@@ -155,8 +175,10 @@ class VerticalMotion:
 
     def climbed(self, since: Mark | None, now_s: float) -> Climb | None:
         """How much higher the vehicle is now than at a mark; None where that is not known."""
+        if since is None:
+            return None
         now = self.mark(now_s)
-        if since is None or now is None or now.start != since.start:
+        if now is None or now.start != since.start:
             return None
         elapsed_s = max(now_s - since.time_s, 0.0)
         short_m = min(math.sqrt(self._covariance[3]) * elapsed_s, CLIMB_STD_M)

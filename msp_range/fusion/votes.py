@@ -85,9 +85,12 @@ class Sight:
 
     def votes_ground(self, since_s: float) -> bool:
         """Whether two of its last three readings were ground, or the only one with a range."""
-        recent = [seen for seen in self._seen if seen.off_m is not None and seen.time_s >= since_s]
-        grounds = sum([seen.is_ground for seen in recent])
-        return grounds >= 2 or (grounds == 1 and len(recent) == 1)
+        grounds = ranges = 0
+        for time_s, off_m, is_ground in self._seen:
+            if off_m is not None and time_s >= since_s:
+                ranges += 1
+                grounds += is_ground
+        return grounds >= 2 or grounds == ranges == 1
 
     def votes_off_m(self, since_s: float) -> float | None:
         """Where two of its last three readings agree on another height: how much farther that is [m]."""
@@ -113,24 +116,39 @@ def _moved(seen: Seen, off_m: float) -> Seen:
     return Seen(seen.time_s, off_m, abs(off_m) < AGREE_M)
 
 
-def supporters(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
-    """Sensors that vote for the ground."""
-    return sum([sight.votes_ground(now_s - windows.held_s) for sight in sights])
+class Tally(NamedTuple):
+    """The votes of all sensors.
+
+    Attributes
+    ----------
+    ground
+        Sensors that vote for the ground.
+    against
+        The most sensors that vote for one and the same other height.
+    voters
+        Sensors that work and have given a range lately.
+    """
+
+    ground: int
+    against: int
+    voters: int
 
 
-def opponents(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
-    """The most sensors that vote for one and the same other height."""
-    offs = [
-        off_m
-        for sight in sights
-        if sight.works and not sight.repeated and (off_m := sight.votes_off_m(now_s - windows.held_s)) is not None
-    ]
-    return max([sum([abs(off_m - other_m) < AGREE_M for other_m in offs]) for off_m in offs], default=0)
-
-
-def electorate(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
-    """Sensors that work and have given a range lately: a step of the ground needs more than half of them."""
-    return sum([sight.works and sight.newest(now_s - windows.held_s) is not None for sight in sights])
+def tally(sights: Collection[Sight], now_s: float, windows: Windows) -> Tally:
+    """Count the votes."""
+    since_s = now_s - windows.held_s
+    ground = voters = 0
+    offs: list[float] = []
+    for sight in sights:
+        if sight.votes_ground(since_s):
+            ground += 1
+        elif sight.works and not sight.repeated and (off_m := sight.votes_off_m(since_s)) is not None:
+            offs.append(off_m)
+        voters += sight.works and sight.newest(since_s) is not None
+    against = 0
+    for off_m in offs:
+        against = max(against, sum([abs(off_m - other_m) < AGREE_M for other_m in offs]))
+    return Tally(ground, against, voters)
 
 
 def working(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
@@ -151,7 +169,7 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
     if own is None or own.off_m is None or own.is_ground:
         return None
     recent = {sight: seen for sight in sights if sight.works and (seen := sight.newest(fresh_s)) is not None}
-    if electorate(sights, now_s, windows) == 1:
+    if tally(sights, now_s, windows).voters == 1:
         if any(sight is not newest and not sight.repeated and sight.votes_ground(held_s) for sight in sights):
             return None
         before = newest.before()

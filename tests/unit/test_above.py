@@ -2,8 +2,8 @@
 
 import pytest
 
-from msp_range.fusion.above import AboveMaximum, LastSeen
-from msp_range.fusion.vertical import VerticalMotion
+from msp_range.fusion.above import AboveMaximum
+from msp_range.fusion.vertical import Known, VerticalMotion
 
 NAMES = "abcd"
 MAXIMUM_M = 7.65
@@ -35,7 +35,7 @@ class Flight:
     def see(self, climb_m_s: float = 0.0) -> None:
         """The ground is seen now."""
         mark = self.motion.mark(self.time_s)
-        self.above.on_ground_seen(LastSeen(self.time_s, self.height_m, climb_m_s, mark))
+        self.above.on_ground_seen(Known(self.time_s, self.height_m, self.height_m, climb_m_s, mark))
 
 
 def test_a_ground_that_is_not_heard_any_more_is_not_above_the_maximum() -> None:
