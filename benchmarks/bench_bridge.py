@@ -189,6 +189,7 @@ class _Keeping:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self.flush_if_due = recorder.flush_if_due
+        self.fault: str | None = None
         self.kept: list[Record] = []
         self.write = self._keep
 

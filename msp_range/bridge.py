@@ -30,7 +30,6 @@ from msp_range.mavlink.link import Link
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
-from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
@@ -51,7 +50,12 @@ ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
 
 class Records(Protocol):
-    """What the bridge needs of a recorder."""
+    """What the bridge needs of a recorder. No method waits for a disk, or raises because of one."""
+
+    @property
+    def fault(self) -> str | None:
+        """Why nothing is recorded, in at most 28 characters; None while all is well."""
+        ...
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Keep one message."""
@@ -204,7 +208,7 @@ class Bridge:
         )
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())
-        self.health = Health(self._channels, self._tell)
+        self.health = Health(self._channels, self.notify)
         self._bus_fault = ""
         self._bus_fault_s = float("-inf")
         self._next_look_s = self._next_silence_s = clock.now()
@@ -376,13 +380,10 @@ class Bridge:
         self._send_faults_again(now_s)
         self.link.system_status = self._system_status(now_s)
         if self._recorder is not None:
-            try:
-                self._recorder.flush_if_due(now_s)
-            except RecordingError as error:
-                self._recorder = None
-                self.health.set("recording", "Range: recording stopped, disk trouble", "")
-                if self._report is not None:
-                    self._report(Severity.WARNING, str(error))
+            self._recorder.flush_if_due(now_s)
+            fault = self._recorder.fault
+            not_recording = None if fault is None else f"Range: not recording, {fault}"
+            self.health.set("recording", not_recording, "Range: recording again")
 
     def _send_faults_again(self, now_s: float) -> None:
         """All that is wrong, for an autopilot that has come or has started again: it has lost what it was sent."""
@@ -405,7 +406,8 @@ class Bridge:
             status = dialect.MAV_STATE_ACTIVE
         return int(status)
 
-    def _tell(self, severity: Severity, text: str) -> None:
+    def notify(self, severity: Severity, text: str) -> None:
+        """Report something to the pilot, the recording and the log."""
         self.link.send_text(severity, text)
         self._write("/health", self._clock.now(), {"text": text, "severity": severity.name.lower()})
         if self._report is not None:

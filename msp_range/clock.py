@@ -53,6 +53,17 @@ def date_of(utc_s: float) -> str:
     return time.strftime("%Y-%m-%d", time.gmtime(utc_s))
 
 
+def stamp_of(utc_s: float) -> str:
+    """A time since 1970-01-01 UTC for a file's name, ISO 8601 without what some file systems refuse.
+
+    Examples
+    --------
+    >>> stamp_of(1.7e9)
+    '20231114T221320Z'
+    """
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(utc_s))
+
+
 class VirtualClock:
     """A clock that jumps: sleeping costs nothing, and the same calls give the same times on every run."""
 

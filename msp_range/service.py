@@ -9,7 +9,7 @@ import gc
 import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -26,7 +26,7 @@ from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
 
 if TYPE_CHECKING:
-    from msp_range.recording.writer import Recorder
+    from msp_range.recording.flight_recorder import FlightRecorder
 
 EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
@@ -83,33 +83,22 @@ def stop_signals() -> Iterator[list[int]]:
             signal.signal(signum, handler)
 
 
-def open_recording(airframe: Airframe, folder: Path | None, clock: Clock) -> "Recorder | None":
-    """A recorder in ``folder``, else in the airframe's; None where neither is named.
-
-    Raises
-    ------
-    RecordingError
-        The folder or file cannot be made.
-    """
+def flight_recorder(
+    airframe: Airframe,
+    folder: Path | None,
+    clock: Clock,
+    on_file: Callable[[Path], None],
+    on_failure: Callable[[str], None],
+) -> "FlightRecorder | None":
+    """A recorder into ``folder``, else into the airframe's; None where neither is named."""
     if folder is None and airframe.recording is not None:
         folder = Path(airframe.recording.folder)
     if folder is None:
         return None
     # Brings the mcap writer and its compression, which a flight without a recording need not wait for.
-    from msp_range.recording.writer import Recorder
+    from msp_range.recording.flight_recorder import FlightRecorder
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(f"{folder}: the folder for recordings cannot be made: {error.strerror}") from None
-    started = f"{clock.utc():.0f}"
-    stem = f"{airframe.vehicle.replace(' ', '_').replace('/', '_')}-{started}"
-    # A computer without a clock starts at the same time again and again.
-    for number in range(1000):
-        path = folder / (f"{stem}.mcap" if number == 0 else f"{stem}-{number}.mcap")
-        if not path.exists():
-            return Recorder(path, clock, files=airframe.files)
-    raise RecordingError(f"{folder}: holds a thousand recordings named {stem}; move them")
+    return FlightRecorder(folder, airframe.vehicle, clock, files=airframe.files, on_file=on_file, on_failure=on_failure)
 
 
 def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
@@ -172,13 +161,14 @@ def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     bridge = Bridge(airframe, bus, clock, transport, report=reporter(log), thermometer=thermometer)
     # The first sensor is pinged, and ranges while the packages of the recording are imported.
     bridge.step()
-    recorder = None
-    try:
-        recorder = open_recording(airframe, record, clock)
-    except RecordingError as error:
-        log.error("flying without a recording", error=str(error))
+    recorder = flight_recorder(
+        airframe,
+        record,
+        clock,
+        on_file=lambda path: log.info("recording", file=str(path)),
+        on_failure=lambda text: log.warning("recording stopped", error=text),
+    )
     if recorder is not None:
-        log.info("recording", file=str(recorder.path))
         bridge.record_to(recorder)
     # All this stays: looking through it for garbage would stop the polling for 10 ms now and then.
     gc.freeze()

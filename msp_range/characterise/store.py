@@ -138,7 +138,7 @@ class Store:
         self._write_event("begin", point, attempt)
 
     def keep(self, known: Known) -> None:
-        """Record a ranging of the attempt that has begun."""
+        """Record a ranging of the attempt that has begun; raises RecordingError where the disk has failed."""
         assert self._now is not None
         ranging, _, columns = known
         reading = ranging.reading
@@ -157,6 +157,8 @@ class Store:
             message["suspect"] = reading.suspect
         recorder.write(RANGE_PREFIX + reading.sensor, ranging.answered_s, message)
         recorder.flush_if_due(ranging.answered_s)
+        if recorder.fault is not None:
+            self.close()
         self._now.rangings += 1
         if not reading.status.is_fault:
             self._now.readings[reading.sensor] += 1

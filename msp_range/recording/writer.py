@@ -1,35 +1,48 @@
-"""The recording of a flight: every stage of every reading, as JSON in an MCAP file that survives a power cut.
+"""One recording: every stage of every reading, as JSON in an MCAP file that survives a power cut.
 
-Messages enter with the bridge's time, a file leaves that Foxglove, Lichtblick and the mcap tools open. Each second the
-chunk in progress is finished, compressed and handed to a thread that writes it and asks the disk to keep it
-(fdatasync). On an SD card that can take hundreds of milliseconds, also in the write itself while the file system's
-journal is busy; the polling never waits for it. A power cut costs what was recorded in the last second or two, never
-an earlier chunk.
+Messages enter with the bridge's time, a file leaves that Foxglove, Lichtblick and the mcap tools open. Twice a second
+the chunk in progress is finished, compressed and handed to a thread that writes it and asks the disk to keep it; the
+polling never waits for the disk. The chunk in progress and the last one are lost with the power, never an earlier one.
 """
 
-import contextlib
-import os
-import threading
-from collections.abc import Mapping
+import errno
+from collections.abc import Iterator, Mapping
+from functools import partial
+from io import FileIO
 from pathlib import Path
-from queue import SimpleQueue
 from typing import IO, Any, cast
 
 import orjson
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 from msp_range.clock import Clock
+from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import schema_of
 
-FLUSH_INTERVAL_S = 1.0
-"""A power cut loses about this much."""
-BACKLOG_BYTES = 64 * 2**20
-"""A disk that is further behind than this has stopped taking data."""
+FLUSH_INTERVAL_S = 0.4
+"""Time after which a chunk is finished and handed to the disk, which is asked to keep it at once. The bridge asks every
+0.25 s, which makes it 0.5 to 0.65 s; with a disk that needs up to 0.35 s the sum is at most the 1 s that a power cut or
+SIGKILL may cost. A shorter time loses less, wears an SD card more, and makes the index larger."""
+HUNG_AFTER_S = 10.0
+"""A disk that has not kept a block for this long counts as hung. An SD card that is tidying up may take some seconds;
+a larger value holds more in memory and reports later."""
 CLOSE_TIMEOUT_S = 5.0
-"""How long `Recorder.close` waits for the disk."""
+"""How long `Recorder.close` waits for the disk; below the time after which systemd kills a service that is to stop."""
 METADATA_NAME = "msp_range"
 LIBRARY = "msp-range"
+_FAULTS = {
+    errno.ENOSPC: "disk full",
+    errno.EDQUOT: "disk full",
+    errno.ENOENT: "folder gone",
+    errno.ENOTDIR: "folder gone",
+    errno.EROFS: "disk is read-only",
+    errno.EACCES: "no permission",
+    errno.EPERM: "no permission",
+}
+"""What the pilot reads for an errno; at most 28 characters fit."""
 
 
 class Recorder:
@@ -37,8 +50,9 @@ class Recorder:
 
     Parameters
     ----------
-    path
-        The file to make; an existing one is never overwritten.
+    file
+        The path of the file to make; an existing one is never overwritten. Or a file that is being opened already, for
+        those who must not wait for the disk.
     clock
         Its ``utc()`` is asked once, so that the file's times cannot jump when the computer's clock is set: a message
         at ``time_s`` gets the start's UTC plus the time on this clock since then.
@@ -47,37 +61,35 @@ class Recorder:
     metadata
         Whatever else names the flight.
 
+    Attributes
+    ----------
+    fault : str or None
+        What is wrong with the disk, in a few words for the pilot; checked by `flush_if_due`. Nothing is recorded any
+        more then, and `close` raises an error with the details.
+
     Raises
     ------
     RecordingError
-        The file is there already or cannot be made.
-
-    Notes
-    -----
-    A disk that fails raises RecordingError once, from `flush_if_due` or `close`; afterwards every call does nothing,
-    so that the bridge can report it and fly on.
+        There is such a file already, or it cannot be made.
     """
 
     def __init__(
         self,
-        path: Path | str,
+        file: Path | str | BackgroundFile,
         clock: Clock,
         *,
         files: Mapping[str, str] | None = None,
         metadata: dict[str, str] | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.fault: str | None = None
         self._clock_start_s = clock.now()
         self._utc_start_ns = max(0, round(clock.utc() * 1e9))
-        try:
-            self._disk = _Disk(self.path)
-        except FileExistsError:
-            raise RecordingError(f"{path}: there is a file already, and a recording never overwrites one") from None
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be made: {error.strerror}") from None
+        self._file = file if isinstance(file, BackgroundFile) else _make(Path(file))
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._mcap: Writer | None = Writer(cast(IO[bytes], self._disk), compression=CompressionType.ZSTD)
+        self._mcap: Writer | None = Writer(cast(IO[bytes], self._file), compression=CompressionType.ZSTD)
+        # The package keeps an object of 1 kB for every chunk until the end, 7 MB an hour, and the bytes are 0.2 kB.
+        vars(self._mcap)["_Writer__chunk_indices"] = _PackedIndexes()
         self._mcap.start(library=LIBRARY)
         times = {"clock_start_s": repr(self._clock_start_s), "utc_start_ns": str(self._utc_start_ns)}
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
@@ -85,6 +97,31 @@ class Recorder:
             self._mcap.add_attachment(self._utc_start_ns, self._utc_start_ns, name, "application/yaml", text.encode())
         self._mcap.flush()
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None while it is not open."""
+        return self._file.path
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of the file so far, without the chunk in progress."""
+        return self._file.tell()
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the disk has kept anything of it."""
+        return self._file.kept_bytes > 0
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing more will be written: the file is complete, or its disk has failed."""
+        return self._file.has_ended
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the disk has kept all of the file."""
+        return self._file.has_ended and self._file.error is None
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record ``message`` at ``time_s`` on the bridge's clock.
@@ -110,31 +147,39 @@ class Recorder:
         self._mcap.add_message(channel, log_time_ns, orjson.dumps(message), log_time_ns)
 
     def flush_if_due(self, now_s: float) -> None:
-        """Each second, hand over to the disk what was recorded; call it as often as you like.
-
-        Raises
-        ------
-        RecordingError
-            The disk is full, broken or has stopped; raised once.
-        """
+        """Hand over to the disk what was recorded, where it is time, and check `fault`."""
         if self._mcap is None or now_s < self._flush_due_s:
             return
         self._flush_due_s = now_s + FLUSH_INTERVAL_S
         self._mcap.flush()
-        if self._disk.error is not None or self._disk.backlog_bytes > BACKLOG_BYTES:
-            self._mcap = None
-            self._disk.give_up()
-            raise self._failure()
+        error = self._file.error
+        if error is not None:
+            self.fault = _FAULTS.get(error.errno or 0, f"disk error (errno {error.errno})")
+        elif self._file.behind_s > HUNG_AFTER_S:
+            self.fault = "disk does not answer"
+        if self.fault is not None:
+            self.finish()
+
+    def finish(self) -> None:
+        """Record nothing more; the file is completed in the background."""
+        if self._mcap is not None:
+            mcap, self._mcap = self._mcap, None
+            self._file.finish(mcap.finish)
 
     def close(self) -> None:
         """Finish the file, and wait until the disk has it; raises RecordingError where it does not."""
-        if self._mcap is None:
-            return
-        mcap, self._mcap = self._mcap, None
-        mcap.finish()
-        self._disk.flush()
-        if not self._disk.close(CLOSE_TIMEOUT_S):
-            raise self._failure()
+        self.finish()
+        self._file.join(CLOSE_TIMEOUT_S)
+        if not self.is_complete or self.fault is not None:
+            raise RecordingError(self.failure())
+
+    def failure(self) -> str:
+        """What went wrong with the disk, in a sentence for the log."""
+        error = self._file.error
+        why = error.strerror if error is not None else "the disk does not answer"
+        kept = self._file.kept_bytes
+        there = f"the first {kept} bytes are kept, and msp-range recover closes them" if kept else "nothing is kept"
+        return f"{self._file.path or _named(error)}: recording stopped: {why}; {there}"
 
     def _add_channel(self, mcap: Writer, topic: str) -> int:
         name, schema = schema_of(topic)
@@ -143,83 +188,36 @@ class Recorder:
         self._channels[topic] = mcap.register_channel(topic, "json", self._schemas[name])
         return self._channels[topic]
 
-    def _failure(self) -> RecordingError:
-        error = self._disk.error
-        why = error.strerror if error is not None else f"the disk is {self._disk.backlog_bytes} bytes behind"
-        return RecordingError(
-            f"{self.path}: recording stopped: {why}; the first {self._disk.written_bytes} bytes are there, "
-            "and msp-range recover closes them"
-        )
+
+class _PackedIndexes:
+    """The chunks' indexes as the bytes that they are in the file; to the mcap package it is its list of them."""
+
+    def __init__(self) -> None:
+        self._packed = RecordBuilder()
+
+    def append(self, index: ChunkIndex) -> None:
+        """Add the index of a chunk."""
+        index.write(self._packed)
+
+    def __iter__(self) -> Iterator["_PackedIndexes"]:
+        yield self
+
+    def write(self, builder: RecordBuilder) -> None:
+        """Write all of them."""
+        builder.write(self._packed.end())
 
 
-class _Disk:
-    """The file that the MCAP writer writes to: it takes bytes at once, and a thread brings them to the disk."""
-
-    def __init__(self, path: Path) -> None:
-        self.error: OSError | None = None
-        self.written_bytes = 0
-        self._given_bytes = 0
-        self._buffer: list[bytes] = []
-        self._blocks: SimpleQueue[bytes | None] = SimpleQueue()
-        self._gave_up = False
-        self._file = path.open("xb", buffering=0)
-        self._thread = threading.Thread(target=self._run, args=(path.absolute().parent,), name="recording", daemon=True)
-        self._thread.start()
-
-    @property
-    def backlog_bytes(self) -> int:
-        """What was handed over and is not written."""
-        return self._given_bytes - self.written_bytes
-
-    def tell(self) -> int:
-        """Bytes written so far, as the writer counts them."""
-        return self._given_bytes
-
-    def write(self, data: bytes) -> None:
-        """Keep ``data`` for the next `flush`."""
-        self._buffer.append(data)
-        self._given_bytes += len(data)
-
-    def flush(self) -> None:
-        """Hand over what was written."""
-        if self._buffer:
-            self._blocks.put(b"".join(self._buffer))
-            self._buffer.clear()
-
-    def give_up(self) -> None:
-        """Write nothing more."""
-        self._gave_up = True
-        self._blocks.put(None)
-
-    def close(self, timeout_s: float) -> bool:
-        """Wait for the disk; True where it has everything."""
-        self._blocks.put(None)
-        self._thread.join(timeout_s)
-        return self.error is None and not self._thread.is_alive()
-
-    def _run(self, folder: Path) -> None:
-        try:
-            _keep_name(folder)
-            while (block := self._blocks.get()) is not None and not self._gave_up:
-                rest = memoryview(block)
-                while rest:
-                    rest = rest[self._file.write(rest) :]
-                self.written_bytes += len(block)
-                # A virtual flight makes many seconds in one; then the disk is asked less often.
-                if self._blocks.empty():
-                    os.fdatasync(self._file.fileno())
-            os.fdatasync(self._file.fileno())
-        except OSError as error:
-            self.error = error
-        finally:
-            self._file.close()
+def _make(path: Path) -> BackgroundFile:
+    file = BackgroundFile(partial(FileIO, path, "x"))
+    try:
+        file.wait_until_open()
+    except FileExistsError:
+        raise RecordingError(f"{path}: there is a file already, and a recording never overwrites one") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be made: {error.strerror}") from None
+    return file
 
 
-def _keep_name(folder: Path) -> None:
-    """Ask the disk to keep the new file's name; file systems without such a thing refuse."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def _named(error: OSError | None) -> str:
+    """What the operating system could not open."""
+    return str(error.filename) if error is not None and error.filename is not None else "the file"

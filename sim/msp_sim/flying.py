@@ -16,7 +16,7 @@ from msp_range.config import load_airframe
 from msp_range.mavlink.transport import open_transport, parse_url
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
-from msp_range.service import open_recording, stop_signals
+from msp_range.service import flight_recorder, stop_signals
 from msp_range.yaml_file import ConfigError
 from msp_sim import show
 from msp_sim.autopilot import Tee
@@ -135,9 +135,9 @@ def fly_sitl(
         stopped = opened.enter_context(stop_signals())
         recorder = None
         if record is not None:
-            recorder = open_recording(airframe, record, clock)
-            if recorder is not None:
-                opened.callback(recorder.close)
+            recorder = flight_recorder(airframe, record, clock, lambda path: print(f"recording: {path}"), print)
+        if recorder is not None:
+            opened.callback(recorder.close)
         transport = open_transport(airframe.link.url, clock)
         opened.callback(transport.close)
         simulation = Sitl(
@@ -177,8 +177,6 @@ def fly_sitl(
     print(f"link: {airframe.link.url}; {poses or 'no pose was heard'}")
     if out is not None:
         _write(out, summary, flight, f"{airframe.vehicle} on its autopilot's simulator, seed {seed}")
-    if recorder is not None:
-        print(f"recording: {recorder.path}")
 
 
 def _write(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.bus import BusError
 from msp_range.config import load_airframe
-from msp_range.recording.error import RecordingError
 from msp_range.recording.topics import schema_of
-from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, Bench, airframe, one_down, sensor
+from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, START_S, Bench, airframe, one_down, sensor
 
 NAMES = "abcd"
 PREDICTED_VIEW_DEG = 22.6
@@ -364,10 +363,11 @@ def test_every_text_fits_a_statustext() -> None:
 
 
 class Paper:
-    """A recorder whose disk fills up."""
+    """A recorder whose disk is full at times."""
 
-    def __init__(self, full_s: float) -> None:
-        self.full_s = full_s
+    def __init__(self, full_from_s: float = math.inf, full_to_s: float = math.inf) -> None:
+        self.full_from_s, self.full_to_s = full_from_s, full_to_s
+        self.fault: str | None = None
         self.topics: Counter[str] = Counter()
         self.last: dict[str, dict[str, Any]] = {}
 
@@ -376,12 +376,11 @@ class Paper:
         self.last[topic] = message
 
     def flush_if_due(self, now_s: float) -> None:
-        if now_s > self.full_s:
-            raise RecordingError("no space left on device")
+        self.fault = "disk full" if self.full_from_s < now_s < self.full_to_s else None
 
 
 def test_every_stage_of_every_reading_is_recorded() -> None:
-    paper = Paper(math.inf)
+    paper = Paper()
     vehicle = airframe(
         temperature={"fixed_c": 0.0, "fixed_std_c": 4.0}, send={"fused": {"id": FUSED_ID}, "sensors": ["c"]}, link=PX4
     )
@@ -405,13 +404,16 @@ def test_every_stage_of_every_reading_is_recorded() -> None:
         assert message.keys() <= json.loads(schema_of(topic)[1])["properties"].keys()
 
 
-def test_a_full_disk_stops_the_recording_and_not_the_bridge() -> None:
-    paper = Paper(55.0)
-    bench = Bench(airframe(), 300, recorder=paper).fly(10.0)
-    assert "Range: recording stopped, disk trouble" in bench.texts()
-    assert "no space left on device" in bench.said()
+def test_a_full_disk_is_reported_and_its_end_too() -> None:
+    bench = Bench(airframe(), 300, recorder=Paper(START_S + 5.0, START_S + 8.0)).fly(10.0)
+    texts = [(time_s, message.text) for time_s, message in bench.sent("STATUSTEXT")]
+    assert texts[-2:] == [
+        (pytest.approx(5.0, abs=0.4), "Range: not recording, disk full"),
+        (pytest.approx(8.0, abs=0.4), "Range: recording again"),
+    ]
+    # Apart from the texts nothing has changed.
+    assert len(bench.distances_cm(from_s=5.0)) == pytest.approx(50, abs=1)
     assert len(bench.distances_cm()) == 99
-    assert paper.topics["/range/a"] < 15
 
 
 def test_counts_of_readings_and_of_the_rejected() -> None:
@@ -582,7 +584,7 @@ def test_a_stuck_sensor_is_a_fault_from_when_the_vehicle_moves_until_it_answers_
 
 
 def test_the_attitude_is_asked_for_where_none_is_sent_and_recorded_where_it_is() -> None:
-    paper = Paper(math.inf)
+    paper = Paper()
     bench = Bench(airframe(PALLET), 300, recorder=paper)
     for i in range(100):
         bench.hear(HEARTBEAT)

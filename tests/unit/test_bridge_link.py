@@ -18,6 +18,8 @@ URL = "udpout:127.0.0.1:14550"
 class Keeper:
     """A recorder that keeps one topic."""
 
+    fault = None
+
     def __init__(self, topic: str) -> None:
         self.topic = topic
         self.kept: list[tuple[float, dict[str, Any]]] = []

@@ -26,7 +26,8 @@ def record(path: Path, seconds: int = 6) -> list[dict[str, Any]]:
         message = {"time_s": count / 10, "range_m": 1 + count / 7}
         recorder.write("/fused", count / 10, message)
         messages.append(message)
-        recorder.flush_if_due(count / 10)
+        if count % 10 == 0:
+            recorder.flush_if_due(count / 10)
     recorder.close()
     return messages
 

@@ -1,5 +1,6 @@
 """The recorder: what is in the file, for every tool; what a failing disk does; nothing of wall time in it."""
 
+import errno
 import io
 import json
 import math
@@ -9,6 +10,7 @@ import struct
 import threading
 import zlib
 from collections.abc import Iterator
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
 from msp_range.recording import writer
+from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import TOPICS, schema_of
@@ -119,7 +122,8 @@ def test_the_mcap_package_reads_the_file_with_its_index_and_checksums(tmp_path: 
         assert (statistics.message_count, statistics.channel_count) == (300, 5)
         assert sum(statistics.channel_message_counts.values()) == 300
         assert (statistics.message_start_time, statistics.message_end_time) == (0, round(9.93e9))
-        assert statistics.chunk_count == len(summary.chunk_indexes) == 10
+        # One for each 0.4 s or a little more; the last ones are 0.4 s after each other as near as 0.1 s lets them.
+        assert statistics.chunk_count == len(summary.chunk_indexes) == 23
         assert [each.data for each in reader.iter_attachments()] == ["vehicle: Möwe\n".encode()]
         assert [each.metadata["vehicle"] for each in reader.iter_metadata()] == ["Möwe"]
 
@@ -276,23 +280,19 @@ def noisy(time_s: float) -> dict[str, Any]:
     return {"text": "".join(str(math.sin(time_s * factor))[3:] for factor in range(1, 40))}
 
 
-def test_a_full_disk_is_told_once_and_what_was_written_is_there(tmp_path: Path, small_disk: int) -> None:
+def test_on_a_full_disk_what_was_written_is_there(tmp_path: Path, small_disk: int) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
-    told = []
+    faults = []
     for second in range(1, 200):
         for count in range(3):
             recorder.write("/health", second + count / 3, noisy(second + count / 3))
-        try:
-            recorder.flush_if_due(second + 1)
-        except RecordingError as error:
-            told.append(str(error))
-    try:
+        recorder.flush_if_due(second + 1)
+        faults.append(recorder.fault)
+    with pytest.raises(
+        RecordingError, match=r"flight.mcap: recording stopped: File too large; the first \d+ bytes are"
+    ):
         recorder.close()
-    except RecordingError as error:
-        told.append(str(error))
-    assert len(told) == 1
-    assert "File too large" in told[0]
-    assert "flight.mcap" in told[0]
+    assert set(faults) <= {None, f"disk error (errno {errno.EFBIG})"}
     recording = Recording(tmp_path / "flight.mcap")
     texts = [each.message for each in recording]
     assert recording.cut
@@ -324,18 +324,23 @@ def recording_threads() -> list[threading.Thread]:
     return [thread for thread in threading.enumerate() if thread.name == "recording"]
 
 
-def test_a_full_disk_is_told_in_flight(tmp_path: Path, small_disk: int) -> None:
+def test_a_full_disk_is_a_fault_and_no_exception(tmp_path: Path, small_disk: int) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     for count in range(100):
         recorder.write("/health", count / 100, noisy(count))
+    # One block, and larger than the disk.
     recorder.flush_if_due(1.0)
     for thread in recording_threads():
         thread.join(20)
-    with pytest.raises(RecordingError, match="File too large"):
-        recorder.flush_if_due(2.0)
-    recorder.write("/health", 3.0, {"text": "nobody listens"})
+    assert recorder.fault is None
+    recorder.flush_if_due(2.0)
+    assert recorder.fault == f"disk error (errno {errno.EFBIG})"
+    recorder.write("/health", 3.0, {"text": "not recorded"})
     recorder.flush_if_due(4.0)
-    recorder.close()
+    with pytest.raises(RecordingError, match="nothing is kept"):
+        recorder.close()
+    # Nothing of it was kept, and an empty file would only be in the way.
+    assert not (tmp_path / "flight.mcap").exists()
 
 
 def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
@@ -345,28 +350,32 @@ def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: S
         recorder.write("/health", second, {"text": "on time"})
         recorder.flush_if_due(second)
     assert not stopped_disk.go_on.is_set()
+    assert recorder.fault is None
     stopped_disk.go_on.set()
     recorder.close()
     assert len(list(Recording(tmp_path / "flight.mcap"))) == 99
     assert not recording_threads()
 
 
-def test_a_disk_that_has_stopped_is_told_once(
-    tmp_path: Path, stopped_disk: StoppedDisk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(writer, "BACKLOG_BYTES", 50_000)
-    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
+    """However little is waiting: at 3 kB a second a limit of bytes would be reached after hours."""
+    real = VirtualClock()
+    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
+    recorder = Recorder(file, VirtualClock())
     assert stopped_disk.entered.wait(20)
-    told = []
-    for second in range(1, 300):
-        recorder.write("/health", second, noisy(second))
-        try:
-            recorder.flush_if_due(second)
-        except RecordingError as error:
-            told.append(str(error))
-    recorder.close()
-    assert len(told) == 1
-    assert "bytes behind" in told[0]
+    faults = []
+    for second in range(1, 20):
+        real.sleep_until(second)
+        recorder.write("/health", second, {"text": "waits"})
+        recorder.flush_if_due(second)
+        faults.append(recorder.fault)
+    assert faults == [None] * 10 + ["disk does not answer"] * 9
+    # What was recorded until then is written when the disk comes back.
+    stopped_disk.go_on.set()
+    file.join(20)
+    recording = Recording(tmp_path / "flight.mcap")
+    assert [each.time_s for each in recording] == list(range(1, 12))
+    assert not recording.cut
 
 
 def test_closing_does_not_wait_for_ever(
@@ -375,6 +384,22 @@ def test_closing_does_not_wait_for_ever(
     monkeypatch.setattr(writer, "CLOSE_TIMEOUT_S", 0.05)
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     recorder.write("/health", 1.0, {"text": "lost"})
-    with pytest.raises(RecordingError, match="bytes behind"):
+    with pytest.raises(RecordingError, match="the disk does not answer"):
         recorder.close()
-    recorder.close()
+
+
+def test_a_file_that_was_moved_away_is_a_fault(tmp_path: Path) -> None:
+    """Writing to it raises nothing."""
+    folder = tmp_path / "flights"
+    folder.mkdir()
+    recorder = Recorder(folder / "flight.mcap", VirtualClock())
+    folder.rename(tmp_path / "other")
+    for second in range(1, 200):
+        recorder.write("/health", second, {"text": "where to?"})
+        recorder.flush_if_due(second)
+        if recorder.fault is not None:
+            break
+        threading.Event().wait(0.05)
+    assert recorder.fault == "folder gone"
+    with pytest.raises(RecordingError, match="No such file or directory"):
+        recorder.close()

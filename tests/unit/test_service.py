@@ -1,4 +1,4 @@
-"""The service around the bridge: systemd's watchdog, the name of a recording, an end by a signal."""
+"""The service around the bridge: systemd's watchdog, an end by a signal."""
 
 import io
 import os
@@ -11,7 +11,7 @@ import pytest
 
 from msp_range.log import Log
 from msp_range.mavlink.transport.base import Nowhere
-from msp_range.service import open_recording, serve
+from msp_range.service import serve
 from tests.support.bench import Bench, airframe
 
 
@@ -47,13 +47,3 @@ def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypat
     assert set(messages[1:-1]) == {"WATCHDOG=1"}
     # Ten times a second, a little less where a transfer is due at that moment, and only for as long as it works.
     assert 22 <= len(messages[1:-1]) <= 26
-
-
-def test_a_recording_of_the_same_second_gets_a_name_of_its_own(tmp_path: Path) -> None:
-    """A computer without a clock starts at the same time again and again."""
-    bench = Bench(airframe(), 300)
-    recorders = [open_recording(airframe(), tmp_path / "flights", bench.clock) for _ in range(3)]
-    assert len({recorder.path for recorder in recorders if recorder is not None}) == 3
-    for recorder in recorders:
-        assert recorder is not None
-        recorder.close()
