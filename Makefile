@@ -14,7 +14,7 @@ help:
 	@sed -n 's/^# make/make/p' Makefile
 
 demo: .venv/.installed compile
-	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --speed 12
+	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --force --speed 12
 
 test: .venv/.installed-test compile mavproxy
 	$(BIN)/python -m pytest

@@ -1,5 +1,6 @@
 """What every command does about a user's mistake: a line on standard error, an exit code, no traceback."""
 
+import errno
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -29,6 +30,11 @@ def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, N
             command(*args, **kwargs)
         except (ConfigError, RecordingError, AddressError, BusError) as error:
             print(error, file=sys.stderr)
+            raise typer.Exit(EXIT_FILE) from None
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            print(f"{error.filename or 'the disk'}: {error.strerror}", file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None
 
     return telling

@@ -40,6 +40,7 @@ def fly(
     speed: Annotated[
         float | None, typer.Option(min=0.1, help="at most so many times real time, to watch; left out: all it can")
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
 ) -> None:
     """Fly a scenario with the real bridge, and show what came of it.
 
@@ -50,7 +51,7 @@ def fly(
 
     if realtime and speed is not None:
         raise ConfigError("--realtime and --speed: give one of them")
-    fly_scenario(scenario_file, model, seed, out, link, realtime, speed)
+    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force)
 
 
 @app.command()
@@ -77,6 +78,7 @@ def sitl(
     duration: Annotated[float | None, typer.Option(min=0.0, help="end after this time [s]")] = None,
     record: Annotated[Path | None, typer.Option(help="folder for a recording of every stage of every reading")] = None,
     out: Annotated[Path | None, typer.Option(help="folder for summary and picture")] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
 ) -> None:
     """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.
 
@@ -85,7 +87,7 @@ def sitl(
     """
     from msp_sim.flying import fly_sitl
 
-    fly_sitl(airframe_file, link, model, seed, ground, ground_clearance, duration, record, out)
+    fly_sitl(airframe_file, link, model, seed, ground, ground_clearance, duration, record, out, force)
 
 
 @app.command()

@@ -4,8 +4,8 @@ The commands' options enter; lines on the terminal and files in the folder for r
 """
 
 import json
-import shutil
 from contextlib import ExitStack, closing, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ SHOWN_EACH_S = 0.1
 """Wall time between two looks at a flight [s]."""
 LOGGED_EACH_S = 5.0
 """The same where nobody looks: the output goes into a file [s]."""
+RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO = "flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"
+"""Names of the files in the folder of a flight."""
 
 
 def fly_scenario(
@@ -43,9 +45,11 @@ def fly_scenario(
     link: str | None,
     realtime: bool,
     speed: float | None,
+    force: bool,
 ) -> None:
     """Fly a scenario; the parameters are the options of the command."""
     scenario = load_scenario(scenario_file)
+    scenario_text = scenario_file.read_bytes()
     sensor_model = load_sensor_model(model) if model is not None else None
     if link is not None:
         try:
@@ -56,10 +60,9 @@ def fly_scenario(
     clock = system if realtime else VirtualClock()
     recorder = None
     if out is not None:
-        make_folder(out)
-        (out / "flight.mcap").unlink(missing_ok=True)
+        _make_ready(out, force)
         recorder = Recorder(
-            out / "flight.mcap",
+            out / RECORDING,
             clock,
             files=scenario.airframe.files,
             metadata={"scenario": scenario.name, "seed": str(seed)},
@@ -71,7 +74,7 @@ def fly_scenario(
         model=sensor_model,
         recorder=recorder,
         link=(lambda autopilot: Tee(open_transport(link, system), autopilot)) if link is not None else None,
-        tlog=out / "link.tlog" if out is not None else None,
+        tlog=out / TLOG if out is not None else None,
     )
     out_to = console()
     shown = show.Live(simulation, scenario.duration_s)
@@ -96,8 +99,6 @@ def fly_scenario(
         if out_to.is_terminal:
             live.refresh()
     wall_s = system.now() - started_s
-    if recorder is not None:
-        recorder.close()
     summary = summarise(simulation.flight, scenario.name, seed)
     show.print_table(out_to, summary)
     times = summary["duration_s"] / wall_s
@@ -107,9 +108,12 @@ def fly_scenario(
         print(f"link {link}: {simulation.link_error}")
     if out is not None:
         summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
-        shutil.copyfile(scenario_file, out / "scenario.yaml")
+        (out / SCENARIO).write_bytes(scenario_text)
         _write(out, summary, simulation.flight, f"{scenario.name}, seed {seed}")
-        print(f"recording: {out / 'flight.mcap'}\n     link: {out / 'link.tlog'}")
+        print(f"     link: {out / TLOG}")
+    if recorder is not None:
+        recorder.close()
+        print(f"recording: {recorder.path}")
 
 
 def fly_sitl(
@@ -122,13 +126,14 @@ def fly_sitl(
     duration: float | None,
     record: Path | None,
     out: Path | None,
+    force: bool,
 ) -> None:
     """Fly with an autopilot's own simulator; the parameters are the options of the command."""
     airframe = load_airframe(airframe_file).changed(link=link)
     sensor_model = load_sensor_model(model) if model is not None else None
     scenario = load_scenario(ground) if ground is not None else None
     if out is not None:
-        make_folder(out)
+        _make_ready(out, force)
     out_to = console()
     clock = SystemClock()
     with ExitStack() as opened:
@@ -179,11 +184,35 @@ def fly_sitl(
         _write(out, summary, flight, f"{airframe.vehicle} on its autopilot's simulator, seed {seed}")
 
 
-def _write(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
-    """The flight as numbers and as a picture, and where they are."""
-    # Imported late: matplotlib comes with the extra 'lab', which a flight does not need.
-    from msp_sim.flight_picture import draw
+def _make_ready(folder: Path, force: bool) -> None:
+    """Make the folder of a flight, and say at once what will be missing from it.
 
-    draw(flight, folder / "flight.png", title)
-    (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(f"  picture: {folder / 'flight.png'}\n  numbers: {folder / 'summary.json'}")
+    Raises
+    ------
+    ConfigError
+        It holds a flight, and ``force`` is not given; or it cannot be made.
+    """
+    make_folder(folder)
+    there = [folder / name for name in (RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO) if (folder / name).exists()]
+    if there and not force:
+        raise ConfigError(f"{there[0]}: a flight is in this folder already; name another one, or replace it: --force")
+    for path in there:
+        path.unlink()
+    if not _can_draw():
+        print("matplotlib is missing, so no picture will be drawn; pip install 'msp-range[lab]' brings it")
+
+
+def _can_draw() -> bool:
+    return find_spec("matplotlib") is not None
+
+
+def _write(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
+    """The flight as numbers and, where matplotlib is there, as a picture; and where they are."""
+    (folder / NUMBERS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(f"  numbers: {folder / NUMBERS}")
+    if _can_draw():
+        # Imported late: matplotlib comes with the extra 'lab', which a flight does not need.
+        from msp_sim.flight_picture import draw
+
+        draw(flight, folder / PICTURE, title)
+        print(f"  picture: {folder / PICTURE}")

@@ -1,15 +1,21 @@
 """The commands as a person uses them: help that teaches, mistakes told in a line, exit codes."""
 
+import errno
 import json
+import os
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from msp_range.cli import app
 from msp_range.config import Airframe
+from msp_range.mistakes import tell_mistakes
 from msp_sim.bus import EmulatedBus
 from msp_sim.cli import app as sim_app
 from msp_sim.device import MB1242
@@ -147,3 +153,63 @@ def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
     result = CliRunner().invoke(sim_app, args, catch_exceptions=False)
     assert result.exit_code == 3
     assert "cannot be made" in result.output
+
+
+def test_a_flight_is_not_replaced_unasked(tmp_path: Path) -> None:
+    """`make demo` asks for it: it flies into the same folder each time."""
+    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(tmp_path)]
+    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(before) == {"flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"}
+
+    result = CliRunner().invoke(sim_app, [*args, "--seed", "2"], catch_exceptions=False)
+    assert result.exit_code == 3
+    assert f"{tmp_path}/flight.mcap: a flight is in this folder already" in result.output
+    assert "--force" in result.output
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+    again = ["fly", str(tmp_path / "scenario.yaml"), "--out", str(tmp_path), "--seed", "2", "--force"]
+    (tmp_path / "scenario.yaml").write_text(
+        before["scenario.yaml"].decode().replace("../", f"{CONFIGS}/", 1)  # the airframe
+    )
+    result = CliRunner().invoke(sim_app, again, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(after) == set(before)
+    assert all(after[name] != before[name] for name in before)
+
+
+def test_the_demo_flies_again() -> None:
+    makefile = (CONFIGS.parent / "Makefile").read_text()
+    (line,) = [each for each in makefile.splitlines() if "msp-sim fly" in each]
+    assert "--force" in line
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["fly", "scenarios/sinusoid.yaml"],
+        ["sitl", "loopback.yaml", "--duration", "0.5", "--link", "udpout:127.0.0.1:9"],
+    ],
+    ids=["fly", "sitl"],
+)
+def test_without_matplotlib_there_are_numbers_and_no_picture(args: list[str], tmp_path: Path) -> None:
+    code = "import sys; sys.modules['matplotlib'] = None; from msp_sim.cli import main; main()"
+    command = [sys.executable, "-c", code, *args, "--out", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=CONFIGS, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    # Said before the flight, not after it.
+    assert done.stdout.startswith("matplotlib is missing, so no picture will be drawn")
+    assert json.loads((tmp_path / "summary.json").read_text())["duration_s"] > 0
+    assert not (tmp_path / "flight.png").exists()
+
+
+def test_a_full_disk_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def write() -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/link.tlog")
+
+    with pytest.raises(typer.Exit) as ended:
+        tell_mistakes(write)()
+    assert ended.value.exit_code == 3
+    assert capsys.readouterr().err == "out/link.tlog: No space left on device\n"
