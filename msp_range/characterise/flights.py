@@ -27,6 +27,7 @@ from msp_range.yaml_file import Section, load, read_yaml
 GAP_S = 1.0
 """Between two values of the reference that are farther apart, the truth is not known [s]."""
 SCENARIO = "scenario"
+READINGS = "readings.csv"
 TRUTH, TIME, UTC = "true_range_cm", "time_s", "utc_s"
 
 
@@ -94,17 +95,34 @@ def is_of_flights(path: Path | str) -> bool:
 class Hangar:
     """The folder of a flight campaign: ``flights/<flight>-001.mcap`` with its reference, and ``readings.csv``.
 
-    Where a flight was flown several times, the last one counts.
+    Where a flight was flown several times, the last one counts. Recordings and references are only ever added; whoever
+    does not want one deletes it, and its number is not given again while there are later ones.
+
+    Raises
+    ------
+    RecordingError
+        There is a ``readings.csv`` that was not made from recordings of these flights.
     """
 
     def __init__(self, folder: Path, campaign: FlightCampaign) -> None:
         self.folder = folder
         self._campaign = campaign
+        table = folder / READINGS
+        if table.exists() and not any(self.recordings(flight) for flight in campaign.flights):
+            raise RecordingError(
+                f"{table}: not collected here, for there is no recording of these flights in {folder / 'flights'}, and "
+                "it would be overwritten; name another folder with --out"
+            )
 
     def recordings(self, flight: Flight) -> list[Path]:
         """Its recordings, in their order."""
-        pattern = re.compile(re.escape(flight.flight) + r"-\d{3}\.mcap")
-        return sorted(path for path in (self.folder / "flights").glob("*.mcap") if pattern.fullmatch(path.name))
+        numbered = {_number(flight, path): path for path in self._files(flight) if path.suffix == ".mcap"}
+        return [numbered[number] for number in sorted(numbered)]
+
+    def _files(self, flight: Flight) -> list[Path]:
+        """Its recordings and references, in any order."""
+        pattern = re.compile(re.escape(flight.flight) + r"-\d{3,}(\.mcap|\.reference\.csv)")
+        return [path for path in (self.folder / "flights").glob("*") if pattern.fullmatch(path.name)]
 
     @contextmanager
     def making(self, flight: Flight) -> Iterator[Path]:
@@ -114,7 +132,7 @@ class Hangar:
         beside = path.with_name(f".{path.name}.new")
         beside.unlink(missing_ok=True)
         yield beside
-        os.replace(beside, path)
+        _add(beside, path)
 
     def _refuse_other_kind(self, *, simulated: bool) -> None:
         """Simulated and real flights never share a folder; the simulator names its scenario in the recording."""
@@ -130,7 +148,9 @@ class Hangar:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordingError(f"{folder}: this folder cannot be made: {error.strerror}") from None
-        return folder / f"{flight.flight}-{len(self.recordings(flight)) + 1:03d}.mcap"
+        # A reference whose recording was deleted must not become that of the next one.
+        last = max((_number(flight, path) for path in self._files(flight)), default=0)
+        return folder / f"{flight.flight}-{last + 1:03d}.mcap"
 
     def keep(self, flight: Flight, recording: Path, reference: Path | None) -> None:
         """Copy a flight's recording and the table of its reference, both looked at before.
@@ -166,7 +186,7 @@ class Hangar:
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv`` anew; returns its path and how many rows it has."""
-        path, beside = self.folder / "readings.csv", self.folder / ".readings.csv.new"
+        path, beside = self.folder / READINGS, self.folder / f".{READINGS}.new"
         data = self.readings()
         beside.unlink(missing_ok=True)
         write_csv(beside, data)
@@ -266,6 +286,17 @@ def _or_unknown(part: MeasuredData, name: str) -> Column:
     return np.full(len(part), "") if name in ("run", "target", "condition") else np.full(len(part), np.nan)
 
 
+def _number(flight: Flight, path: Path) -> int:
+    return int(path.name.removeprefix(f"{flight.flight}-").partition(".")[0])
+
+
+def _add(written: Path, path: Path) -> None:
+    """Give a whole file its name; RecordingError where there is a file of that name."""
+    if path.exists():
+        raise RecordingError(f"{path}: there is a file already, and none is overwritten")
+    os.replace(written, path)
+
+
 def _copy(source: Path, path: Path) -> None:
     """A copy that is whole or not there."""
     beside = path.with_name(f".{path.name}.new")
@@ -274,6 +305,6 @@ def _copy(source: Path, path: Path) -> None:
             shutil.copyfileobj(read, written)
             written.flush()
             os.fsync(written.fileno())
-        os.replace(beside, path)
+        _add(beside, path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

@@ -145,3 +145,54 @@ def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
     assert abs(float(np.median(hovering["reading_cm"] - hovering["true_range_cm"]))) < 3
     with pytest.raises(RecordingError, match="of a simulated flight; name another folder"):
         hangar(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[1], recording(tmp_path, [90] * 3), None)
+
+
+def test_no_flight_is_lost_where_an_earlier_one_was_deleted(tmp_path: Path) -> None:
+    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    folder = tmp_path / "out/flights"
+    for reading_cm in (100, 200):
+        there.keep(flights[0], recording(tmp_path, [reading_cm] * 3), None)
+    second = (folder / "hover-002.mcap").read_bytes()
+    (folder / "hover-001.mcap").unlink()
+    there.keep(flights[0], recording(tmp_path, [300] * 3), None)
+    assert (folder / "hover-002.mcap").read_bytes() == second
+    assert sorted(path.name for path in folder.iterdir()) == ["hover-002.mcap", "hover-003.mcap"]
+    assert there.readings()["reading_cm"].tolist() == [300] * 3
+
+
+def test_a_reference_stays_with_its_own_recording(tmp_path: Path) -> None:
+    """Its recording was deleted, and the next flight has none."""
+    reference = tmp_path / "laser.csv"
+    reference.write_text("time_s,true_range_cm\n100,111\n101,111\n")
+    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there.keep(flights[0], recording(tmp_path, [100] * 3), reference)
+    (tmp_path / "out/flights/hover-001.mcap").unlink()
+    there.keep(flights[0], recording(tmp_path, [300] * 3), None)
+    assert np.isnan(there.readings()["true_range_cm"]).all()
+
+
+def test_a_flight_that_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    """Two programs collect into one folder."""
+    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    making = there.making(flights[1])
+    path = making.__enter__()
+    path.write_bytes(b"simulated")
+    (path.parent / "climb-001.mcap").write_bytes(b"flown meanwhile")
+    with pytest.raises(RecordingError, match=r"climb-001\.mcap: there is a file already"):
+        making.__exit__(None, None, None)
+    assert (tmp_path / "out/flights/climb-001.mcap").read_bytes() == b"flown meanwhile"
+
+
+def test_of_a_thousand_flights_the_last_one_counts(tmp_path: Path) -> None:
+    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there.keep(flights[0], recording(tmp_path, [100] * 3), None)
+    (tmp_path / "out/flights/hover-001.mcap").rename(tmp_path / "out/flights/hover-999.mcap")
+    there.keep(flights[0], recording(tmp_path, [200] * 3), None)
+    assert [path.name for path in there.recordings(flights[0])] == ["hover-999.mcap", "hover-1000.mcap"]
+
+
+def test_a_table_from_elsewhere_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/readings.csv").write_text("of another campaign")
+    with pytest.raises(RecordingError, match=r"readings\.csv: not collected here"):
+        hangar(tmp_path)
