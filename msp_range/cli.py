@@ -41,34 +41,39 @@ def run(
     link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
     bus: Annotated[str | None, typer.Option(help="I2C bus instead of the airframe's")] = None,
 ) -> None:
-    """Fly: read the sensors and send DISTANCE_SENSOR until SIGTERM.
+    """Fly: read the sensors and send DISTANCE_SENSOR until SIGTERM. SIGHUP reads the airframe file again.
 
     Exit codes: 0 stopped by SIGTERM or SIGINT, 1 a mistake in the program, 2 a wrong command line, 3 a file that
-    cannot be used. Sensors, bus or link that do not work are reported to the pilot and tried again, for ever.
+    cannot be used, or a bus that another process works on. Sensors, bus, link or disk that do not work are reported to
+    the pilot and tried again, for ever.
     """
     # The imports take a while, and a service that is stopped meanwhile has ended well too.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
+    # The file that is to be read again has not been read yet.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     # Matrices here are 3 x 3: numpy's own threads would take processors from others and 25 ms from the start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make no garbage; looking for some takes 15 ms.
     gc.disable()
     try:
         from msp_range import service
-        from msp_range.config import load_airframe
+        from msp_range.config import Airframe, load_airframe
         from msp_range.log import Log
 
-        airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
+        def load() -> Airframe:
+            airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
+            return airframe.model_copy(update={"recording": None}) if no_record else airframe
+
+        airframe = load()
     finally:
         gc.enable()
-    if no_record:
-        airframe = airframe.model_copy(update={"recording": None})
-        record = None
-    raise typer.Exit(service.run(airframe, Log(log), record))
+    raise typer.Exit(service.run(airframe, load, Log(log), None if no_record else record))
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:
-    raise SystemExit(0)
+    # At once: an exception in the middle of an import may be swallowed or be printed as a traceback.
+    os._exit(0)
 
 
 def bus_of(text: str) -> int | str:

@@ -1,7 +1,8 @@
 """The bridge as a service: signals, watchdog, logs, exit codes.
 
-Exit codes: 0 ended by SIGTERM, SIGINT or the end of its input; 1 a mistake in the program; 2 a wrong command line;
-3 an airframe, sensor model or data file that cannot be used. Broken equipment never ends the service.
+SIGTERM and SIGINT end it, SIGHUP reads the airframe file again. Exit codes: 0 ended by a signal or the end of its
+input; 1 a mistake in the program; 2 a wrong command line; 3 an airframe, sensor model or data file that cannot be used,
+or a bus that another process works on. Broken equipment never ends the service.
 """
 
 import faulthandler
@@ -9,14 +10,13 @@ import gc
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
 from msp_range.bridge import Bridge
-from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
@@ -24,6 +24,7 @@ from msp_range.health import Report, Severity
 from msp_range.log import Log
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
+from msp_range.reload import FlownAirframe
 
 if TYPE_CHECKING:
     from msp_range.recording.flight_recorder import FlightRecorder
@@ -68,19 +69,24 @@ class Notifier:
 
 
 @contextmanager
-def stop_signals() -> Iterator[list[int]]:
-    """While inside, SIGTERM and SIGINT fill the list instead of ending the program."""
+def received_signals(*signals: signal.Signals) -> Iterator[list[int]]:
+    """While inside, these signals fill the list instead of ending the program."""
     received: list[int] = []
 
     def note(signum: int, frame: FrameType | None) -> None:
         received.append(signum)
 
-    before = {signum: signal.signal(signum, note) for signum in (signal.SIGTERM, signal.SIGINT)}
+    before = {signum: signal.signal(signum, note) for signum in signals}
     try:
         yield received
     finally:
         for signum, handler in before.items():
             signal.signal(signum, handler)
+
+
+def stop_signals() -> AbstractContextManager[list[int]]:
+    """While inside, SIGTERM and SIGINT fill the list instead of ending the program."""
+    return received_signals(signal.SIGTERM, signal.SIGINT)
 
 
 def flight_recorder(
@@ -101,8 +107,15 @@ def flight_recorder(
     return FlightRecorder(folder, airframe.vehicle, clock, files=airframe.files, on_file=on_file, on_failure=on_failure)
 
 
-def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
-    """Step the bridge until a signal comes; the exit code."""
+def serve(
+    bridge: Bridge,
+    clock: Clock,
+    log: Log,
+    transport: Transport,
+    stopped: Sequence[int],
+    flown: FlownAirframe | None = None,
+) -> None:
+    """Step the bridge until ``stopped`` holds a signal, or another airframe is to be flown."""
     notifier = Notifier()
     notifier.tell("READY=1")
     next_feed_s = clock.now()
@@ -111,29 +124,29 @@ def serve(bridge: Bridge, clock: Clock, log: Log, transport: Transport) -> int:
     autopilot: int | None = None
     connected = False
     trouble: str | None = None
-    with stop_signals() as stopped:
-        while not stopped:
-            bridge.step()
-            now_s = clock.now()
-            if bridge.completed_s >= next_feed_s:
-                notifier.tell("WATCHDOG=1")
-                next_feed_s = now_s + FEED_INTERVAL_S
-            if now_s < next_note_s:
-                continue
-            next_note_s = now_s + 1.0
-            if bridge.link.autopilot_heard and bridge.link.autopilot_system != autopilot:
-                autopilot = bridge.link.autopilot_system
-                log.info("autopilot heard", system=autopilot)
-            if transport.last_error != trouble or transport.connected != connected:
-                trouble, connected = transport.last_error, transport.connected
-                write = log.info if connected else log.warning
-                write("link", url=transport.description, connected=connected, error=trouble)
-            if now_s >= next_summary_s:
-                next_summary_s += SUMMARY_INTERVAL_S
-                log.info("still flying", **_summary(bridge, transport))
+    while not stopped:
+        bridge.step()
+        if flown is not None and flown.has_changed(bridge):
+            return
+        now_s = clock.now()
+        if bridge.completed_s >= next_feed_s:
+            notifier.tell("WATCHDOG=1")
+            next_feed_s = now_s + FEED_INTERVAL_S
+        if now_s < next_note_s:
+            continue
+        next_note_s = now_s + 1.0
+        if bridge.link.autopilot_heard and bridge.link.autopilot_system != autopilot:
+            autopilot = bridge.link.autopilot_system
+            log.info("autopilot heard", system=autopilot)
+        if transport.last_error != trouble or transport.connected != connected:
+            trouble, connected = transport.last_error, transport.connected
+            write = log.info if connected else log.warning
+            write("link", url=transport.description, connected=connected, error=trouble)
+        if now_s >= next_summary_s:
+            next_summary_s += SUMMARY_INTERVAL_S
+            log.info("still flying", **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
     notifier.tell("STOPPING=1")
-    return EXIT_OK
 
 
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
@@ -149,16 +162,54 @@ def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
     }
 
 
-def run(airframe: Airframe, log: Log, record: Path | None) -> int:
-    """The service on this computer's bus and link; the exit code."""
+def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path | None) -> int:
+    """The service on this computer's bus and link, until a signal ends it; the exit code.
+
+    Parameters
+    ----------
+    airframe
+        What to fly.
+    load
+        Reads the airframe file again, at SIGHUP.
+    log
+        Where it reports what it does.
+    record
+        Folder for the recording instead of the airframe's.
+
+    Raises
+    ------
+    BusInUse
+        Another process works on the bus.
+    """
     # What the loop was doing when the watchdog ended it (SIGABRT), for the journal.
     faulthandler.enable()
     clock = SystemClock()
-    bus = KernelBus(airframe.bus)
-    transport = open_transport(airframe.link.url, clock)
-    log.info("started", vehicle=airframe.vehicle, bus=str(bus.path), link=airframe.link.url, pid=os.getpid())
+    with stop_signals() as stopped, received_signals(signal.SIGHUP) as requests:
+        flown = FlownAirframe(airframe, load, requests, log)
+        url = flown.airframe.link.url
+        transport = open_transport(url, clock)
+        while not stopped:
+            if url != flown.airframe.link.url:
+                transport.close()
+                url = flown.airframe.link.url
+                transport = open_transport(url, clock)
+            _fly(flown, clock, log, transport, record, stopped)
+            if not stopped:  # what flew by the airframe before need not stay
+                gc.unfreeze()
+                gc.collect()
+        transport.close()
+        flown.bus.close()
+    return EXIT_OK
+
+
+def _fly(
+    flown: FlownAirframe, clock: Clock, log: Log, transport: Transport, record: Path | None, stopped: Sequence[int]
+) -> None:
+    """Fly an airframe until a signal comes or it is changed for another."""
+    airframe = flown.airframe
+    log.info("started", vehicle=airframe.vehicle, bus=str(flown.bus.path), link=airframe.link.url, pid=os.getpid())
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
-    bridge = Bridge(airframe, bus, clock, transport, report=reporter(log), thermometer=thermometer)
+    bridge = Bridge(airframe, flown.bus, clock, transport, report=reporter(log), thermometer=thermometer)
     # The first sensor is pinged, and ranges while the packages of the recording are imported.
     bridge.step()
     recorder = flight_recorder(
@@ -173,11 +224,11 @@ def run(airframe: Airframe, log: Log, record: Path | None) -> int:
     # All this stays: looking through it for garbage would stop the polling for 10 ms now and then.
     gc.freeze()
     try:
-        return serve(bridge, clock, log, transport)
+        serve(bridge, clock, log, transport, stopped, flown)
+        if not stopped and recorder is not None:
+            recorder.finish()  # the next airframe does not wait for a disk either
     finally:
         thermometer.close()
-        bus.close()
-        transport.close()
         if recorder is not None:
             try:
                 recorder.close()

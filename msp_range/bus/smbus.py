@@ -2,18 +2,40 @@
 
 Every transfer is one ``I2C_RDWR`` call with one message: SMBus register reads would write a byte first and so start a
 new ranging, and calls of ``write_byte`` from two threads can go to the wrong address.
+
+Two programs that poll the same sensors would start each other's rangings and read each other's answers. So the device
+file is locked (flock) while it is open, and the lock goes with the process, however it ends.
 """
 
 import errno
+import fcntl
+import os
 from pathlib import Path
+from typing import Any
 
 from smbus2 import SMBus, i2c_msg
 
 from msp_range.bus.base import BusError
 
 
+class BusInUse(BusError):
+    """Another process works on the bus: one of these commands, for no other program takes the lock."""
+
+    def __init__(self, path: Path, holder: str) -> None:
+        super().__init__(errno.EBUSY, f"open {path}", 0)
+        self._text = f"{path}: in use by {holder}; two programs on one bus would disturb each other. Stop it first"
+
+    @property
+    def bus_at_fault(self) -> bool:
+        """True: no device could have answered."""
+        return True
+
+    def __str__(self) -> str:
+        return self._text
+
+
 class KernelBus:
-    """``/dev/i2c-N`` as a Bus.
+    """``/dev/i2c-N`` as a Bus, locked against other processes that use it by this class.
 
     Parameters
     ----------
@@ -51,15 +73,46 @@ class KernelBus:
             raise BusError(error.errno or errno.EIO, verb, address) from None
 
     def reopen(self) -> None:
-        """Close and open the device file."""
+        """Close and open the device file; raises BusInUse where another process has locked it."""
         self.close()
         try:
-            self._smbus = SMBus(str(self.path))
+            smbus: Any = SMBus(str(self.path))
         except OSError as error:
             raise BusError(error.errno or errno.EIO, f"open {self.path}", 0) from None
+        try:
+            fcntl.flock(smbus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = _holder(os.fstat(smbus.fd))
+            smbus.close()
+            raise BusInUse(self.path, holder) from None
+        self._smbus = smbus
+
+    def claim(self) -> None:
+        """Open and lock the device file now, where there is one; raises BusInUse where another process has it."""
+        try:
+            self.reopen()
+        except BusInUse:
+            raise
+        except BusError:
+            pass  # the first transfer tries again, and reports it
 
     def close(self) -> None:
         """Close the device file."""
         if self._smbus is not None:
             self._smbus.close()
             self._smbus = None
+
+
+def _holder(file: os.stat_result) -> str:
+    """Who has locked a file, by /proc/locks: its process and command, as far as this user may see them."""
+    place = f"{os.major(file.st_dev):02x}:{os.minor(file.st_dev):02x}:{file.st_ino}"
+    try:
+        locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+        process = next(words[4] for words in locks if words[1] == "FLOCK" and words[5] == place)
+    except (OSError, StopIteration):
+        return "another process"
+    try:
+        command = Path(f"/proc/{process}/cmdline").read_bytes().decode(errors="replace").replace("\0", " ").strip()
+    except OSError:
+        return f"process {process}"
+    return f"process {process} ({command})"

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Protocol
 
 from msp_range.bus import Bus, BusError
-from msp_range.bus.smbus import KernelBus
+from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.characterise.campaign import Campaign
 from msp_range.characterise.plan import Point
 from msp_range.clock import Clock, SystemClock
@@ -82,10 +82,14 @@ class KernelBench:
         ------
         ConfigError
             It cannot be opened.
+        BusInUse
+            Another process works on it.
         """
         self.air_c(self.clock.now())
         try:
             self._bus.reopen()
+        except BusInUse:
+            raise
         except BusError as error:
             raise ConfigError(
                 f"{self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; is I2C switched on, is --bus "

@@ -92,6 +92,8 @@ class Link:
         self.autopilot_clock = AutopilotClock(now_s)
         self._autopilot_heard_s = float("-inf")
         self.autopilot_system: int | None = None
+        self.autopilot_armed = False
+        """What its last heartbeat said, also where none comes any more."""
         self.system_status: int = dialect.MAV_STATE_BOOT
         self._next_heartbeat_s = now_s
         self.next_event_s = now_s
@@ -249,6 +251,7 @@ class Link:
         if not heard:
             self.wanted.ask_anew(now_s)
         self._autopilot_heard_s = now_s
+        self.autopilot_armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._participants.on_autopilot(now_s, message.autopilot)
 
     def _take_command(self, now_s: float, source: tuple[int, int], command: Any) -> None:

@@ -116,6 +116,12 @@ class FlightRecorder:
             self._end(recorder)
             self._recorder = self._begin(now_s)
 
+    def finish(self) -> None:
+        """Record nothing more; what was recorded is completed in the background."""
+        if self._recorder is not None:
+            self._recorder.finish()
+        self._recorder, self._ending, self._retry_s = None, [], float("inf")
+
     def close(self) -> None:
         """Finish the file, and wait until the disk has it; raises RecordingError where it does not."""
         recorder, self._recorder = self._recorder, None

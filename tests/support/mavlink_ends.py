@@ -47,11 +47,12 @@ class Component:
         self._mav.seq = (self._mav.seq + 1) % 256
         return frame
 
-    def heartbeat(self, *, mavlink1: bool = False) -> bytes:
+    def heartbeat(self, *, mavlink1: bool = False, armed: bool = False) -> bytes:
         """A quadcopter's under ArduPilot."""
         d = self._dialect
+        mode = d.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
         beat = d.MAVLink_heartbeat_message(
-            d.MAV_TYPE_QUADROTOR, d.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, d.MAV_STATE_STANDBY, 3
+            d.MAV_TYPE_QUADROTOR, d.MAV_AUTOPILOT_ARDUPILOTMEGA, mode, 0, d.MAV_STATE_STANDBY, 3
         )
         return self.frame(beat, mavlink1=mavlink1)
 

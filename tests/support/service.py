@@ -85,6 +85,7 @@ class Autopilot:
 
     def __init__(self, system: int = 1, up_s: float = 0.0) -> None:
         self.system = system
+        self.armed = False
         self.booted_s = time.monotonic() - up_s
         self._component = Component(system, dialect=ardupilotmega)
         self._next_heartbeat_s = float("-inf")
@@ -98,7 +99,7 @@ class Autopilot:
         if now_s < self._next_heartbeat_s:
             return []
         self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
-        return [self._component.heartbeat()]
+        return [self._component.heartbeat(armed=self.armed)]
 
     def answers(self, now_s: float, message: Any) -> list[bytes]:
         """What it says to a message of the bridge."""

@@ -11,7 +11,7 @@ import pytest
 
 from msp_range.log import Log
 from msp_range.mavlink.transport.base import Nowhere
-from msp_range.service import serve
+from msp_range.service import serve, stop_signals
 from tests.support.bench import Bench, airframe
 
 
@@ -41,7 +41,8 @@ def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypat
             return list(step())
 
         monkeypatch.setattr(bench.bridge, "step", step_or_end)
-        assert serve(bench.bridge, bench.clock, Log("json", io.StringIO()), Nowhere()) == 0
+        with stop_signals() as stopped:
+            serve(bench.bridge, bench.clock, Log("json", io.StringIO()), Nowhere(), stopped)
         receive()
     assert [messages[0], messages[-1]] == ["READY=1", "STOPPING=1"]
     assert set(messages[1:-1]) == {"WATCHDOG=1"}
