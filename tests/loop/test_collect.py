@@ -4,6 +4,10 @@ import csv
 import io
 import json
 import os
+import re
+import resource
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from statistics import median
@@ -321,6 +325,24 @@ def test_the_command_end_to_end(tmp_path: Path) -> None:
     # The far points are distinct placements, off by the ruler's uncertainty and no more.
     medians = [median(error_cm[baseline["run"] == run].tolist()) for run in np.unique(baseline["run"])]
     assert max(map(abs, medians)) < 2.0
+
+
+def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path: Path) -> None:
+    path = written(tmp_path, *SEVERAL)
+    command = [sys.executable, "-c", "from msp_sim.cli import main; main()", "collect", path, "--out"]
+    limit = (20_000, resource.RLIM_INFINITY)  # bytes a file, which the kernel enforces as it does the end of a disk
+    full = subprocess.run(
+        [*command, tmp_path / "full"],
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
+    )
+    assert full.returncode == 3
+    assert re.fullmatch(r".*/sitting-001\.mcap: recording stopped: File too large; .*\n", full.stderr)
+    for folder in ("full", "whole"):
+        subprocess.run([*command, tmp_path / folder], check=True, stdout=subprocess.DEVNULL)
+    tables = [(tmp_path / folder / "readings.csv").read_text() for folder in ("full", "whole")]
+    assert tables[0] == tables[1]
 
 
 @pytest.mark.parametrize(

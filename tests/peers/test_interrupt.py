@@ -24,7 +24,7 @@ def test_sigint_ends_it_in_silence_at_whatever_moment_of_the_start(tmp_path: Pat
 
 
 def test_the_commands_are_found_by_any_name(tmp_path: Path) -> None:
-    """They begin as a shell script, which looks for the Python that lies beside it."""
+    """They begin as a shell script, which looks for the Python in the same folder."""
     link = tmp_path / "a link to it"
     link.symlink_to(COMMAND)
     path = os.pathsep.join([str(COMMAND.parent), os.environ["PATH"]])

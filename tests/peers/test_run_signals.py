@@ -141,7 +141,7 @@ def run_second(testbed: KernelTestbed, *arguments: str | Path) -> "subprocess.Co
     return testbed.run([COMMAND, *arguments], timeout_s=LIMIT_S)
 
 
-def test_the_second_process_on_a_bus_is_told_of_the_first_and_ends(tmp_path: Path) -> None:
+def test_the_second_process_on_a_bus_names_the_first_and_ends(tmp_path: Path) -> None:
     with kernel_bus(STEADY) as testbed, LinkEnd() as end, LinkEnd() as other:
         with running_service(testbed, end.url, tmp_path) as service:
             await_distances(end, 5)
