@@ -1,6 +1,7 @@
 """The recorder: what is in the file, for every tool; what a failing disk does; nothing of wall time in it."""
 
 import errno
+import gc
 import io
 import json
 import math
@@ -20,7 +21,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Chunk, Footer, MessageIndex, Metadata, SummaryOffset
+from mcap.records import Attachment, Chunk, ChunkIndex, Footer, MessageIndex, Metadata, SummaryOffset
 from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
@@ -187,6 +188,20 @@ def test_identical_virtual_flights_are_identical_files(tmp_path: Path) -> None:
     record_flight(tmp_path / "one.mcap")
     record_flight(tmp_path / "two.mcap")
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
+def test_the_index_of_a_long_file_is_not_kept_as_objects(tmp_path: Path) -> None:
+    """1 kB a chunk, 7 MB an hour."""
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    for count in range(1, 201):
+        recorder.write("/health", count, {"text": "one"})
+        recorder.flush_if_due(count)
+    assert sum(isinstance(each, ChunkIndex) for each in gc.get_objects()) < 10
+    recorder.close()
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        summary = SeekingReader(file).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) == 200
 
 
 def test_utc_is_taken_once(tmp_path: Path) -> None:
