@@ -178,8 +178,10 @@ class Airframe(Section):
         """Note the texts that this airframe was read from."""
         self._files = files
 
-    def changed(self, *, link: str | None = None, bus: int | str | None = None) -> "Airframe":
-        """The same with what a command line says instead: URL of the link, I2C bus.
+    def changed(
+        self, *, link: str | None = None, bus: int | str | None = None, autopilot: Autopilot | None = None
+    ) -> "Airframe":
+        """The same with what a command line says instead: URL of the link, I2C bus, type of the autopilot.
 
         Raises
         ------
@@ -193,6 +195,8 @@ class Airframe(Section):
             except ValueError as error:
                 raise ConfigError(f"--link: {error}") from None
             changes["link"] = self.link.model_copy(update={"url": link})
+        if autopilot is not None:
+            changes["link"] = changes.get("link", self.link).model_copy(update={"autopilot": autopilot})
         if bus is not None:
             changes["bus"] = bus
         return self.model_copy(update=changes) if changes else self

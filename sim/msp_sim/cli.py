@@ -3,7 +3,7 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -61,11 +61,17 @@ def sitl(
     link: Annotated[
         str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; left out: the airframe's")
     ] = None,
+    autopilot: Annotated[
+        Literal["ardupilot", "px4"] | None, typer.Option(help="type of the autopilot; left out: the airframe's")
+    ] = None,
     model: ReadBy = None,
     seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
     ground: Annotated[
         Path | None,
-        typer.Option(metavar="SCENARIO.yaml", help="scenario whose ground and air it flies in; left out: flat ground"),
+        typer.Option(
+            metavar="SCENARIO.yaml",
+            help="scenario whose ground, air and faults it flies with; left out: flat ground, no faults",
+        ),
     ] = None,
     ground_clearance: Annotated[
         float | None,
@@ -83,11 +89,12 @@ def sitl(
     """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.
 
     The vehicle's pose comes from the autopilot, over the link that DISTANCE_SENSOR goes out on. Start it while the
-    vehicle stands on the ground: that is where the heights begin. docs/sitl.md has the commands and parameters.
+    vehicle is disarmed and stands on the ground: that is where the heights begin. docs/sitl.md has the commands and
+    parameters.
     """
     from msp_sim.flying import fly_sitl
 
-    fly_sitl(airframe_file, link, model, seed, ground, ground_clearance, duration, record, out, force)
+    fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)
 
 
 @app.command()

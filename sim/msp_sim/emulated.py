@@ -4,7 +4,7 @@ An airframe, a world, a pose over time and sensor models enter; a bus leaves, be
 """
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from numpy.random import Generator, SeedSequence, default_rng
@@ -98,7 +98,7 @@ def emulated_bus(
     now: Callable[[], float],
     seed: SeedSequence,
     keep: KeepTruth,
-    faults: dict[str, list[Fault]],
+    faults: Mapping[str, Sequence[Fault]],
 ) -> Bus:
     """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
     devices = []

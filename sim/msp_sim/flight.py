@@ -20,7 +20,6 @@ from msp_range.correction.thermometer import LoopReader
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.autopilot import LoopbackAutopilot
-from msp_sim.device import Fault
 from msp_sim.emulated import emulated_bus
 from msp_sim.flight_log import FlightLog
 from msp_sim.scenario import Scenario
@@ -115,9 +114,6 @@ class Simulation:
         models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
         self._log = FlightLog(airframe, models, self.world, self.vehicle.pose, self._start_s, recorder)
         self.flight = self._log.flight
-        faults: dict[str, list[Fault]] = {}
-        for planned in scenario.faults:
-            faults.setdefault(planned.sensor, []).append(planned.on_device())
         bus = emulated_bus(
             airframe,
             models,
@@ -126,7 +122,7 @@ class Simulation:
             self.now_s,
             for_sensors,
             self._log.keep_truth,
-            faults,
+            scenario.device_faults(),
         )
         self._shown_c = scenario.thermometer.reading_c
         plan = scenario.autopilot

@@ -13,6 +13,7 @@ from rich.live import Live
 
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.config import load_airframe
+from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import open_transport, parse_url
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
@@ -23,7 +24,7 @@ from msp_sim.autopilot import Tee
 from msp_sim.flight import Simulation
 from msp_sim.flight_log import Flight
 from msp_sim.scenario import load_scenario
-from msp_sim.sitl import Sitl, status_line
+from msp_sim.sitl import Sitl, start_line, status_line
 from msp_sim.summary import summarise
 from msp_sim.surfaces import Ground
 from msp_sim.terminal import console, make_folder
@@ -119,6 +120,7 @@ def fly_scenario(
 def fly_sitl(
     airframe_file: Path,
     link: str | None,
+    autopilot: Autopilot | None,
     model: Path | None,
     seed: int,
     ground: Path | None,
@@ -129,9 +131,15 @@ def fly_sitl(
     force: bool,
 ) -> None:
     """Fly with an autopilot's own simulator; the parameters are the options of the command."""
-    airframe = load_airframe(airframe_file).changed(link=link)
+    airframe = load_airframe(airframe_file).changed(link=link, autopilot=autopilot)
     sensor_model = load_sensor_model(model) if model is not None else None
     scenario = load_scenario(ground) if ground is not None else None
+    faults = scenario.device_faults() if scenario is not None else {}
+    for name in faults:
+        if name not in (sensors := [sensor.name for sensor in airframe.sensors]):
+            raise ConfigError(
+                f"{ground}: faults: found sensor {name!r}; expected one of {airframe_file}: {', '.join(sensors)}"
+            )
     if out is not None:
         _make_ready(out, force)
     out_to = console()
@@ -154,18 +162,22 @@ def fly_sitl(
             model=sensor_model,
             clearance_m=ground_clearance,
             start_m=scenario.flight.track.start_m if scenario is not None else (0.0, 0.0),
+            faults=faults,
             recorder=recorder,
             report=lambda severity, text: out_to.print(f"{severity.name.lower()}: {text}", highlight=False),
         )
         status = opened.enter_context(out_to.status("")) if out_to.is_terminal else None
         next_look_s = 0.0
         source: str | None = None
+        start: str | None = None
         while not stopped and (duration is None or simulation.now_s() < duration):
             simulation.step()
             if simulation.vehicle.source != source:
-                where = "where it was" if source else "standing on the ground"
                 source = simulation.vehicle.source
-                out_to.print(f"pose from {source}: the vehicle is {where}", highlight=False)
+                out_to.print(f"pose from {source}", highlight=False)
+            if start_line(simulation.vehicle) != start:
+                start = start_line(simulation.vehicle)
+                out_to.print(start, highlight=False, soft_wrap=True)
             if simulation.now_s() < next_look_s:
                 continue
             if status is not None:

@@ -191,6 +191,13 @@ class Scenario(Section):
                     "is below it; expected heights above the ground and its boxes, and a landing at rest"
                 )
 
+    def device_faults(self) -> dict[str, list[device.Fault]]:
+        """Faults as the emulated sensors take them, by sensor."""
+        faults: dict[str, list[device.Fault]] = {}
+        for planned in self.faults:
+            faults.setdefault(planned.sensor, []).append(planned.on_device())
+        return faults
+
     def world(self) -> World:
         """Ground, objects and air."""
         return World(self.ground, self.air)

@@ -8,13 +8,14 @@ or HIL_STATE_QUATERNION (PX4's SIH, modules/mavlink/streams/HIL_STATE_QUATERNION
 ATTITUDE with LOCAL_POSITION_NED. Truth is taken where it comes, and once it has come the estimate is not: sensors that
 see the estimate confirm its errors to the estimator that made them.
 
-All of these count heights from a place of their own, so the vehicle is taken to stand on the ground, at the start,
-where the first one is heard: begin before take-off.
+All of these count heights from a place of their own. So the vehicle is taken to stand on the ground whenever the
+autopilot reports that it is disarmed: each such HEARTBEAT sets the height of the last pose to that of a landed vehicle.
+An autopilot that has never been received disarmed may be in flight at any height: until it has, no sensor answers.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from numpy.random import SeedSequence
@@ -26,9 +27,11 @@ from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import LoopReader
 from msp_range.geometry import Vector
 from msp_range.health import Report, Severity
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.device import NotAcknowledged
+from msp_sim.device import Fault, NotAcknowledged
 from msp_sim.emulated import emulated_bus
 from msp_sim.flight_log import Flight, FlightLog
 from msp_sim.vehicle import Angles, Pose
@@ -38,10 +41,10 @@ POSE_STALE_S = 1.0
 """A pose that is older than this says nothing about where the vehicle is [s]."""
 POSE_RATE_HZ = 25.0
 """Asked of the autopilot: at 5 m/s the vehicle moves 0.2 m between two poses, nearly all of which its speed tells."""
-TRUTH = ("SIM_STATE", "HIL_STATE_QUATERNION")
+TRUTH: Mapping[Autopilot, str] = {"ardupilot": "SIM_STATE", "px4": "HIL_STATE_QUATERNION"}
+"""The message with the simulator's truth. Each autopilot is asked for its own only: ArduPilot shows its pilot a text at
+every request for one that it does not have."""
 ESTIMATE = ("ATTITUDE", "LOCAL_POSITION_NED")
-WANTED: Mapping[str, float] = dict.fromkeys((*TRUTH, *ESTIMATE), POSE_RATE_HZ)
-"""Messages to ask the autopilot for: name -> rate [Hz]. None knows all of them; it refuses the others."""
 EARTH_RADIUS_M = 6_371_000.0
 
 
@@ -60,6 +63,10 @@ class HeardVehicle:
 
     Attributes
     ----------
+    armed : bool or None
+        As the last HEARTBEAT says; None before the first.
+    height_known : bool
+        Whether it has been received disarmed, and so on the ground, since the start.
     source : str or None
         The message that the last pose came in; LOCAL_POSITION_NED stands for the estimate.
     heard : Counter
@@ -78,21 +85,26 @@ class HeardVehicle:
         clearance_m: float,
         start_m: tuple[float, float] = (0.0, 0.0),
     ) -> None:
+        self.armed: bool | None = None
+        self.height_known = False
         self.source: str | None = None
         self.heard: Counter[str] = Counter()
         self._elevation_m = elevation_m
         self._clearance_m = clearance_m
-        north_m, east_m = start_m
-        # As low as the ground lets it be.
-        self._last = Pose(0.0, (north_m, east_m, math.inf), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
+        self._last = Pose(0.0, (*start_m, self._landed_down_m(*start_m)), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
         self._origin_m: Vector = (0.0, 0.0, 0.0)
         self._cos_latitude: float | None = None
         self._angles: tuple[float, Angles] | None = None
 
     def hear(self, now_s: float, message: Any) -> None:
-        """Take a message of the autopilot that came at ``now_s``; one that is no pose is passed over."""
+        """Update with a message of the autopilot that came at ``now_s`` and is a HEARTBEAT or a pose; ignore others."""
         kind = message.get_type()
-        if kind == "SIM_STATE":
+        if kind == "HEARTBEAT":
+            self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+            if not self.armed:
+                self.height_known = True
+                self._land()
+        elif kind == "SIM_STATE":
             place = self._global_place(message.lat_int, message.lon_int, message.alt)
             velocity = (message.vn, message.ve, message.vd)
             self._take(kind, now_s, place, Angles(message.roll, message.pitch, message.yaw), velocity)
@@ -104,26 +116,27 @@ class HeardVehicle:
                 self._take(kind, now_s, place, euler_angles(*message.attitude_quaternion), velocity)
         elif kind == "ATTITUDE":
             self._angles = now_s, Angles(message.roll, message.pitch, message.yaw)
-        elif kind == "LOCAL_POSITION_NED" and self.source not in TRUTH and self._angles is not None:
+        elif kind == "LOCAL_POSITION_NED" and self.source not in TRUTH.values() and self._angles is not None:
             angles_s, angles = self._angles
             if now_s - angles_s <= POSE_STALE_S:
                 place = (message.x, message.y, message.z)
                 self._take(kind, now_s, place, angles, (message.vx, message.vy, message.vz))
 
     def pose(self, time_s: float) -> Pose:
-        """The vehicle at ``time_s``, moved on at its last speed; standing at the start before it has been heard."""
+        """The vehicle at ``time_s``, moved on at its last speed; on the ground at the start before the first pose."""
         last = self._last
         elapsed_s = time_s - last.time_s
         north_m, east_m, down_m = (
             place_m + speed_m_s * elapsed_s
             for place_m, speed_m_s in zip(last.position_ned_m, last.velocity_ned_m_s, strict=True)
         )
-        standing_m = -self._elevation_m(north_m, east_m) - self._clearance_m
-        return last._replace(time_s=time_s, position_ned_m=(north_m, east_m, min(down_m, standing_m)))
+        down_m = min(down_m, self._landed_down_m(north_m, east_m))
+        return last._replace(time_s=time_s, position_ned_m=(north_m, east_m, down_m))
 
-    def is_lost(self, time_s: float) -> bool:
-        """Whether it has been heard, but not lately."""
-        return self.source is not None and time_s - self._last.time_s > POSE_STALE_S
+    def is_known(self, time_s: float) -> bool:
+        """Whether it is known where the vehicle is: disarmed and not yet located, or located within `POSE_STALE_S`."""
+        age_s = self.age_s(time_s)
+        return self.height_known and (not self.armed if age_s is None else age_s <= POSE_STALE_S)
 
     def age_s(self, time_s: float) -> float | None:
         """Time since the last pose [s]; None before the first."""
@@ -138,6 +151,18 @@ class HeardVehicle:
         if self._cos_latitude is None:
             self._cos_latitude = math.cos(latitude_rad)
         return EARTH_RADIUS_M * latitude_rad, EARTH_RADIUS_M * longitude_rad * self._cos_latitude, -altitude_m
+
+    def _landed_down_m(self, north_m: float, east_m: float) -> float:
+        """Down coordinate of the landed vehicle at a place [m]."""
+        return -self._elevation_m(north_m, east_m) - self._clearance_m
+
+    def _land(self) -> None:
+        """Move the origin of heights so that the vehicle stands on the ground at its last pose."""
+        north_m, east_m, down_m = self._last.position_ned_m
+        landed_m = self._landed_down_m(north_m, east_m)
+        self._last = self._last._replace(position_ned_m=(north_m, east_m, landed_m))
+        origin = self._origin_m
+        self._origin_m = (origin[0], origin[1], origin[2] + down_m - landed_m)
 
     def _take(self, source: str, now_s: float, place: Vector, angles: Angles, velocity: Vector) -> None:
         if source != self.source:
@@ -175,7 +200,7 @@ def landed_clearance_m(airframe: Airframe) -> float:
 class Sitl:
     """The real bridge on emulated sensors below a vehicle that its autopilot simulates.
 
-    A sensor whose vehicle is lost does not answer: a distance would be made up.
+    While it is not known where the vehicle is, no sensor answers: a distance would be made up.
 
     Parameters
     ----------
@@ -196,6 +221,8 @@ class Sitl:
         sensor reads its minimum.
     start_m
         North and east of the place in the world where the first pose is heard [m].
+    faults
+        What goes wrong with the sensors, by sensor; times count from the beginning.
     recorder
         Keeps every stage of every reading and the truth.
     report
@@ -213,6 +240,7 @@ class Sitl:
         model: SensorModel | None = None,
         clearance_m: float | None = None,
         start_m: tuple[float, float] = (0.0, 0.0),
+        faults: Mapping[str, Sequence[Fault]] | None = None,
         recorder: Records | None = None,
         report: Report | None = None,
     ) -> None:
@@ -227,7 +255,14 @@ class Sitl:
         self._log = FlightLog(airframe, models, world, self.vehicle.pose, self._start_s, recorder)
         self.flight = self._log.flight
         bus = emulated_bus(
-            airframe, models, world, self._known_pose, self.now_s, SeedSequence(seed), self._log.keep_truth, {}
+            airframe,
+            models,
+            world,
+            self._known_pose,
+            self.now_s,
+            SeedSequence(seed),
+            self._log.keep_truth,
+            faults or {},
         )
         self._bridge = Bridge(
             airframe,
@@ -237,7 +272,7 @@ class Sitl:
             recorder=recorder,
             report=self._note,
             hear=lambda now_s, message: self.vehicle.hear(now_s - self._start_s, message),
-            wanted=WANTED,
+            wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             thermometer=LoopReader(self._thermometer),
         )
 
@@ -266,7 +301,7 @@ class Sitl:
         return self.flight
 
     def _known_pose(self, time_s: float) -> Pose:
-        if self.vehicle.is_lost(time_s):
+        if not self.vehicle.is_known(time_s):
             raise NotAcknowledged
         return self.vehicle.pose(time_s)
 
@@ -281,13 +316,24 @@ class Sitl:
             self._report(severity, text)
 
 
+def start_line(vehicle: HeardVehicle) -> str | None:
+    """What is known of the vehicle's height, in one line; None before the first HEARTBEAT."""
+    if vehicle.height_known:
+        return "the autopilot is disarmed: the vehicle stands on the ground"
+    if vehicle.armed:
+        return "the autopilot is armed, so the height is not known: no sensor answers until it has been disarmed"
+    return None
+
+
 def status_line(sitl: Sitl) -> str:
     """What happens now, in one line: time, pose and its source, height, fused distance, every sensor's last answer."""
     now_s = sitl.now_s()
     age_s = sitl.vehicle.age_s(now_s)
     if age_s is None:
         pose = "no pose yet" if sitl.autopilot_heard() else "no autopilot yet"
-    elif sitl.vehicle.is_lost(now_s):
+    elif not sitl.vehicle.height_known:
+        pose = f"{sitl.vehicle.source}, height unknown until disarmed"
+    elif not sitl.vehicle.is_known(now_s):
         pose = f"{sitl.vehicle.source} lost for {age_s:.0f} s"
     else:
         pose = f"{sitl.vehicle.source}, height {sitl.height_m():.2f} m"

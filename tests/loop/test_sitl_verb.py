@@ -1,9 +1,10 @@
 """`msp-sim sitl` as a real process, flown by a small autopilot that no part of msp_range or msp_sim is in.
 
 The autopilot is a point mass with a socket: it sends the poses that it is asked for, flies to 6 m and lands, and for
-two seconds of the hover sends no pose while it goes down. Two of them fly at the same time, one with a simulator's
-truth and a wrong estimate, the other with an estimate only. Times are the autopilot's: a distance is compared with the
-height that the autopilot had at the distance's own `time_boot_ms`.
+two seconds of the hover sends no pose while it goes down. Three of them fly at the same time: one with a simulator's
+truth and a wrong estimate, one with an estimate only, and one that is in flight already when `msp-sim sitl` starts.
+Times are the autopilot's: a distance is compared with the height that the autopilot had at the distance's own
+`time_boot_ms`.
 """
 
 import bisect
@@ -25,6 +26,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.recording.reader import Recording
+from msp_range.yaml_file import ConfigError
+from msp_sim.flying import fly_sitl
 from msp_sim.sitl import POSE_STALE_S, HeardVehicle
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -37,6 +40,14 @@ CLIMB_S, SILENT_S, HEARD_S, LANDED_S = 0.3, 4.2, 6.2, 8.8
 """Times of the flight: it leaves the ground, falls silent, sends poses again, has landed [s]."""
 SILENCE_TARGET_M, TOP_M = 3.5, 6.0
 RATE_HZ = 200.0
+SILENT_SENSOR = f"""
+name: silent
+airframe: {CONFIGS / "loopback.yaml"}
+duration_s: 600
+flight: {{altitude: [{{kind: climb, to_m: 1.0}}, {{kind: land}}]}}
+faults: [{{sensor: rear_left, kind: silent, from_s: 0, to_s: 600}}]
+"""
+"""A scenario for `--ground`."""
 
 
 class PointMass:
@@ -55,7 +66,7 @@ class PointMass:
 
 
 class FakeAutopilot(threading.Thread):
-    """The other end of a UDP link, with a flight in it.
+    """The other end of a UDP link, with a flight in it; it is armed from shortly before the climb to the landing.
 
     Parameters
     ----------
@@ -108,6 +119,9 @@ class FakeAutopilot(threading.Thread):
         """Its own height at a time of its own clock."""
         return float(np.interp(boot_s, self.boot_s, self.height_m))
 
+    def is_armed(self) -> bool:
+        return CLIMB_S / 2 <= self.flight_s() < LANDED_S
+
     def is_silent(self) -> bool:
         return SILENT_S <= self.flight_s() < HEARD_S
 
@@ -133,9 +147,15 @@ class FakeAutopilot(threading.Thread):
 
     def _speak(self, now_s: float) -> None:
         if self._is_due(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0):
+            mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed() else 0
             self._send(
                 mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                    mavlink.MAV_TYPE_QUADROTOR,
+                    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+                    mode,
+                    0,
+                    mavlink.MAV_STATE_ACTIVE,
+                    3,
                 )
             )
         if self.is_silent():
@@ -171,6 +191,33 @@ class FakeAutopilot(threading.Thread):
         self.socket.sendto(frame, self._peer)
 
 
+class InFlight(FakeAutopilot):
+    """One that hovers at `TOP_M` when it is first connected to, descends after `STAYS_S`, and is then disarmed."""
+
+    STAYS_S = 4.0
+
+    def __init__(self) -> None:
+        super().__init__(truth=True)
+        self.disarmed_s = math.inf
+        self._mass.height_m = TOP_M
+
+    def flight_s(self) -> float:
+        if self.first_s is None and self._peer is not None:
+            self.first_s = self.now_s()
+        return self.now_s() - self.first_s if self.first_s is not None else 0.0
+
+    def is_armed(self) -> bool:
+        if self.flight_s() > self.STAYS_S and self._mass.height_m == 0.0:
+            self.disarmed_s = min(self.disarmed_s, self.now_s())
+        return self.disarmed_s == math.inf
+
+    def is_silent(self) -> bool:
+        return False
+
+    def _target_m(self) -> float:
+        return TOP_M if self.flight_s() < self.STAYS_S else 0.0
+
+
 @dataclass
 class Flown:
     """What is left of one flight."""
@@ -187,10 +234,16 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flights(out: Path) -> dict[str, Flown]:
-    """Both flights, flown at the same time; one ends by SIGINT, the other by SIGTERM."""
-    autopilots = {"truth": FakeAutopilot(truth=True), "estimate": FakeAutopilot(truth=False)}
-    options = {"truth": ["--out", str(out), "--record", str(out)], "estimate": []}
-    ends = {"truth": signal.SIGINT, "estimate": signal.SIGTERM}
+    """All flights, flown at the same time; one ends by SIGINT, the others by SIGTERM."""
+    autopilots = {"truth": FakeAutopilot(truth=True), "estimate": FakeAutopilot(truth=False), "in flight": InFlight()}
+    scenario = out / "silent.yaml"
+    scenario.write_text(SILENT_SENSOR)
+    options = {
+        "truth": ["--out", str(out), "--record", str(out)],
+        "estimate": [],
+        "in flight": ["--ground", str(scenario)],
+    }
+    ends = {"truth": signal.SIGINT, "estimate": signal.SIGTERM, "in flight": signal.SIGTERM}
     programs = {}
     try:
         for name, autopilot in autopilots.items():
@@ -279,6 +332,32 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
 
 
 @pytest.mark.real_time
+def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dict[str, Flown]) -> None:
+    flown = flights["in flight"]
+    autopilot = flown.autopilot
+    assert isinstance(autopilot, InFlight)
+    assert "armed, so the height is not known" in flown.printed
+    assert min(arrived_s for arrived_s, _ in autopilot.distances) > autopilot.disarmed_s
+    assert {round(message.current_distance, -1) for _, message in autopilot.distances} == {20}
+
+
+@pytest.mark.real_time
+def test_faults_of_the_scenario_are_flown(flights: dict[str, Flown]) -> None:
+    printed = flights["in flight"].printed
+    for name in ("front_left", "front_right", "rear_right"):
+        assert f"Range {name}: good again" in printed
+    assert "Range rear_left: no answer" in printed
+    assert "Range rear_left: good again" not in printed
+
+
+def test_a_fault_of_a_sensor_that_the_airframe_does_not_have_is_refused(tmp_path: Path) -> None:
+    scenario = tmp_path / "silent.yaml"
+    scenario.write_text(SILENT_SENSOR)
+    with pytest.raises(ConfigError, match=r"silent.yaml: faults: found sensor 'rear_left'; expected one of .*front"):
+        fly_sitl(CONFIGS / "proximity.yaml", "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None)
+
+
+@pytest.mark.real_time
 def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown], out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     # 25 poses a second but in the silence.
@@ -306,6 +385,13 @@ def sim_state(alt_m: float, **fields: float) -> Any:
     return mavlink.MAVLink_sim_state_message(**values)
 
 
+def heartbeat(base_mode: int) -> Any:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base_mode, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+
+
+DISARMED, ARMED = heartbeat(0), heartbeat(mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 LEVEL = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -320,16 +406,48 @@ def test_a_pose_moves_on_with_its_speed_but_not_into_the_ground() -> None:
     assert vehicle.pose(2.9).position_ned_m[2] == -0.25
 
 
-def test_a_vehicle_is_lost_when_it_has_been_heard_but_not_lately() -> None:
+def test_where_the_vehicle_is_is_known_from_fresh_poses_after_it_was_disarmed() -> None:
     vehicle = HeardVehicle(flat, 0.25)
-    assert not vehicle.is_lost(100.0)
+    assert not vehicle.is_known(100.0), "no autopilot yet: it may be in flight"
+    vehicle.hear(100.0, DISARMED)
+    assert vehicle.is_known(100.0), "a disarmed vehicle stands on the ground, wherever that is"
+    vehicle.hear(100.0, ARMED)
+    assert not vehicle.is_known(100.0)
     vehicle.hear(100.0, local_position(0.0))
     assert vehicle.source is None, "a position without an attitude is no pose"
     vehicle.hear(100.0, LEVEL)
     vehicle.hear(100.0, local_position(0.0))
-    assert not vehicle.is_lost(100.0 + POSE_STALE_S)
+    assert vehicle.is_known(100.0 + POSE_STALE_S)
     vehicle.hear(101.1, local_position(0.0))
-    assert vehicle.is_lost(101.1), "an old attitude is no pose either"
+    assert not vehicle.is_known(101.1), "an old attitude is no pose either"
+
+
+def test_a_vehicle_that_was_never_received_disarmed_has_no_known_height() -> None:
+    vehicle = HeardVehicle(flat, 0.25)
+    vehicle.hear(0.0, ARMED)
+    vehicle.hear(0.0, sim_state(590.0))
+    assert not vehicle.is_known(0.0)
+    vehicle.hear(9.0, sim_state(584.0))
+    vehicle.hear(9.0, DISARMED)
+    vehicle.hear(9.1, ARMED)
+    vehicle.hear(9.1, sim_state(585.0))
+    assert vehicle.is_known(9.1)
+    assert vehicle.pose(9.1).position_ned_m[2] == pytest.approx(-1.25)
+
+
+def test_a_disarmed_vehicle_stands_on_the_ground_whatever_its_estimate_does() -> None:
+    """PX4's EKF2 may reset its height before the simulator's truth comes."""
+    vehicle = HeardVehicle(lambda north_m, east_m: 0.1 * north_m, 0.25)
+    vehicle.hear(0.0, DISARMED)
+    vehicle.hear(0.0, LEVEL)
+    vehicle.hear(0.0, local_position(0.0))
+    vehicle.hear(0.5, local_position(-1.3))
+    vehicle.hear(0.6, sim_state(584.0))
+    vehicle.hear(1.0, DISARMED)
+    assert vehicle.pose(1.0).position_ned_m == pytest.approx((0.0, 0.0, -0.25))
+    vehicle.hear(2.0, ARMED)
+    vehicle.hear(2.0, sim_state(590.0))
+    assert vehicle.pose(2.0).position_ned_m[2] == pytest.approx(-6.25)
 
 
 def test_truth_goes_on_where_the_estimate_was_and_then_counts_alone() -> None:
