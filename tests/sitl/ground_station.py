@@ -1,19 +1,13 @@
-"""What the tests against real autopilots share: a ground station that commands and keeps what it hears, `msp-sim sitl`
-as a process beside it, and the error of one series against another."""
+"""A ground station that sends commands to an autopilot and keeps what it receives."""
 
 import contextlib
-import re
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -91,7 +85,7 @@ class GroundStation:
     def command(self, command: int, *parameters: float) -> None:
         """Send a command, without waiting for its acknowledgement."""
         seven = [*parameters, *[0.0] * (7 - len(parameters))]
-        self._send(mavlink.MAVLink_command_long_message(1, AUTOPILOT, command, 0, *seven))
+        self.send(mavlink.MAVLink_command_long_message(1, AUTOPILOT, command, 0, *seven))
 
     def command_until_accepted(self, what: str, timeout_s: float, command: int, *parameters: float) -> None:
         """Send a command each second until the autopilot accepts it: it may still be starting."""
@@ -120,7 +114,7 @@ class GroundStation:
         while not self._ended:
             if time.monotonic() - heartbeat_s >= 1.0:
                 heartbeat_s = time.monotonic()
-                self._send(
+                self.send(
                     mavlink.MAVLink_heartbeat_message(
                         mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
                     )
@@ -135,49 +129,8 @@ class GroundStation:
             now_s = time.monotonic()
             self.heard += [(now_s, message) for message in self._mav.parse_buffer(received) or ()]
 
-    def _send(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
+        """Send one message; one that cannot be sent is lost."""
         with self._sending, contextlib.suppress(OSError):
             self._link.send(message.pack(self._mav))
             self._mav.seq = (self._mav.seq + 1) % 256
-
-
-@contextlib.contextmanager
-def program(command: list[str], log: Path, **options: Any) -> Iterator["subprocess.Popen[bytes]"]:
-    """A program that is ended by SIGTERM, its output in a file."""
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, **options
-        )
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(20.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-@contextlib.contextmanager
-def bridge_in_sitl(airframe: str, link: str, log: Path, *options: str) -> Iterator[None]:
-    """`msp-sim sitl`, entered when it has the pose from the simulator's truth; it must end cleanly."""
-    command = ["sitl", str(CONFIGS / airframe), "--link", link, *options]
-    with program([sys.executable, "-c", "from msp_sim.cli import main; main()", *command], log) as process:
-        deadline_s = time.monotonic() + 30.0
-        while not re.search("pose from (SIM_STATE|HIL_STATE_QUATERNION)", log.read_text()):
-            assert process.poll() is None, log.read_text()
-            assert time.monotonic() < deadline_s, log.read_text()
-            time.sleep(0.1)
-        yield
-        assert process.poll() is None, log.read_text()
-    assert process.returncode == 0, log.read_text()
-
-
-def errors(
-    measured: list[tuple[float, float]], truth: list[tuple[float, float]], from_s: float, to_s: float
-) -> np.ndarray:
-    """Magnitude of measured minus true values, each (time, value), the truth interpolated."""
-    at_s, value = np.array([each for each in measured if from_s <= each[0] <= to_s]).T
-    true_s, true_value = np.array(truth).T
-    return np.abs(value - np.interp(at_s, true_s, true_value))

@@ -95,6 +95,12 @@ class KernelTestbed:
         for path in (HWMON_FILE, IIO_FILE):
             (self.root / path.relative_to("/")).write_text(f"{round(temperature_c * 1000)}\n")
 
+    def set_readings(self, readings_cm: Sequence[int]) -> None:
+        """Change what the sonars report, one reading for each of them."""
+        assert self._server.stdin is not None
+        self._server.stdin.write(json.dumps(list(readings_cm)) + "\n")
+        self._server.stdin.flush()
+
     def end_programs(self) -> None:
         """Kill what is still running."""
         for program in self._programs:

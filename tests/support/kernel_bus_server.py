@@ -2,7 +2,8 @@
 
 Runs under the system's own Python, where Debian's bindings of umockdev are. The specification is one line of JSON on
 standard input; the answer is one line of JSON with the testbed's folder. Then each line "journal" is answered with
-the transfers so far, and the end of standard input ends the server.
+the transfers so far, each line of JSON with a reading for every sonar changes what they report, and the end of
+standard input ends the server.
 """
 
 import errno
@@ -136,13 +137,26 @@ class KernelInterface:
         return data
 
 
-def make_device(spec, now, chance):
-    """One device from its specification."""
+class Echo:
+    """What a sonar's pings report: readings one after the other, and then again."""
+
+    def __init__(self, readings_cm):
+        self.set(readings_cm)
+
+    def set(self, readings_cm):
+        self.readings_cm = itertools.cycle(readings_cm)
+
+    def __call__(self, _ping_time_s):
+        return next(self.readings_cm)
+
+
+def make_device(spec, now, chance, echoes):
+    """One device from its specification; what a sonar reports is appended to ``echoes``."""
     faults = [Fault(**fault) for fault in spec["faults"]]
     if "readings_cm" not in spec:
         return PlainDevice(spec["address"], bytes.fromhex(spec["answer"]), faults)
-    readings_cm = itertools.cycle(spec["readings_cm"])
-    return MB1242(spec["address"], now, lambda ping_time_s: next(readings_cm), Timing(**spec["timing"]), faults, chance)
+    echoes.append(Echo(spec["readings_cm"]))
+    return MB1242(spec["address"], now, echoes[-1], Timing(**spec["timing"]), faults, chance)
 
 
 def main():
@@ -158,7 +172,8 @@ def main():
         return
     now = TimeSinceOpened()
     chance = random.Random(spec["seed"])
-    devices = [make_device(device, now, chance) for device in spec["devices"]]
+    echoes = []
+    devices = [make_device(device, now, chance, echoes) for device in spec["devices"]]
     interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]), spec["timeout_s"])
 
     def opened(_device, _client):
@@ -178,11 +193,16 @@ def main():
     loop = GLib.MainLoop()
 
     def command(_source, _condition):
-        if sys.stdin.readline() == "journal\n":
+        line = sys.stdin.readline()
+        if not line:
+            loop.quit()
+            return False
+        if line == "journal\n":
             print(json.dumps(list(interface.journal)), flush=True)
-            return True
-        loop.quit()
-        return False
+        else:
+            for echo, reading_cm in zip(echoes, json.loads(line), strict=True):
+                echo.set([reading_cm])
+        return True
 
     GLib.unix_fd_add_full(GLib.PRIORITY_DEFAULT, sys.stdin.fileno(), GLib.IO_IN | GLib.IO_HUP, command)
     print(json.dumps({"root": testbed.get_root_dir()}), flush=True)
