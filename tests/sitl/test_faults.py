@@ -23,7 +23,7 @@ and how long after the one before it begins [s]."""
 ONE_SENSOR = {
     "front_left": ("silent", "kind: silent"),
     "front_right": ("stuck at one value", "kind: stuck"),
-    "rear_left": ("jumping by metres in half of its readings", "kind: lost_high_byte, probability: 0.5"),
+    "rear_left": ("scatters by 1.5 m", "kind: noisy, spread_cm: 150"),
 }
 """Sensor -> what it does, and that as YAML."""
 ALL_S = FIRST_S + len(ONE_SENSOR) * APART_S
