@@ -32,8 +32,8 @@ def home(section: str) -> str:
 def restart_s() -> float:
     """How long systemd waits before it starts the service again [s]."""
     unit = (ROOT / "systemd" / "msp-range.service").read_text(encoding="utf-8")
-    (wait_s,) = re.findall(r"^RestartSec=([0-9.]+)$", unit, re.M)
-    return float(wait_s)
+    ((number, unit_of_time),) = re.findall(r"^RestartSec=([0-9.]+)(ms|s)?$", unit, re.M)
+    return float(number) / (1000 if unit_of_time == "ms" else 1)
 
 
 def _text(section: str) -> str:
