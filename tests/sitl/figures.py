@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.sitl.vehicles import Autopilot
+from tests.sitl.autopilot import Autopilot
 
 ROWS: list[tuple[str, ...]] = []
 """One for each flight or part of one; conftest.py prints them."""

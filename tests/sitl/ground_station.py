@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,12 +44,13 @@ class GroundStation:
 
     Attributes
     ----------
-    heard
+    received
         Every message with the time [s, monotonic] at which it came.
     """
 
     def __init__(self, link: socket.socket) -> None:
-        self.heard: list[tuple[float, Any]] = []
+        self.received: list[tuple[float, Any]] = []
+        self._sorted: defaultdict[tuple[str, int], list[tuple[float, Any]]] = defaultdict(list)
         self._link = link
         self._link.settimeout(0.05)
         self._mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
@@ -65,7 +67,7 @@ class GroundStation:
 
     def all(self, kind: str, component: int = AUTOPILOT) -> list[tuple[float, Any]]:
         """Messages of one kind from one component, with their times."""
-        return [each for each in self.heard if each[1].get_type() == kind and each[1].get_srcComponent() == component]
+        return self._sorted[kind, component]
 
     def wait(self, what: str, find: Callable[[], Found | None], timeout_s: float) -> Found:
         """What ``find`` returns once it is true; AssertionError with the autopilot's last words after a while."""
@@ -127,7 +129,9 @@ class GroundStation:
                 time.sleep(0.05)
                 continue
             now_s = time.monotonic()
-            self.heard += [(now_s, message) for message in self._mav.parse_buffer(received) or ()]
+            for message in self._mav.parse_buffer(received) or ():
+                self.received.append((now_s, message))
+                self._sorted[message.get_type(), message.get_srcComponent()].append((now_s, message))
 
     def send(self, message: Any) -> None:
         """Send one message; one that cannot be sent is lost."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.sitl import documented
-from tests.sitl.vehicles import Autopilot
+from tests.sitl.autopilot import Autopilot
 
 
 class MspSim:

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.sitl import documented
+from tests.sitl.autopilot import STANDING_RANGE_M, Autopilot
 from tests.sitl.ground_station import BRIDGE, CONFIGS
-from tests.sitl.vehicles import STANDING_RANGE_M, Autopilot, Px4
 from tests.support.kernel_bus import KernelTestbed, Sonar, kernel_bus
 from tests.support.service import COMMAND
 
@@ -74,8 +74,7 @@ def running_service(autopilot: Autopilot) -> Iterator[Service]:
     folder = autopilot.folder
     airframe = folder / "airframe.yaml"
     text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242", f"{CONFIGS}/sensors/mb1242")
-    if isinstance(autopilot, Px4):
-        text = text.replace("autopilot: ardupilot", "autopilot: px4")
+    text = text.replace("autopilot: ardupilot", f"autopilot: {autopilot.kind}")
     # At 22.5 C the sensor's own distances are right.
     airframe.write_text(text + "temperature: {fixed_c: 22.5}\n")
     command = [str(COMMAND), "run", str(airframe), "--link", autopilot.link, "--record", str(folder / "recordings")]
@@ -86,8 +85,7 @@ def running_service(autopilot: Autopilot) -> Iterator[Service]:
 
         def feed() -> None:
             while not ended.wait(FEED_S):
-                heights = autopilot.heights()
-                range_cm = 100 * ((heights[-1][1] if heights else 0.0) + STANDING_RANGE_M)
+                range_cm = 100 * (autopilot.height_m() + STANDING_RANGE_M)
                 readings_cm = [round(noise.gauss(range_cm, STD_CM)) for _ in ADDRESSES]
                 testbed.set_readings([min(max(each, 20), 765) for each in readings_cm])
 

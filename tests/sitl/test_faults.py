@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.sitl.arducopter import ArduCopter
+from tests.sitl.autopilot import TOP_M, Autopilot, running
 from tests.sitl.figures import measure, note
 from tests.sitl.ground_station import CONFIGS
+from tests.sitl.kinds import both
 from tests.sitl.msp_sim import MspSim, msp_sim
-from tests.sitl.vehicles import TOP_M, ArduCopter, Autopilot, both, running
 
 pytestmark = pytest.mark.real_time
 
@@ -94,12 +96,12 @@ def all_silent(autopilot: Autopilot, begun_s: float) -> None:
         "a text to the pilot",
         lambda: [
             time_s
-            for time_s, message in autopilot.station.heard
+            for time_s, message in autopilot.station.received
             if time_s > begun_s and message.get_type() == "STATUSTEXT" and "Range" in message.text
         ],
         10.0,
     )
-    height_m = autopilot.heights()[-1][1]
+    height_m = autopilot.height_m()
     autopilot.wait(5.0)
     after = f"without it after {lost_s[0] - begun_s:.1f} s, the pilot has a text after {told_s[0] - begun_s:.1f} s"
     assert told_s[0] - begun_s < 3.0
@@ -111,7 +113,7 @@ def all_silent(autopilot: Autopilot, begun_s: float) -> None:
         result = f"{after}; terrain failsafe, returns and lands"
     else:
         assert autopilot.flies_as_commanded()
-        assert abs(autopilot.heights()[-1][1] - height_m) < 1.5
+        assert abs(autopilot.height_m() - height_m) < 1.5
         autopilot.land()
         result = f"{after}; holds its height on GNSS and barometer, lands by command"
     note(autopilot, "all four silent", result)

@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from tests.sitl.arducopter import ArduCopter
+from tests.sitl.autopilot import TOP_M, Autopilot, running
 from tests.sitl.figures import measure, note
 from tests.sitl.ground_station import BRIDGE
+from tests.sitl.kinds import both, needs_arducopter
 from tests.sitl.service import Service, outage_s, running_service
-from tests.sitl.vehicles import TOP_M, ArduCopter, Autopilot, both, needs_arducopter, running
 
 pytestmark = pytest.mark.real_time
 
