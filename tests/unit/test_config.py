@@ -77,6 +77,14 @@ def test_there_is_an_airframe_of_each_kind() -> None:
     assert [math.degrees(sensor.tilt_from_down_rad) for sensor in canted.sensors] == pytest.approx([10] * 4)
 
 
+def test_a_command_line_may_name_another_link_and_autopilot() -> None:
+    airframe = load_airframe(CONFIGS / "loopback.yaml")
+    changed = airframe.changed(link="udpin:127.0.0.1:14540", autopilot="px4")
+    assert (changed.link.url, changed.link.autopilot) == ("udpin:127.0.0.1:14540", "px4")
+    assert changed.link.component_id == airframe.link.component_id
+    assert airframe.changed(autopilot="px4").link.url == airframe.link.url
+
+
 def test_what_is_left_out() -> None:
     content = {key: QUAD[key] for key in ("vehicle", "sensors", "link", "send")}
     vehicle = Airframe.model_validate(content)
