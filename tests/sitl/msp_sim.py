@@ -25,7 +25,7 @@ class MspSim:
     def __init__(self, process: "subprocess.Popen[bytes]", log: Path) -> None:
         self._process = process
         self._log = log
-        first = self.wait_for(r"^ *([0-9.]+) s  no autopilot yet")
+        first = self.wait_for(r"^ *([0-9.]+) s  ")
         self.start_s = time.monotonic() - float(first[1])
 
     def printed(self) -> str:
