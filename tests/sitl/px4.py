@@ -14,6 +14,10 @@ from tests.sitl.ground_station import connected_udp
 
 PX4 = os.environ.get("MSP_RANGE_PX4", "")
 """The build folder (build/px4_sitl_default), or the `bin/px4` in it."""
+STARTS, SENSORS_STOP_S = 5, 3.0
+"""On a busy computer PX4 1.17's simulated barometer, compass and GNSS stop for ever when it is armed, in about one of
+four starts, whether a bridge runs or not (all that its high-resolution timer calls; drv_hrt.cpp). PX4 reports it within
+3 s and cannot fly. It is then started anew, so many times at most."""
 
 
 class Px4(Autopilot):
@@ -52,8 +56,14 @@ class Px4(Autopilot):
         self.station.wait("HIL_STATE_QUATERNION", self.heights, 10.0)
 
     def take_off(self) -> None:
-        self.get_ready()
-        self.station.command_until_accepted("arming", 90.0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        for _ in range(STARTS):
+            self.get_ready()
+            self.station.command_until_accepted("arming", 90.0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+            self.wait(SENSORS_STOP_S)
+            if not any("No valid data from Baro" in text for text in self.texts()):
+                break
+            self.end()
+            self.start()
         nan = math.nan
         takeoff = (nan, 0, 0, nan, nan, nan, nan)
         self.station.command_until_accepted("take-off", 5.0, mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)

@@ -19,7 +19,7 @@ from tests.sitl.msp_sim import MspSim, msp_sim
 pytestmark = pytest.mark.real_time
 
 LOWER_M = 4.0
-FIRST_S, LASTS_S, APART_S = 38.0, 15.0, 20.0
+FIRST_S, LASTS_S, APART_S = 50.0, 15.0, 20.0
 """The first fault begins this long after the start of `msp-sim sitl`, when every autopilot hovers; how long each lasts,
 and how long after the one before it begins [s]."""
 ONE_SENSOR = {
