@@ -2,12 +2,13 @@
 # make test   run the tests
 # make check  what CI runs: format, lint, types, layers, then the tests
 # make bench  measure, and write benchmarks/results.json
+# make fuzz   read changed files and link bytes for SECONDS=600 an area, by SEED=1; what fails is in build/fuzz
 # make blind  hide effects in N=200 tables by SEED=1, look for them by the gap workflow, and score what it says
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench blind faults mavproxy compile clean
+.PHONY: demo test check bench fuzz blind faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -29,8 +30,12 @@ check: .venv/.installed-test compile
 bench: .venv/.installed-test compile
 	$(BIN)/python -m benchmarks
 
-N ?= 200
 SEED ?= 1
+SECONDS ?= 600
+fuzz: .venv/.installed-test compile
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --seed $(SEED)
+
+N ?= 200
 blind: .venv/.installed-test compile
 	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED)
 

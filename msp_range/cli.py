@@ -85,13 +85,13 @@ def bus_of(text: str) -> int | str:
 @tell_mistakes
 def check(airframe_file: AirframeFile) -> None:
     """Read an airframe file and show what would fly: sensors, directions, streams. Touches no hardware."""
-    from rich.console import Console
     from rich.table import Table
 
     from msp_range.assembly import fused_stream, intervals_s
     from msp_range.config import load_airframe
     from msp_range.correction.air_temperature import describe
     from msp_range.mavlink.distance_sensor import TIME_OUT_S
+    from msp_range.terminal import PlainConsole
 
     airframe = load_airframe(airframe_file)
     table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
@@ -108,7 +108,7 @@ def check(airframe_file: AirframeFile) -> None:
             "yes" if sensor.name in airframe.sent_names else "no",
             "yes" if sensor.name in downward else "no",
         )
-    console = Console()
+    console = PlainConsole()
     console.print(table)
     if airframe.send.fused is not None:
         bounds = fused_stream(airframe)
@@ -167,12 +167,12 @@ def scan(
     ] = False,
 ) -> None:
     """List what acknowledges on an I2C bus. Only reads, unless --ping is given."""
-    from rich.console import Console
     from rich.table import Table
 
     from msp_range.bus.smbus import KernelBus
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import scan as scan_bus
+    from msp_range.terminal import PlainConsole
 
     kernel_bus = KernelBus(bus_of(bus))
     found = scan_bus(kernel_bus, SystemClock(), identify=ping)
@@ -185,7 +185,7 @@ def scan(
         table.add_column(heading)
     for each in found:
         table.add_row(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer)
-    Console().print(table)
+    PlainConsole().print(table)
 
 
 @app.command()
@@ -243,11 +243,13 @@ def replay(
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
-    pings = recorded_pings(file, run_name)
+    recording = Recording(file) if is_recording(file) else None
+    source = recording or file
+    pings = recorded_pings(source, run_name)
     if airframe_file is not None:
         airframe = load_airframe(airframe_file)
-    elif is_recording(file):
-        airframe = load_airframe_from(Recording(file).files, file)
+    elif recording is not None:
+        airframe = load_airframe_from(recording.files, file)
     else:
         raise ConfigError(f"{file}: a table does not say which airframe it is of; name its file with --airframe")
     airframe = airframe.changed(link=link)
@@ -255,11 +257,11 @@ def replay(
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    air, attitudes, motion = recorded_air(file, run_name), recorded_attitudes(file), recorded_motion(file)
+    air, attitudes, motion = recorded_air(source, run_name), recorded_attitudes(source), recorded_motion(source)
     outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, air, attitudes, motion)
     if recorder is not None:
         recorder.close()
-    replaying.show(outcome, file)
+    replaying.show(outcome, file, None if recording is None else recording.losses)
 
 
 @app.command()
@@ -290,8 +292,8 @@ def recover(
     from msp_range.recording.recover import recover as recover_recording
 
     kept = recover_recording(recording, out)
-    lost = f"; {kept.damaged_chunks} damaged parts left out" if kept.damaged_chunks else ""
-    print(f"{out}: {kept.messages} messages{lost}")
+    files = f" and {kept.files} attached files" if kept.files else ""
+    print(f"{out}: {kept.messages} messages{files}; lost: {kept.losses}")
 
 
 @app.command()
@@ -302,9 +304,11 @@ def export(
 ) -> None:
     """Write a recording's readings as CSV: time_s, sensor, reading_cm, and context where it is known."""
     from msp_range.recording.export import export as export_recording
+    from msp_range.recording.reader import Recording
 
-    rows = export_recording(recording, out)
-    print(f"{out}: {rows} readings")
+    source = Recording(recording)
+    rows = export_recording(source, out)
+    print(f"{out}: {rows} readings; lost: {source.losses}")
 
 
 @app.command()
@@ -327,8 +331,6 @@ def collect(
     readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
     asks for the recording and the reference of each flight instead, and keeps copies of them.
     """
-    from rich.console import Console
-
     from msp_range.characterise.bench import KernelBench
     from msp_range.characterise.campaign import load_campaign
     from msp_range.characterise.collect import chosen
@@ -339,8 +341,9 @@ def collect(
     from msp_range.characterise.terminal import Terminal
     from msp_range.characterise.terminal import show_plan as show_points
     from msp_range.service import stop_signals
+    from msp_range.terminal import PlainConsole
 
-    console = Console()
+    console = PlainConsole()
     if is_of_flights(campaign_file):
         _collect_flights(campaign_file, out, console, show_plan)
         return
@@ -440,7 +443,6 @@ def characterise(
 ) -> None:
     """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
     from numpy.random import default_rng
-    from rich.console import Console
 
     from msp_range.characterise.characterise import characterise as analyse
     from msp_range.characterise.column_map import load_map
@@ -450,6 +452,7 @@ def characterise(
     from msp_range.characterise.show import show
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.terminal import PlainConsole
 
     check_free(out, report)
     if date is not None and not _is_date(date):
@@ -458,7 +461,7 @@ def characterise(
         raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
     started = load_sensor_model(sensor)
     mapping = load_map(column_map) if column_map else None
-    progress = Console(stderr=True)
+    progress = PlainConsole(stderr=True)
     with progress.status("reading") as status:
         gathered = gather(data, started, mapping, of or ())
         findings, changes = analyse(
@@ -475,9 +478,9 @@ def characterise(
         if report is not None:
             status.update("drawing the report")
             page = publish(findings, gathered.data, model, report)
-    console = Console()
+    console = PlainConsole()
     show(findings, console)
-    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"), markup=False)
+    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"))
 
 
 def _is_date(text: str) -> bool:

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
@@ -22,9 +22,13 @@ from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
 from msp_range.sensors.on_bus import Name, SensorOnBus
-from msp_range.yaml_file import ConfigError, Section, folder_of, load
+from msp_range.yaml_file import ConfigError, Section, load, load_named, read_config
 
 AIRFRAME_NAME = "airframe.yaml"
+
+MOST_SENSORS = 117
+"""Sensors on one bus: it has so many 7-bit addresses from 0x03 to 0x77. Files with more are refused before all the
+models that they name are read."""
 
 Metres = Annotated[float, Field(ge=-50, le=50)]
 _DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
@@ -153,11 +157,11 @@ class Recording(Section):
 class Airframe(Section):
     """An airframe file."""
 
-    vehicle: str = Field(min_length=1)
+    vehicle: str = Field(min_length=1, max_length=100)
     """name of the vehicle"""
     bus: int | str = 1
     """I2C bus number (1 is /dev/i2c-1), or the path of the device file"""
-    sensors: list[Sensor] = Field(min_length=1)
+    sensors: list[Sensor] = Field(min_length=1, max_length=MOST_SENSORS)
     """the range finders"""
     polling: Polling = Polling()
     """who pings when"""
@@ -309,9 +313,9 @@ def load_airframe(path: Path | str) -> Airframe:
     """
     path = Path(path)
     airframe = load(path, Airframe)
-    files = {AIRFRAME_NAME: path.read_text(encoding="utf-8")}
+    files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
-        files[sensor.model] = (path.parent / sensor.model).read_text(encoding="utf-8")
+        files[sensor.model] = read_config(path.parent / sensor.model)
     airframe.keep_files(files)
     return airframe
 
@@ -319,7 +323,7 @@ def load_airframe(path: Path | str) -> Airframe:
 def _load_named(named: Any, info: ValidationInfo) -> Airframe:
     if not isinstance(named, str):
         raise ValueError("expected the path of an airframe file, relative to this file")
-    return load_airframe(folder_of(info) / named)
+    return load_named(info, named, load_airframe)
 
 
 NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
@@ -337,14 +341,24 @@ def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
     if AIRFRAME_NAME not in files:
         raise ConfigError(f"{source}: holds no airframe file; name one with --airframe")
     with TemporaryDirectory() as name:
-        folder = Path(name).resolve()
+        folder = Path(name)
         for each, text in files.items():
-            path = (folder / each).resolve()
-            if not path.is_relative_to(folder):
+            path = PurePath(each)
+            if path.is_absolute() or ".." in path.parts:
                 raise ConfigError(f"{source}: its airframe names {each}, outside of its folder; use --airframe")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        return load_airframe(folder / AIRFRAME_NAME)
+            try:
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                (folder / path).write_text(text, encoding="utf-8")
+            except (OSError, ValueError):
+                raise ConfigError(f"{source}: no file can have the name of the attached {each[:80]!r}") from None
+        try:
+            airframe = load_airframe(folder / AIRFRAME_NAME)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"{folder}/", f"{source}: attached ")) from None
+    strangers = [sensor.model for sensor in airframe.sensors if sensor.model not in files]
+    if strangers:
+        raise ConfigError(f"{source}: its airframe names {strangers[0]}, which it does not hold; use --airframe")
+    return airframe
 
 
 def _refuse_twice(place: str, what: str, values: list[Any]) -> None:

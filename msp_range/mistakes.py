@@ -9,6 +9,7 @@ from typing import ParamSpec
 
 import typer
 
+from msp_range.input_file import printable
 from msp_range.yaml_file import ConfigError
 
 EXIT_FILE = 3
@@ -40,7 +41,7 @@ def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, N
         except KeyboardInterrupt:
             raise typer.Exit(EXIT_INTERRUPTED) from None
         except (ConfigError, RecordingError, AddressError, BusError) as error:
-            print(error, file=sys.stderr)
+            print(printable(str(error)), file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):

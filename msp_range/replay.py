@@ -14,8 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from msp_range.acoustics.air import FIXED, Air
@@ -28,8 +27,10 @@ from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
+from msp_range.recording.mcap_records import Losses
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.schedule import PolledSensor
+from msp_range.terminal import PlainConsole, console
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
@@ -194,25 +195,29 @@ def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | 
 @contextmanager
 def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
     """A progress bar on a terminal; elsewhere nothing."""
-    with Progress(transient=True, disable=not sys.stderr.isatty(), console=Console(stderr=True)) as progress:
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+    on = PlainConsole(stderr=True)
+    with Progress(*columns, transient=True, disable=not sys.stderr.isatty(), console=on) as progress:
         task = progress.add_task(what, total=total)
         yield lambda count: progress.advance(task, count)
 
 
-def show(outcome: Outcome, source: Path) -> None:
-    """Print the outcome as a table."""
+def show(outcome: Outcome, source: Path, losses: Losses | None = None) -> None:
+    """Print the outcome as a table, and what of a damaged recording was left out."""
     table = Table(title=f"{source}: {outcome.duration_s:.1f} s", box=box.SIMPLE_HEAD)
     for heading in ("sensor", "readings", "used", "rejected, why"):
         table.add_column(heading, justify="left" if heading in ("sensor", "rejected, why") else "right")
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
         table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)
-    console = Console() if sys.stdout.isatty() else Console(width=120)
-    console.print(table)
+    out = console()
+    out.print(table)
     sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))
-    console.print(f"fused: {outcome.fused} distances; sent: {sent}", highlight=False)
+    out.print(f"fused: {outcome.fused} distances; sent: {sent}", highlight=False)
+    if losses is not None and losses:
+        out.print(f"lost: {losses}", highlight=False)
     if outcome.behind_s > LATE_S:
-        console.print(
+        out.print(
             f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
             highlight=False,
         )

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from rich.console import Console
 from rich.table import Table
 
 from msp_range.config import Airframe, load_airframe, load_airframe_from
@@ -18,6 +17,7 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import RANGE_PREFIX
+from msp_range.terminal import PlainConsole
 
 Model = Literal["constant", "constant_velocity"]
 
@@ -81,7 +81,7 @@ def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:
 
 def show(tuned: Tuned) -> None:
     """Print values, intervals, likelihoods, and the lines for the airframe file."""
-    console = Console(width=120, highlight=False)
+    console = PlainConsole(width=120, highlight=False)
     console.print(
         f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.wild} wild readings apart\n"
     )

@@ -7,17 +7,29 @@ name the file, the path inside it, what was found, what was expected and, for an
 import difflib
 import types
 import typing
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
 from msp_range.descriptions import descriptions
+from msp_range.input_file import printable, read_text
+from msp_range.yaml_loader import load_yaml
 
-_YAML_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+LARGEST_FILE_BYTES = 2**20
+"""A configuration file that is larger is something else: those of this project have 6 kB at most. Reading one of this
+size takes 0.1 s."""
+MOST_LINES = 20
+"""Mistakes of one file that are reported: who has more reads the first ones."""
+MOST_PROBLEMS = 1000
+"""Problems that are looked at to make those lines; unions have several for each mistake. Each costs 50 us."""
+LARGEST_NUMBER = 1e12
+"""A larger number is no quantity of a vehicle, a sensor or a flight; with these, sums and squares stay numbers."""
+LONGEST_LINE = 1000
+"""Characters of one reported mistake; what was found can be long, and the start of it is enough."""
 _QUOTE = "'"
 
 
@@ -26,7 +38,7 @@ class ConfigError(ValueError):
 
 
 class Section(BaseModel):
-    """Base of every part of a configuration file: unknown keys are errors, values never change, NaN is no value."""
+    """Base of every part of a configuration file: frozen, with unknown keys, NaN and huge numbers as errors."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -46,24 +58,17 @@ class Section(BaseModel):
             properties[key]["description"] = description
         return described
 
+    @field_validator("*")
+    @classmethod
+    def _is_not_huge(cls, value: Any) -> Any:
+        for each in value if isinstance(value, tuple | list) else (value,):
+            if isinstance(each, float | int) and abs(each) > LARGEST_NUMBER:
+                raise ValueError(f"expected a number of at most {LARGEST_NUMBER:g}")
+        return value
+
 
 SectionT = TypeVar("SectionT", bound=Section)
-
-
-class _UniqueKeyLoader(_YAML_BASE):  # type: ignore[misc]
-    """SafeLoader that refuses a key given twice, which YAML itself would silently overwrite."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} is given twice", key_node.start_mark
-                )
-            seen.add(key)
-        mapping: dict[Hashable, Any] = super().construct_mapping(node, deep=deep)
-        return mapping
+ReadT = TypeVar("ReadT")
 
 
 def read_yaml(path: Path) -> Any:
@@ -72,29 +77,40 @@ def read_yaml(path: Path) -> Any:
     Raises
     ------
     ConfigError
-        The file is missing, unreadable, not YAML, or gives a key twice.
+        The file is missing, unreadable, not YAML, or beyond the limits of `msp_range.yaml_loader`.
     """
+    text = read_config(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        near = difflib.get_close_matches(path.name, _names_beside(path), n=1)
-        hint = f" (beside it there is {near[0]})" if near else ""
-        raise ConfigError(f"{path}: no such file{hint}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
-    try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
+        return load_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f":{mark.line + 1}:{mark.column + 1}" if mark is not None else ""
-        raise ConfigError(f"{path}{place}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
+        problem = _short(getattr(error, "problem", None) or str(error))
+        raise ConfigError(f"{path}{place}: not valid YAML: {problem}") from None
+
+
+def read_config(path: Path) -> str:
+    """Return the text of a configuration file.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, cannot be read, is too large, or is no text.
+    """
+    try:
+        return read_text(path, LARGEST_FILE_BYTES)
+    except FileNotFoundError:
+        near = difflib.get_close_matches(path.name, _names_beside(path), n=1)
+        hint = f" (next to it there is {near[0]})" if near else ""
+        raise ConfigError(f"{path}: no such file{hint}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def load(path: Path | str, section: type[SectionT]) -> SectionT:
     """Read the YAML file ``path`` as a ``section``.
 
-    Files that ``section`` names by relative path are resolved by its own validators, which `folder_of` tells
-    the folder.
+    Files that ``section`` names by relative path are read by its own validators, with `load_named`.
 
     Raises
     ------
@@ -108,14 +124,37 @@ def load(path: Path | str, section: type[SectionT]) -> SectionT:
             f"{path}: found {_show(content)}, expected a mapping with the keys {_join(section.model_fields)}"
         )
     try:
-        return section.model_validate(content, context={"folder": path.parent})
+        return section.model_validate(content, context={"folder": path.parent, "read": {}})
     except ValidationError as error:
-        raise ConfigError("\n".join(_explain(path, section, error))) from None
+        lines = list(_explain(path, section, error))
+        more = [f"{path}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
+        raise ConfigError("\n".join([*map(_short, lines[:MOST_LINES]), *more])) from None
 
 
 def folder_of(info: ValidationInfo) -> Path:
     """The folder of the file that `load` is reading, from which the names in it are taken."""
     return Path((info.context or {}).get("folder", Path()))
+
+
+def load_named(info: ValidationInfo, name: str, read: Callable[[Path], ReadT]) -> ReadT:
+    """What ``read`` makes of the file that a value of the file being read names; read once, however often it is named.
+
+    Raises
+    ------
+    ConfigError
+        ``read`` did.
+    """
+    known: dict[Any, Any] = (info.context or {}).get("read", {})
+    key = (read, name)
+    if key not in known:
+        try:
+            known[key] = read(folder_of(info) / name)
+        except ConfigError as error:
+            known[key] = error
+    if isinstance(known[key], ConfigError):
+        raise known[key]
+    found: ReadT = known[key]
+    return found
 
 
 class _Spot(NamedTuple):
@@ -131,7 +170,8 @@ class _Spot(NamedTuple):
 
 
 def _explain(path: Path, section: type[Section], error: ValidationError) -> Iterator[str]:
-    spots = [(_locate(section, problem["loc"]), problem) for problem in error.errors(include_url=False)]
+    problems = error.errors(include_url=False)[:MOST_PROBLEMS]
+    spots = [(_locate(section, problem["loc"]), problem) for problem in problems]
     deepest: dict[Any, int] = {}
     for spot, _ in spots:
         deepest[spot.union] = max(deepest.get(spot.union, 0), len(spot.path))
@@ -264,7 +304,8 @@ def _meaning(choices: list[Any], key: str) -> str:
 
 
 def _near(word: Any, known: list[str]) -> str:
-    near = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
+    # The search takes a time that grows with the square of the word's length, and no name is longer.
+    near = difflib.get_close_matches(str(word)[:64], known, n=1, cutoff=0.5)
     return f" Did you mean {near[0]!r}?" if near else ""
 
 
@@ -281,6 +322,11 @@ def _names_beside(path: Path) -> list[str]:
 
 def _join(names: Any) -> str:
     return ", ".join(names)
+
+
+def _short(line: str) -> str:
+    line = printable(line)
+    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..."
 
 
 def _show(found: Any) -> str:

@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from msp_range.correction.temperature import FileSource
 from msp_range.sensors.on_bus import Name, SensorOnBus
-from msp_range.yaml_file import Section, folder_of, load
+from msp_range.yaml_file import Section, folder_of, load, read_config
 
 RangeCm = Annotated[float, Field(gt=0, le=2000)]
 AngleDeg = Annotated[float, Field(gt=-90, lt=90)]
@@ -251,8 +251,8 @@ def load_campaign(path: Path | str) -> Campaign:
     """
     path = Path(path)
     campaign = load(path, Campaign)
-    files = {"campaign.yaml": path.read_text(encoding="utf-8")}
+    files = {"campaign.yaml": read_config(path)}
     for sensor in campaign.sensors:
-        files[sensor.model] = (path.parent / sensor.model).read_text(encoding="utf-8")
+        files[sensor.model] = read_config(path.parent / sensor.model)
     campaign.keep_files(files)
     return campaign

@@ -5,10 +5,8 @@ told by their header or, where that is empty or there twice, by their number fro
 one file are parts of the map.
 """
 
-import csv
 import difflib
-import gzip
-import io
+import itertools
 import json
 import math
 import re
@@ -19,7 +17,18 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData
+from msp_range.recording.csv_form import (
+    BASE_COLUMNS,
+    BLOCK,
+    CONTEXT_COLUMNS,
+    LARGEST_NUMBER,
+    WORD_COLUMNS,
+    Column,
+    MeasuredData,
+    join_columns,
+    word_column,
+)
+from msp_range.recording.csv_rows import csv_rows, short_list
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load
 
@@ -187,19 +196,24 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     RecordingError
         The file cannot be read, lacks a column, or a cell is no number; with file, line and column.
     """
-    header, rows, lines = _table(path, column_map.delimiter)
+    rows = csv_rows(path, column_map.delimiter)
+    header = [name.strip() for name in next(rows, (0, []))[1]]
+    if not header:
+        raise RecordingError(f"{path}: empty, expected a header")
     # What already has a name of the CSV form keeps it.
     known = [name for name in header if name in KNOWN and header.count(name) == 1]
     shared = {name: MappedColumn(column=name) for name in known} | column_map.places()
-    parts = [shared | part.places() for part in column_map.parts] or [shared]
-    tables = [_part(path, header, rows, lines, places, column_map.codes, maximum_cm) for places in parts]
-    names = dict.fromkeys(name for table in tables for name in table)
-    sizes = [len(table["reading_cm"]) for table in tables]
+    parts = [_Part(path, header, shared | part.places()) for part in column_map.parts]
+    parts = parts or [_Part(path, header, shared)]
+    while block := list(itertools.islice(rows, BLOCK)):
+        for part in parts:
+            part.read(block, column_map.codes, maximum_cm)
+    names = dict.fromkeys(name for part in parts for name in part.places)
+    sizes = [part.size for part in parts]
     joined: dict[str, Column] = {}
     for name in names:
-        empty = "" if name in WORD_COLUMNS else math.nan
-        pieces = [table.get(name, np.full(size, empty)) for table, size in zip(tables, sizes, strict=True)]
-        joined[name] = np.concatenate(pieces)
+        pieces = [piece for part in parts for piece in part.column(name)]
+        joined[name] = join_columns(str(path), name, pieces)
     joined.setdefault("time_s", np.arange(float(sum(sizes))))
     joined.setdefault("sensor", np.full(sum(sizes), path.name.split(".")[0]))
     data = MeasuredData(joined)
@@ -210,63 +224,48 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     return data
 
 
-def _table(path: Path, delimiter: str) -> tuple[list[str], list[list[str]], list[int]]:
-    try:
-        content = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        reader = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), delimiter=delimiter)
-        header = [name.strip() for name in next(reader, [])]
-        rows, lines = [], []
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append([cell.strip() for cell in row])
-                lines.append(reader.line_num)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (EOFError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path}: not a CSV table in UTF-8: {error}") from None
-    if not header:
-        raise RecordingError(f"{path}: empty, expected a header")
-    return header, rows, lines
+class _Part:
+    """One of the tables side by side in a file, read block by block."""
 
+    def __init__(self, path: Path, header: list[str], places: dict[str, MappedColumn]) -> None:
+        if "reading_cm" not in places:
+            raise RecordingError(f"{path}: the map does not say where reading_cm is. Columns: {short_list(header)}")
+        self.places = places
+        self.size = 0
+        self._path = path
+        self._header = header
+        self._where = {name: _index(path, header, name, place) for name, place in places.items()}
+        self._columns: dict[str, list[Column]] = {name: [] for name in places}
 
-def _part(
-    path: Path,
-    header: list[str],
-    rows: list[list[str]],
-    lines: list[int],
-    places: dict[str, MappedColumn],
-    codes: Codes,
-    maximum_cm: float,
-) -> dict[str, Column]:
-    if "reading_cm" not in places:
-        raise RecordingError(f"{path}: the map does not say where reading_cm is. Columns: {', '.join(header)}")
-    where = {name: _index(path, header, name, place) for name, place in places.items()}
-    at = where["reading_cm"]
-    # A table beside a longer one ends where all its cells are empty.
-    used = {index for index in where.values() if index is not None}
-    filled = [i for i, row in enumerate(rows) if any(index < len(row) and row[index] for index in used)]
-    table: dict[str, Column] = {}
-    for name, place in places.items():
-        index = where[name]
-        if index is None:
-            table[name] = _constant(path, name, place, len(filled))
-            continue
-        cells = [rows[i][index] if index < len(rows[i]) else "" for i in filled]
-        if name in WORD_COLUMNS:
-            table[name] = np.array(cells, dtype=str)
-            continue
-        numbers = np.array(
-            [
-                _number(path, lines[i], header[index] or f"number {index + 1}", cell)
-                for i, cell in zip(filled, cells, strict=True)
-            ]
-        )
-        converted = _converted(name, place, numbers)
-        if index == at and name == "reading_cm":
-            converted[np.isin(numbers, codes.no_echo)] = maximum_cm
-            converted[np.isin(numbers, codes.no_answer)] = math.nan
-        table[name] = converted
-    return table
+    def column(self, name: str) -> list[Column]:
+        """Pieces of a column of the CSV form, one after the other; unknown where this table does not have it."""
+        return self._columns.get(name) or [np.full(self.size, "" if name in WORD_COLUMNS else math.nan)]
+
+    def read(self, block: list[tuple[int, list[str]]], codes: Codes, maximum_cm: float) -> None:
+        """Read some rows, each with the number of its line."""
+        # A table beside a longer one ends where all its cells are empty.
+        used = {index for index in self._where.values() if index is not None}
+        rows = [(line, row) for line, row in block if any(index < len(row) and row[index].strip() for index in used)]
+        self.size += len(rows)
+        for name, place in self.places.items():
+            index = self._where[name]
+            if index is None:
+                self._columns[name].append(_constant(self._path, name, place, len(rows)))
+                continue
+            cells = [row[index].strip() if index < len(row) else "" for _, row in rows]
+            if name in WORD_COLUMNS:
+                self._columns[name].append(word_column(str(self._path), name, cells))
+                continue
+            heading = self._header[index] or f"number {index + 1}"
+            numbers = np.array(
+                [_number(self._path, line, heading, cell) for (line, _), cell in zip(rows, cells, strict=True)],
+                dtype=float,
+            )
+            converted = _converted(name, place, numbers)
+            if name == "reading_cm":
+                converted[np.isin(numbers, codes.no_echo)] = maximum_cm
+                converted[np.isin(numbers, codes.no_answer)] = math.nan
+            self._columns[name].append(converted)
 
 
 def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int | None:
@@ -281,17 +280,17 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
         return header.index(place.column)
     if count:
         raise RecordingError(f"{path}: the column {place.column!r} is there {count} times; give its number from 1")
-    near = difflib.get_close_matches(place.column, header, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(place.column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
         hint = f" Are the columns told apart by {other!r}? A map file says so: delimiter: {json.dumps(other)}."
-    there = ", ".join(each or "(no name)" for each in header)
+    there = short_list([each or "(no name)" for each in header])
     raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
 
 
 def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
     if name in WORD_COLUMNS:
-        return np.full(size, str(place.value))
+        return np.repeat(word_column(str(path), name, [str(place.value)]), size)
     return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value))))
 
 
@@ -314,6 +313,8 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
         number = float(cell) if cell else math.nan
     except ValueError:
         number = math.inf
-    if math.isinf(number):
-        raise RecordingError(f"{path}:{line}: column {column!r}: found {cell!r}, expected a number, or nothing")
+    if abs(number) > LARGEST_NUMBER:
+        raise RecordingError(
+            f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing"
+        )
     return number

@@ -17,10 +17,11 @@ from rich.console import Console
 
 from msp_range.characterise.campaign import Reference
 from msp_range.config import NamedAirframe
+from msp_range.input_file import open_input
 from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, Column, MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
-from msp_range.recording.reader import Recording
+from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
 from msp_range.sensors.on_bus import Name
 from msp_range.yaml_file import Section, load, read_yaml
 
@@ -301,7 +302,7 @@ def _copy(source: Path, path: Path) -> None:
     """A copy that is whole or not there."""
     beside = path.with_name(f".{path.name}.new")
     try:
-        with source.open("rb") as read, beside.open("wb") as written:
+        with open_input(source, LARGEST_FILE_BYTES) as read, beside.open("wb") as written:
             shutil.copyfileobj(read, written)
             written.flush()
             os.fsync(written.fileno())

@@ -75,9 +75,10 @@ def gather(
     """
     tables: list[MeasuredData] = []
     sources: list[Source] = []
+    warnings: list[str] = []
     for path in paths:
-        table = read_table(path, sensor, column_map)
-        source = Source(path.name, hashlib.sha256(path.read_bytes()).hexdigest(), len(table))
+        table = read_table(path, sensor, column_map, warnings)
+        source = Source(path.name, sha256(path), len(table))
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
@@ -89,7 +90,8 @@ def gather(
     name = ", ".join(str(path) for path in paths)
     if sensors:
         data = _of(name, data, sensors)
-    data, warnings = _within_limits(data, sensor)
+    data, more = _within_limits(data, sensor)
+    warnings += more
     check_comparable(name, data, sensor)
     if column_map is not None and column_map.note:
         warnings.insert(0, column_map.note)
@@ -119,12 +121,25 @@ def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
     return set(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None = None) -> MeasuredData:
-    """Read one file: CSV in the one form, a recording, or with a map someone else's table."""
+def sha256(path: Path) -> str:
+    """Of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None, warnings: list[str]) -> MeasuredData:
+    """Read one file: CSV in the one form, a recording, or with a map someone else's table.
+
+    What of a damaged recording is left out is added to ``warnings``.
+    """
     if column_map is not None:
         return read_mapped(path, column_map, sensor.maximum_cm)
     if is_recording(path):
-        return measured_data(Recording(path))
+        recording = Recording(path)
+        data = measured_data(recording)
+        if recording.losses:
+            warnings.append(f"{path} is damaged; lost: {recording.losses}")
+        return data
     try:
         return read_csv(path)
     except RecordingError as error:

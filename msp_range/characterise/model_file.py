@@ -15,6 +15,7 @@ from msp_range.characterise.characterise import Changes, provenance
 from msp_range.characterise.findings import Estimate, Findings
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
+from msp_range.yaml_loader import load_yaml
 
 _DIGITS = 6
 
@@ -62,7 +63,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
         There is a file already, or it cannot be written.
     """
     text = model_text(sensor, findings, changes, started_from)
-    assert SensorModel.model_validate(yaml.safe_load(text)) == sensor, "what is written is not what was found"
+    assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:

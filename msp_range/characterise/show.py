@@ -6,8 +6,8 @@ Findings enter, lines leave; the report has the rest.
 from collections.abc import Iterator
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from msp_range.characterise.findings import Effect, Estimate, Findings, Question
 
@@ -23,16 +23,16 @@ def show(findings: Findings, console: Console) -> None:
     for heading in ("what", "found (95 % interval)", "the report"):
         table.add_column(heading, overflow="fold")
     for what, found, report in _lines(findings):
-        table.add_row(*(each if each.startswith("[") else escape(each) for each in (what, found, report)))
+        table.add_row(what, found, report)
     console.print(table)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
-        console.print(f"not in these data: {names}: {why}", style="dim", markup=False, highlight=False)
+        console.print(f"not in these data: {names}: {why}", style="dim", highlight=False)
     for warning in findings.warnings:
-        console.print(f"warning: {warning}", style="yellow", markup=False, highlight=False)
+        console.print(f"warning: {warning}", style="yellow", highlight=False)
 
 
-def _lines(findings: Findings) -> Iterator[tuple[str, str, str]]:
+def _lines(findings: Findings) -> Iterator[tuple[str, str | Text, str]]:
     base, calibration = findings.baseline, findings.calibration
     if base is not None:
         yield "mean error", told(base.bias, 2), ""
@@ -72,7 +72,7 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str, str]]:
         yield "sonar equation [deg]", "; ".join(rows), ""
     for question in findings.questions:
         subject = f"{question.level} against {question.reference}" + (f", {question.sensor}" if question.sensor else "")
-        yield question.name, f"[{STYLES[question.verdict]}]{escape(f'{subject}: {_verdict(question)}')}[/]", ""
+        yield question.name, Text(f"{subject}: {_verdict(question)}", style=STYLES[question.verdict]), ""
     for box in findings.hot_boxes:
         found = f"{told(box.per_cent, 1)} of range, not {box.uniform_per_cent:.1f} %; so deep: {told(box.depth, 0)}"
         yield f"box at {box.box_c:.0f} C", found, "1 to 2 cm"

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 
 from msp_range.characterise.bench import Known
 from msp_range.characterise.plan import Point
 from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData, write_csv
+from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
@@ -30,6 +31,8 @@ from msp_range.recording.writer import Recorder
 READINGS_NAME = "readings.csv"
 CAMPAIGN_TOPIC = "/campaign"
 BENCH_KEY = "bench"
+MOST_ATTEMPTS = 10_000
+"""Attempts at a point: nobody makes so many, and each one in a damaged recording would be made up here."""
 _FAULTS = frozenset(status.value for status in Status if status.is_fault)
 
 
@@ -183,12 +186,17 @@ class Store:
             complete = [attempt for attempt in attempts if attempt.done]
             for chosen in (complete or attempts)[-1:]:
                 rank |= {run: len(rank) + number for number, run in enumerate(chosen.runs)}
-        rows = [row for path in self.recordings for row in _rows(Recording(path)) if row["run"] in rank]
+        rows = [row for path in self.recordings for row in _rows(Recording(path)) if row.get("run") in rank]
         rows.sort(key=lambda row: rank[row["run"]])
         names = ["time_s", "sensor", "run", "reading_cm", "true_range_cm"]
         found = {name for row in rows for name in row}
         names += [name for name in CONTEXT_COLUMNS if name in found]
-        return MeasuredData({name: _column(name, [row.get(name) for row in rows]) for name in names})
+        return MeasuredData({name: self._column(name, [row.get(name) for row in rows]) for name in names})
+
+    def _column(self, name: str, values: list[Any]) -> Column:
+        if name in WORD_COLUMNS:
+            return word_column(str(self.folder), name, ["" if value is None else str(value) for value in values])
+        return np.array([math.nan if value is None else value for value in values], dtype=float)
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv`` anew where anything was read; returns its path and how many rows it has."""
@@ -249,12 +257,16 @@ class Store:
         name = message["point"]
         point = self._points.get(name)
         if point is None or _planned(point) != message["planned"]:
-            how = "is not in it" if point is None else _changed(json.loads(message["planned"]), point)
+            how = "is not in it" if point is None else _changed(message["planned"], point)
             raise RecordingError(
                 f"{path}: the campaign has changed since: point {name} {how}; go on with the campaign file of then "
                 "(msp-range collect keeps it in the recording), or name another folder with --out"
             )
         attempts = self._attempts.setdefault(name, [])
+        if not 1 <= message["attempt"] <= MOST_ATTEMPTS:
+            raise RecordingError(
+                f"{path}: point {name}: found attempt {message['attempt']}, expected 1 to {MOST_ATTEMPTS}"
+            )
         while len(attempts) < message["attempt"]:
             attempts.append(Attempt(len(attempts) + 1))
         attempt: Attempt = attempts[message["attempt"] - 1]
@@ -264,7 +276,13 @@ class Store:
         return attempt
 
 
-def _changed(before: dict[str, Any], point: Point) -> str:
+def _changed(planned: str, point: Point) -> str:
+    try:
+        before = orjson.loads(planned)
+    except ValueError:
+        before = None
+    if not isinstance(before, dict):
+        return "was changed (what it was cannot be read)"
     now = json.loads(_planned(point))
     names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     told = [f"{name} {before.get(name, 'none')}, now {now.get(name, 'none')}" for name in names]
@@ -284,11 +302,5 @@ def _rows(recording: Recording) -> Iterator[dict[str, Any]]:
             sensor = topic.removeprefix(RANGE_PREFIX)
             row = known.pop(sensor, None)
             if row is not None:
-                reading_cm = None if message["status"] in _FAULTS else message["raw"]
+                reading_cm = None if message["status"] in _FAULTS else message.get("raw")
                 yield row | {"time_s": message["time_s"], "sensor": sensor, "reading_cm": reading_cm}
-
-
-def _column(name: str, values: list[Any]) -> Column:
-    if name in WORD_COLUMNS:
-        return np.array(["" if value is None else value for value in values], dtype=str)
-    return np.array([math.nan if value is None else value for value in values], dtype=float)

@@ -17,6 +17,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.input_file import CONTROL, making
+from msp_range.recording.csv_rows import LONGEST_CELL, csv_rows, short_list
 from msp_range.recording.error import RecordingError
 
 BASE_COLUMNS = {
@@ -51,6 +53,10 @@ REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
 """Rows that are held as text at a time: so many stay in a processor's cache."""
+LARGEST_NUMBER = 1e30
+"""A larger number is no measurement; squares of this one and their sums are still numbers."""
+MOST_WORD_BYTES = 256 * 2**20
+"""Memory that a column of words may take: it is as many rows long as its longest word is wide."""
 
 Column: TypeAlias = NDArray[Any]
 """float64 with NaN where unknown, or str with "" where unknown."""
@@ -109,23 +115,15 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
         It names the file, line, column, what was found and what was expected.
     """
     path = Path(path)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(rows, [])]
-            _check_header(path, header, required)
-            parts: list[list[Column]] = [[] for _ in header]
-            first = 0
-            for block in _blocks(_whole_rows(path, rows, len(header))):
-                for name, cells, column in zip(header, zip(*block, strict=True), parts, strict=True):
-                    column.append(_column(path, name, cells, first))
-                first += len(block)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not UTF-8 text: {error}") from None
-    except csv.Error as error:
-        raise RecordingError(f"{path}:{rows.line_num}: not CSV: {error}") from None
+    rows = csv_rows(path)
+    header = [name.strip() for name in next(rows, (0, []))[1]]
+    _check_header(path, header, required)
+    parts: list[list[Column]] = [[] for _ in header]
+    first = 0
+    for block in _blocks(_whole_rows(path, rows, len(header))):
+        for name, cells, column in zip(header, zip(*block, strict=True), parts, strict=True):
+            column.append(_column(path, name, cells, first))
+        first += len(block)
     columns = {}
     for name, blocks in zip(header, parts, strict=True):
         columns[name] = _joined(path, header, name, blocks)
@@ -142,14 +140,14 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData) ->
     RecordingError
         The file cannot be written.
     ValueError
-        Columns of different lengths, an infinite number, or a carriage return in a word.
+        Columns of different lengths, a number that is infinite or too large, or a control character in a word.
     """
     data = columns if isinstance(columns, MeasuredData) else MeasuredData(columns)
     known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS) if name in data]
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
     try:
-        with Path(path).open("x", encoding="utf-8", newline="") as file:
+        with making(path) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(names)
             writer.writerows(zip(*cells, strict=True))
@@ -166,20 +164,19 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
         if not name:
             raise RecordingError(f"{path}:1: column {number} has no name")
         if name in header[: number - 1]:
-            raise RecordingError(f"{path}:1: the column {name!r} is there twice")
+            raise RecordingError(f"{path}:1: the column {name[:LONGEST_CELL]!r} is there twice")
     for name in required:
         if name not in header:
-            near = difflib.get_close_matches(name, [each for each in header if each not in required], n=1)
+            near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
             hint = f" Is it {near[0]!r}?" if near else " Columns are told apart by commas." if len(header) == 1 else ""
-            raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {', '.join(header)}")
+            raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
 
 
-def _whole_rows(path: Path, rows: Any, width: int) -> Iterator[list[str]]:
-    for row in rows:
-        if len(row) == width:
-            yield row
-        elif row:  # an empty line is no row
-            raise RecordingError(f"{path}:{rows.line_num}: found {len(row)} cells, expected {width} as in the header")
+def _whole_rows(path: Path, rows: Iterator[tuple[int, list[str]]], width: int) -> Iterator[list[str]]:
+    for line, row in rows:
+        if len(row) != width:
+            raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {width} as in the header")
+        yield row
 
 
 def _blocks(rows: Iterator[list[str]]) -> Iterator[list[list[str]]]:
@@ -189,16 +186,48 @@ def _blocks(rows: Iterator[list[str]]) -> Iterator[list[list[str]]]:
 
 
 def _joined(path: Path, header: list[str], name: str, parts: list[Column]) -> Column:
-    if not parts:
-        return np.array([], dtype=str if name in WORD_COLUMNS else float)
     if len({part.dtype.kind for part in parts}) > 1:
         # Numbers at first, and words further on: it was words all along.
         index = header.index(name)
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.reader(file, strict=True)
-            next(rows)
-            return np.array([row[index] for row in rows if row], dtype=str)
+        rows = csv_rows(path)
+        next(rows)
+        return word_column(str(path), name, [row[index] for _, row in rows])
+    return join_columns(str(path), name, parts)
+
+
+def join_columns(source: str, name: str, parts: Sequence[Column]) -> Column:
+    """Pieces of a column as one.
+
+    Raises
+    ------
+    RecordingError
+        They are words that would take too much memory together.
+    """
+    if not parts:
+        return np.array([], dtype=str if name in WORD_COLUMNS else float)
+    if parts[0].dtype.kind == "U":
+        _check_words(source, name, sum(map(len, parts)), max(part.dtype.itemsize // 4 for part in parts))
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def word_column(source: str, name: str, words: Sequence[str]) -> Column:
+    """Words as a column.
+
+    Raises
+    ------
+    RecordingError
+        One is so long, or they are so many, that the column would take too much memory.
+    """
+    _check_words(source, name, len(words), max(map(len, words), default=0))
+    return np.array(words, dtype=str)
+
+
+def _check_words(source: str, name: str, count: int, longest: int) -> None:
+    found = f"{source}: column {name[:LONGEST_CELL]!r}: found a word of {longest} characters"
+    if longest > LONGEST_CELL:
+        raise RecordingError(f"{found}, expected at most {LONGEST_CELL}")
+    if 4 * longest * count > MOST_WORD_BYTES:
+        raise RecordingError(f"{found} in a table of {count} rows, expected {MOST_WORD_BYTES // (4 * count)} at most")
 
 
 def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
@@ -210,45 +239,44 @@ def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
     if name not in WORD_COLUMNS:
         try:
             numbers = np.array([float(cell) if cell else math.nan for cell in cells], dtype=float)
-            if not np.isinf(numbers).any():
+            if not (np.abs(numbers) > LARGEST_NUMBER).any():
                 return numbers
         except ValueError:
             pass
         if is_known:
             row = next(row for row, cell in enumerate(cells) if not _is_number(cell))
             expected = "a number, or nothing where it is unknown"
-            raise _cell_error(path, name, first + row, repr(cells[row]), expected)
-    return np.array(cells, dtype=str)
+            raise _cell_error(path, name, first + row, repr(cells[row][:LONGEST_CELL]), expected)
+    return word_column(str(path), name, cells)
 
 
 def _is_number(cell: str) -> bool:
     try:
-        return not cell or not math.isinf(float(cell))
+        return not cell or not abs(float(cell)) > LARGEST_NUMBER
     except ValueError:
         return False
 
 
 def _cell_error(path: Path, name: str, row: int, found: str, expected: str) -> RecordingError:
     """Say where a cell is; its line is looked up again, because a quoted cell may span several."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.reader(file, strict=True)
-        next(rows)
-        filled = (rows.line_num for each in rows if each)
-        line = next(line for count, line in enumerate(filled) if count == row)
+    rows = csv_rows(path)
+    next(rows)
+    line, _ = next(itertools.islice(rows, row, None))
     return RecordingError(f"{path}:{line}: column {name!r}: found {found}, expected {expected}")
 
 
 def _cells(name: str, column: Column) -> Iterable[str]:
     if column.dtype.kind not in "fiub":
         words = [str(each) for each in column.tolist()]
-        if any("\r" in each for each in words):  # which Python 3.11's csv would not quote
-            raise ValueError(f"column {name!r}: found a carriage return in a word")
+        wrong = next((each for each in words if CONTROL.search(each)), None)
+        if wrong is not None:
+            raise ValueError(f"column {name!r}: found a control character in {wrong!r}")
         return words
     numbers = column.astype(float)
-    if np.isinf(numbers).any():
-        raise ValueError(
-            f"column {name!r}: found an infinite number at row {int(np.flatnonzero(np.isinf(numbers))[0])}"
-        )
+    too_large = np.abs(numbers) > LARGEST_NUMBER
+    if too_large.any():
+        row = int(np.flatnonzero(too_large)[0])
+        raise ValueError(f"column {name!r}: found {numbers[row]:g} at row {row}, expected at most {LARGEST_NUMBER:g}")
     known = numbers[~np.isnan(numbers)]
     # Whole centimetres stay whole: 123, not 123.0.
     show = "{:.0f}".format if (known == np.rint(known)).all() and (np.abs(known) < 2**53).all() else repr

@@ -12,9 +12,13 @@ import numpy as np
 
 from msp_range.acoustics.air import FIXED, HELD
 from msp_range.reading import Status
-from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, write_csv
+from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, word_column, write_csv
+from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
+
+MOST_COLUMNS = 100
+"""Columns of the table: the catalogue of contexts has 17, and each costs 8 bytes of memory for each row."""
 
 _NOT_A_READING = frozenset({Status.NO_ANSWER.value, Status.PART_INFO.value})
 
@@ -67,12 +71,15 @@ def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
         row.setdefault("neighbour_lag_ms", None if lag_s is None else round(lag_s * 1e3, 3))
     names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
     names |= dict.fromkeys(name for row in rows for name in row)
-    return MeasuredData({name: _column(name, [row.get(name) for row in rows]) for name in names})
+    if len(names) > MOST_COLUMNS:
+        raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
+    columns = {name: _column(recording.path, name, [row.get(name) for row in rows]) for name in names}
+    return MeasuredData(columns)
 
 
-def _column(name: str, values: list[Any]) -> Column:
+def _column(path: Path, name: str, values: list[Any]) -> Column:
     if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
-        return np.array(["" if value is None else str(value) for value in values], dtype=str)
+        return word_column(str(path), name, ["" if value is None else str(value) for value in values])
     return np.array([math.nan if value is None else value for value in values], dtype=float)
 
 

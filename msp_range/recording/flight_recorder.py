@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from msp_range.clock import Clock, stamp_of
+from msp_range.input_file import file_stem
 from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.writer import Recorder
 
@@ -74,7 +75,7 @@ class FlightRecorder:
     ) -> None:
         self.fault: str | None = None
         self._folder = folder
-        self._name = re.sub(r"[^\w.-]", "_", vehicle)[:60]
+        self._name = file_stem(vehicle)
         self._clock = clock
         self._files = files
         self._on_file = on_file

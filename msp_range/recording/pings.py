@@ -5,6 +5,7 @@ the ping follows by half the time of flight.
 """
 
 import math
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,14 @@ import numpy as np
 
 from msp_range.acoustics.air import FIXED, Air
 from msp_range.bus.replay import RecordedPing
-from msp_range.correction.temperature import FIXED_STD_C, GRADIENT_STD_C, THERMOMETER_STD_C
+from msp_range.correction.temperature import COLDEST_C, FIXED_STD_C, GRADIENT_STD_C, HOTTEST_C, THERMOMETER_STD_C
 from msp_range.fusion.attitude import Angles
 from msp_range.fusion.vertical import Moved
 from msp_range.reading import Status
-from msp_range.recording.csv_form import MeasuredData, read_csv
+from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
-from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
 from msp_range.sensors.polling import POLL_INTERVAL_S
 
@@ -27,17 +28,19 @@ READY_S = 0.020
 """A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
 NO_ECHO_READY_S = 0.067
 """The full cycle, after which a sensor that heard nothing says so."""
+LONGEST_READY_S = 1.0
+"""A sensor was not busy for longer than this, whatever the record says [s]: the program that recorded stood still."""
 
 MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
 """Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
 
 
-def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[RecordedPing]]:
+def recorded_pings(source: Path | str | Recording, run: str | None = None) -> dict[str, list[RecordedPing]]:
     """The pings of every sensor in a recording or a CSV file, by the sensor's name.
 
     Parameters
     ----------
-    path
+    source
         An MCAP recording, whole or cut, or measured data in the one CSV form.
     run
         Which run of a CSV file; needed where there are several.
@@ -48,13 +51,14 @@ def recorded_pings(path: Path | str, run: str | None = None) -> dict[str, list[R
         The file cannot be read, holds no readings or several runs, its times go backwards, or a reading is not one
         that two bytes can hold.
     """
-    pings = _of_recording(Recording(path)) if is_recording(path) else _of_csv(Path(path), run)
+    recording, path = _opened(source)
+    pings = _of_csv(path, run) if recording is None else _of_recording(recording)
     if not pings:
         raise RecordingError(f"{path}: no readings to replay")
     return pings
 
 
-def recorded_air(path: Path | str, run: str | None = None) -> list[tuple[float, Air]]:
+def recorded_air(source: Path | str | Recording, run: str | None = None) -> list[tuple[float, Air]]:
     """The air that readings were corrected for, or that a CSV file has: (time [s], air), by time.
 
     Where the deviation was not recorded, it is that of a thermometer, or of a fixed temperature.
@@ -64,18 +68,23 @@ def recorded_air(path: Path | str, run: str | None = None) -> list[tuple[float, 
     RecordingError
         As `recorded_pings`.
     """
-    if is_recording(path):
-        return [
+    recording, path = _opened(source)
+    if recording is not None:
+        pairs = [
             (time_s, _air_of(message))
-            for topic, time_s, message in Recording(path)
+            for topic, time_s, message in recording
             if topic.startswith(RANGE_PREFIX) and "temperature_c" in message
         ]
-    data = _one_run(Path(path), read_csv(path), run)
-    if "air_temperature_c" not in data:
-        return []
-    known = ~np.isnan(data["air_temperature_c"])
-    pairs = zip(data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist(), strict=True)
-    return [(time_s, Air(air_c, MEASURED_STD_C, "recorded")) for time_s, air_c in sorted(pairs)]
+    else:
+        data = _one_run(path, read_csv(path), run)
+        if "air_temperature_c" not in data:
+            return []
+        known = ~np.isnan(data["air_temperature_c"])
+        times_s, air_c = data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist()
+        pairs = [(time_s, Air(each_c, MEASURED_STD_C, "recorded")) for time_s, each_c in zip(times_s, air_c, strict=True)]
+    # What no thermometer of the bridge is believed is not believed here.
+    believed = [(time_s, air) for time_s, air in pairs if COLDEST_C <= air.temperature_c <= HOTTEST_C]
+    return sorted(believed, key=itemgetter(0))
 
 
 def _air_of(message: dict[str, Any]) -> Air:
@@ -84,7 +93,7 @@ def _air_of(message: dict[str, Any]) -> Air:
     return Air(message["temperature_c"], std_c, source)
 
 
-def recorded_attitudes(path: Path | str) -> list[tuple[float, Angles]]:
+def recorded_attitudes(source: Path | str | Recording) -> list[tuple[float, Angles]]:
     """Attitudes that the autopilot sent, and when each was received [s], by that time; none in a CSV file.
 
     Raises
@@ -92,16 +101,24 @@ def recorded_attitudes(path: Path | str) -> list[tuple[float, Angles]]:
     RecordingError
         The file cannot be read.
     """
-    if not is_recording(path):
+    recording, _ = _opened(source)
+    if recording is None:
         return []
-    return [
+    return sorted(
         (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
-        for topic, received_s, message in Recording(path)
+        for topic, received_s, message in recording
         if topic == ATTITUDE_TOPIC
-    ]
+    )
 
 
-def recorded_motion(path: Path | str) -> list[Moved]:
+def _opened(source: Path | str | Recording) -> tuple[Recording | None, Path]:
+    """The recording, None where it is a table; and its file."""
+    if isinstance(source, Recording):
+        return source, source.path
+    return Recording(source) if is_recording(source) else None, Path(source)
+
+
+def recorded_motion(source: Path | str | Recording) -> list[Moved]:
     """Accelerations and pressures that the autopilot sent, by time; none in a CSV file.
 
     Raises
@@ -109,13 +126,15 @@ def recorded_motion(path: Path | str) -> list[Moved]:
     RecordingError
         The file cannot be read.
     """
-    if not is_recording(path):
+    recording, _ = _opened(source)
+    if recording is None:
         return []
-    return [
+    moved = (
         Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m"))
-        for topic, _, message in Recording(path)
+        for topic, _, message in recording
         if topic == MOTION_TOPIC
-    ]
+    )
+    return sorted(moved, key=attrgetter("time_s"))
 
 
 def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
@@ -127,8 +146,36 @@ def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
         word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
         # The try before the one that succeeded was one poll interval earlier and found the sensor busy.
         ready_s = max(0.0, message["read_s"] - message["ping_s"] - POLL_INTERVAL_S / 2)
-        pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, ready_s))
+        pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, min(ready_s, LONGEST_READY_S)))
+    for sensor, each in pings.items():
+        _check_order(recording.path, sensor, np.array([ping.ping_s for ping in each]), "ping_s")
+        words = np.array([math.nan if ping.word is None else float(ping.word) for ping in each])
+        _check_words(recording.path, sensor, np.array([ping.ping_s for ping in each]), words, "raw")
     return pings
+
+
+def _check_order(path: Path, sensor: str, time_s: Column, name: str) -> None:
+    far = np.flatnonzero(np.abs(time_s) > LARGEST_TIME_S)
+    if far.size:
+        raise RecordingError(
+            f"{path}: sensor {sensor!r}: found {name} {time_s[far[0]]:g}, expected seconds, at most {LARGEST_TIME_S:g}"
+        )
+    back = np.flatnonzero(np.diff(time_s) < 0)
+    if back.size:
+        before_s, after_s = time_s[back[0] : back[0] + 2]
+        raise RecordingError(
+            f"{path}: sensor {sensor!r}: {name} goes back from {before_s} to {after_s}; "
+            "expected the readings in order, and several sessions told apart by the column 'run'"
+        )
+
+
+def _check_words(path: Path, sensor: str, time_s: Column, words: Column, name: str) -> None:
+    odd = np.flatnonzero((np.rint(words) < 0) | (np.rint(words) > 0xFFFF))
+    if odd.size:
+        raise RecordingError(
+            f"{path}: sensor {sensor!r} at {time_s[odd[0]]} s: {name} {words[odd[0]]:g} is not a number that the "
+            "sensor's two bytes can hold; expected 0 to 65535"
+        )
 
 
 def _of_csv(path: Path, run: str | None) -> dict[str, list[RecordedPing]]:
@@ -149,20 +196,9 @@ def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
 def _of_sensor(path: Path, data: MeasuredData) -> list[RecordedPing]:
     time_s, reading_cm = data["time_s"], data["reading_cm"]
     sensor = str(data["sensor"][0])
-    back = np.flatnonzero(np.diff(time_s) < 0)
-    if back.size:
-        before_s, after_s = time_s[back[0] : back[0] + 2]
-        raise RecordingError(
-            f"{path}: sensor {sensor!r}: time_s goes back from {before_s} to {after_s}; "
-            "expected the readings in order, and several sessions told apart by the column 'run'"
-        )
+    _check_order(path, sensor, time_s, "time_s")
+    _check_words(path, sensor, time_s, reading_cm, "reading_cm")
     words = np.rint(reading_cm)
-    odd = np.flatnonzero((words < 0) | (words > 0xFFFF))
-    if odd.size:
-        raise RecordingError(
-            f"{path}: sensor {sensor!r} at time_s {time_s[odd[0]]}: reading_cm {reading_cm[odd[0]]:g} is not a number "
-            "that the sensor's two bytes can hold; expected 0 to 65535"
-        )
     is_range = (words >= MINIMUM_CM) & (words < NO_ECHO_CM)
     ping_s = time_s - np.where(is_range, 0.5 * ECHO_S_PER_CM * words, 0.0)
     # A clock fault sets one bit of an answer that came when it should.

@@ -1,33 +1,34 @@
-"""Recordings read back, whole or cut anywhere by a power failure.
+"""Recordings read back, whole or cut anywhere by a power failure, damaged or made by somebody who means harm.
 
-An MCAP file enters, JSON messages leave in the order in which they were recorded. The unit that a cut leaves whole or
-loses is the chunk (a second of flight); its checksum is verified, so that what a dying disk left behind is not taken
-for data. Format: https://mcap.dev/spec.
+An MCAP file enters, JSON messages leave in the order in which they were recorded. Which records of a damaged file are
+whole is decided in `msp_range.recording.mcap_records`; here a message that is not what its topic holds is left out and
+counted as well, so that whoever reads them can rely on the types of `msp_range.recording.topics`.
 """
 
 import contextlib
-import io
+import math
 import os
-import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import orjson
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, Header, Metadata
 from mcap.writer import MCAP0_MAGIC
 
+from msp_range.input_file import CONTROL, open_input
 from msp_range.recording.error import RecordingError
+from msp_range.recording.mcap_records import Losses, RawMessage, Record, read_record, read_records, whole_records
+from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Form, form_of
 from msp_range.recording.writer import METADATA_NAME
 
-_RECORD = struct.Struct("<BQ")
-"""What every record begins with: opcode, length of the content."""
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""What a message begins with: channel, sequence, log time [ns], publish time [ns]."""
+SUFFIX = ".mcap"
+LARGEST_FILE_BYTES = 2**40
+"""Recordings are read piece by piece, so this only keeps out what is no file of a disk."""
+MOST_ATTACHED_BYTES = 4 * 2**20
+"""Attached files that are kept, all together: an airframe and its models have 10 kB."""
+_KEPT = frozenset({Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.FOOTER})
 
 
 class Message(NamedTuple):
@@ -47,13 +48,17 @@ class Recording:
     ----------
     path
         The file.
+    salvage
+        Read on where even the beginning of the file is damaged.
 
     Attributes
     ----------
     cut
         True where the file was not closed: the power failed, or it is still being written.
-    damaged_chunks
-        How many chunks the last iteration had to leave out because their checksum was wrong.
+    has_magic
+        True where the first bytes are those of an MCAP file.
+    losses
+        What the last iteration had to leave out.
     files
         The airframe file that was flown, as ``airframe.yaml``, and those that it names; empty where there are none.
     metadata
@@ -67,94 +72,103 @@ class Recording:
         No such file, or not an MCAP file.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, salvage: bool = False) -> None:
         self.path = Path(path)
         self.cut = True
-        self.damaged_chunks = 0
+        self.losses = Losses()
         self.files: dict[str, str] = {}
         self.metadata: dict[str, str] = {}
         self.profile = ""
+        self._attached_bytes = 0
         with self._open() as file:
             magic = file.read(len(MCAP0_MAGIC))
-            if not MCAP0_MAGIC.startswith(magic):
+            self.has_magic = MCAP0_MAGIC.startswith(magic)
+            if not (salvage or self.has_magic):
                 raise RecordingError(f"{self.path}: not an MCAP recording: it begins with {magic!r}")
-            for opcode, length in _whole_records(file):
-                # What stands outside of the chunks has no checksum; where it is damaged, the messages still count.
-                with contextlib.suppress(McapError, ValueError, struct.error):
-                    self._look_at(opcode, length, file)
-        self._clock_start_s = float(self.metadata.get("clock_start_s", "0"))
-        self._utc_start_ns = int(self.metadata.get("utc_start_ns", "0"))
+            for opcode, position, length in whole_records(file, Losses()):
+                if opcode in _KEPT:
+                    self._keep(read_record(file, opcode, position, length))
+                if opcode == Opcode.FOOTER:
+                    self.cut = os.pread(file.fileno(), len(MCAP0_MAGIC), position + length) != MCAP0_MAGIC
 
     def __iter__(self) -> Iterator[Message]:
-        topics: dict[int, str] = {}
-        for opcode, content in self.records():
-            if opcode == Opcode.MESSAGE:
-                channel_id, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(content)
-                topic = topics.get(channel_id)
-                if topic is not None:
-                    time_s = self._clock_start_s + (log_time_ns - self._utc_start_ns) / 1e9
-                    yield Message(topic, time_s, self._decode(topic, content[MESSAGE_HEAD.size :]))
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(as_stream(content))
-                if channel.message_encoding == "json":
-                    topics[channel.id] = channel.topic
+        start_s, utc_start_ns = self._start()
+        topics: dict[int, tuple[str, Form | None] | None] = {}
+        for record in self.records():
+            if isinstance(record, RawMessage):
+                if record.channel_id not in topics:
+                    self.losses.messages += 1
+                elif (known := topics[record.channel_id]) is not None:
+                    topic, form = known
+                    message = _decoded(record.data, form)
+                    if message is None:
+                        self.losses.messages += 1
+                    else:
+                        yield Message(topic, start_s + (record.log_time_ns - utc_start_ns) / 1e9, message)
+            elif isinstance(record, Channel):
+                if len(record.topic) > LONGEST_TOPIC or CONTROL.search(record.topic):
+                    self.losses.records += 1
+                elif record.message_encoding == "json":
+                    topics[record.id] = (record.topic, form_of(record.topic))
+                else:
+                    topics[record.id] = None
 
     def utc_s(self, time_s: float) -> float:
         """Seconds since 1970 of a time on the bridge's clock, by the computer's idea of UTC at the start."""
-        return self._utc_start_ns / 1e9 + (time_s - self._clock_start_s)
+        start_s, utc_start_ns = self._start()
+        return utc_start_ns / 1e9 + (time_s - start_s)
 
-    def records(self) -> Iterator[tuple[int, bytes]]:
-        """Every whole record of the data section as (opcode, content), chunks taken apart."""
-        self.damaged_chunks = 0
+    def records(self) -> Iterator[Record]:
+        """Every whole record, chunks taken apart; `losses` counts the others."""
+        self.losses = Losses()
         with self._open() as file:
-            for opcode, length in _whole_records(file):
-                if opcode == Opcode.CHUNK:
-                    yield from _records_in(self._unpack(file.read(length)))
-                elif opcode == Opcode.DATA_END:
-                    return
-                else:
-                    yield opcode, file.read(length)
+            yield from read_records(file, self.losses)
 
-    def _open(self) -> IO[bytes]:
+    def _start(self) -> tuple[float, int]:
+        """The bridge's time [s] and UTC [ns] at the start; zero in a file of another program."""
+        given = {name: self.metadata.get(name, "0") for name in ("clock_start_s", "utc_start_ns")}
         try:
-            return self.path.open("rb")
+            start_s, utc_start_ns = float(given["clock_start_s"]), int(given["utc_start_ns"])
+        except ValueError:
+            start_s, utc_start_ns = math.nan, 0
+        # A comparison with NaN is false.
+        if abs(start_s) <= LARGEST_TIME_S and 0 <= utc_start_ns <= LARGEST_TIME_S * 1e9:
+            return start_s, utc_start_ns
+        found = ", ".join(f"{name} {value[:40]!r}" for name, value in given.items())
+        raise RecordingError(f"{self.path}: metadata {METADATA_NAME}: found {found}, expected times of a recording")
+
+    def _open(self) -> BinaryIO:
+        try:
+            return open_input(self.path, LARGEST_FILE_BYTES)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _look_at(self, opcode: int, length: int, file: IO[bytes]) -> None:
-        if opcode == Opcode.HEADER:
-            self.profile = Header.read(as_stream(file.read(length))).profile
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(as_stream(file.read(length)))
-            if metadata.name == METADATA_NAME:
-                self.metadata = metadata.metadata
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(as_stream(file.read(length)))
-            self.files[attachment.name] = attachment.data.decode()
-        elif opcode == Opcode.FOOTER:
-            file.seek(length, io.SEEK_CUR)
-            self.cut = file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC
+    def _keep(self, record: Record | None) -> None:
+        if isinstance(record, Header):
+            self.profile = record.profile
+        elif isinstance(record, Metadata) and record.name == METADATA_NAME:
+            self.metadata = record.metadata
+        elif isinstance(record, Attachment) and self._attached_bytes + len(record.data) <= MOST_ATTACHED_BYTES:
+            # What is no text is no airframe file.
+            with contextlib.suppress(UnicodeDecodeError):
+                self.files[record.name] = record.data.decode()
+                self._attached_bytes += len(record.data)
 
-    def _unpack(self, content: bytes) -> bytes:
-        try:
-            stream, length = get_chunk_data_stream(Chunk.read(as_stream(content)), validate_crc=True)
-            return stream.read(length)
-        except Exception:  # every decompressor has its own errors; whatever it says, this chunk is lost
-            self.damaged_chunks += 1
-            return b""
 
-    def _decode(self, topic: str, text: bytes) -> dict[str, Any]:
-        try:
-            message = orjson.loads(text)
-        except ValueError as error:
-            raise RecordingError(f"{self.path}: a message of {topic} is not JSON: {error}") from None
-        if not isinstance(message, dict):
-            return {"value": message}
-        return {key: value for key, value in message.items() if value is not None}
+def _decoded(data: bytes, form: Form | None) -> dict[str, Any] | None:
+    """A message without its unknown values; None where it is not JSON, or not of its topic's form."""
+    try:
+        message = orjson.loads(data)
+    except ValueError:
+        return None
+    if not isinstance(message, dict):
+        return {"value": message} if form is None else None
+    known = {key: value for key, value in message.items() if value is not None}
+    return known if form is None or form.fits(known) else None
 
 
 def is_recording(path: Path | str) -> bool:
-    """True where the file begins as an MCAP file does.
+    """True where the file is named as an MCAP file, or begins as one.
 
     Raises
     ------
@@ -162,37 +176,7 @@ def is_recording(path: Path | str) -> bool:
         It cannot be read.
     """
     try:
-        with Path(path).open("rb") as file:
-            return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        with open_input(path, LARGEST_FILE_BYTES) as file:
+            return Path(path).suffix == SUFFIX or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _whole_records(file: IO[bytes]) -> Iterator[tuple[int, int]]:
-    """(opcode, length) of each record that is there to its end, with the file standing at its content.
-
-    It ends at a cut, and where the disk left zeros: no record has opcode 0.
-    """
-    size = os.fstat(file.fileno()).st_size
-    position = len(MCAP0_MAGIC)
-    while position + _RECORD.size <= size:
-        file.seek(position)
-        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        position += _RECORD.size + length
-        if opcode == 0 or position > size:
-            return
-        yield opcode, length
-
-
-def _records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    position = 0
-    while position < len(data):
-        opcode, length = _RECORD.unpack_from(data, position)
-        position += _RECORD.size
-        yield opcode, data[position : position + length]
-        position += length
-
-
-def as_stream(content: bytes) -> ReadDataStream:
-    """What the mcap package's records are read from."""
-    return ReadDataStream(io.BytesIO(content))

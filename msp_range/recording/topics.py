@@ -1,15 +1,17 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
-``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health`` and ``/campaign``. No key is
-required: one that is absent is unknown. Every property has one plain type, because Foxglove and Lichtblick refuse
-schemas with unions and with null.
+``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health`` and ``/campaign``. A key
+that is absent is unknown, and a reading without those of `REQUIRED` is none. Every property has one plain type, because
+Foxglove and Lichtblick refuse schemas with unions and with null.
 """
 
 import json
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS
+from msp_range.input_file import CONTROL
+from msp_range.recording.csv_form import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 
 _TIME_S = ("number", "time of the echo, or of the ping where there was none, on the bridge's clock [s]")
 _RANGE_M = ("number", "distance along the beam [m]")
@@ -20,8 +22,16 @@ _MAVLINK = {
 
 _PropertyTable = dict[str, tuple[str, str]]
 
+LONGEST_TOPIC = 200
+"""Characters of a topic; a sensor's name has 32 at most."""
+LONGEST_TEXT = 10_000
+"""Characters of a text in a message; the longest is the plan of a point at the bench."""
+LARGEST_TIME_S = 1e10
+"""Times are not farther from the clock's zero than this [s]: 300 years, at which a float still tells microseconds."""
+
 ATTITUDE_TOPIC, MOTION_TOPIC = "/attitude", "/motion"
 RANGE_PREFIX = "/range/"
+TRUTH_PREFIX = "/truth/"
 _RANGE: tuple[str, _PropertyTable] = (
     "one ranging of a sensor, and what became of it stage by stage",
     {
@@ -92,7 +102,6 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
 }
 """Topics that are not one sensor's."""
 
-TRUTH_PREFIX = "/truth/"
 _TRUTH: tuple[str, _PropertyTable] = (
     "what a simulator or a bench knows of a ping; written before its reading",
     {
@@ -104,6 +113,62 @@ _TRUTH: tuple[str, _PropertyTable] = (
         }.items()
     },
 )
+
+
+REQUIRED: dict[str, frozenset[str]] = {
+    RANGE_PREFIX: frozenset({"time_s", "ping_s", "read_s", "status"}),
+    TRUTH_PREFIX: frozenset(),
+    ATTITUDE_TOPIC: frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
+    "/campaign": frozenset({"event", "point", "attempt", "run", "planned"}),
+}
+"""Topics, or their prefixes, whose messages are read back -> keys without which a message is of no use."""
+
+_TYPES: dict[str, frozenset[type]] = {
+    "number": frozenset({int, float}),
+    "integer": frozenset({int}),
+    "string": frozenset({str}),
+    "boolean": frozenset({bool}),
+}
+_ANY = frozenset({int, float, str, bool})
+
+
+class Form(NamedTuple):
+    """What the messages of a topic hold: the type of each key, and the keys that each message has."""
+
+    types: Mapping[str, frozenset[type]]
+    required: frozenset[str]
+
+    def fits(self, message: Mapping[str, Any]) -> bool:
+        """Whether a message has this form; keys that it does not name hold one number, text or truth value."""
+        for key, value in message.items():
+            kind = type(value)
+            if kind not in self.types.get(key, _ANY):
+                return False
+            if kind is str:
+                if len(value) > LONGEST_TEXT or not (value.isprintable() or CONTROL.search(value) is None):
+                    return False
+            elif abs(value) > (LARGEST_TIME_S if key.endswith("_s") else LARGEST_NUMBER):
+                return False
+        return self.required <= message.keys()
+
+
+def form_of(topic: str) -> Form | None:
+    """The form of a topic's messages; None for topics that nobody reads back, of this program or another."""
+    found = _topic(topic)
+    if found is None or found[0] not in REQUIRED:
+        return None
+    key, (_, properties) = found
+    return Form({name: _TYPES[kind] for name, (kind, _) in properties.items()}, REQUIRED[key])
+
+
+def _topic(topic: str) -> tuple[str, tuple[str, _PropertyTable]] | None:
+    """The topic, or the prefix of a sensor's, with what its messages hold."""
+    if topic in TOPICS:
+        return topic, TOPICS[topic]
+    for prefix, each in ((TRUTH_PREFIX, _TRUTH), (RANGE_PREFIX, _RANGE)):
+        if topic.startswith(prefix):
+            return prefix, each
+    return None
 
 
 def schema_of(topic: str) -> tuple[str, bytes]:
@@ -119,15 +184,12 @@ def schema_of(topic: str) -> tuple[str, bytes]:
     >>> schema_of("/range/front_left")[0]
     'msp_range.Range'
     """
-    if topic in TOPICS:
-        name, (meaning, properties) = topic.strip("/").replace("/", "_"), TOPICS[topic]
-    elif topic.startswith(TRUTH_PREFIX):
-        name, (meaning, properties) = "truth", _TRUTH
-    elif topic.startswith(RANGE_PREFIX):
-        name, (meaning, properties) = "range", _RANGE
-    else:
+    found = _topic(topic)
+    if found is None:
         known = [*TOPICS, TRUTH_PREFIX + "<sensor>", RANGE_PREFIX + "<sensor>"]
         raise ValueError(f"no topic {topic!r}; known: {', '.join(known)}")
+    key, (meaning, properties) = found
+    name = key.strip("/").replace("/", "_")
     schema: dict[str, Any] = {
         "title": "msp_range." + "".join(part.capitalize() for part in name.split("_")),
         "description": meaning,

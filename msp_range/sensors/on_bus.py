@@ -10,7 +10,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.sensors.addressing import ILLEGAL_8BIT
-from msp_range.yaml_file import Section, folder_of
+from msp_range.yaml_file import Section, load_named
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
@@ -36,7 +36,7 @@ class SensorOnBus(Section):
 
     @model_validator(mode="after")
     def _load_model(self, info: ValidationInfo) -> "SensorOnBus":
-        self._model = load_sensor_model(folder_of(info) / self.model)
+        self._model = load_named(info, self.model, load_sensor_model)
         return self
 
     @property

@@ -179,13 +179,14 @@ def filters(
     Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
     an implementation must have done otherwise to get it, or says what was tried.
     """
+    from msp_range.terminal import console
     from msp_sim.filter_study.explain import explain
     from msp_sim.filter_study.goals import goals
     from msp_sim.filter_study.publish import publish
     from msp_sim.filter_study.show import print_explanations, print_goals, print_tables
     from msp_sim.filter_study.study import delays, study
     from msp_sim.filter_study.table import read_table, report_table
-    from msp_sim.terminal import console, make_folder
+    from msp_sim.terminal import make_folder
 
     rows = report_table() if table is None else read_table(table)
     if out is not None:

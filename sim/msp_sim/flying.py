@@ -18,6 +18,7 @@ from msp_range.mavlink.transport import open_transport, parse_url
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import flight_recorder, stop_signals
+from msp_range.terminal import console
 from msp_range.yaml_file import ConfigError
 from msp_sim import show
 from msp_sim.autopilot import Tee
@@ -27,7 +28,7 @@ from msp_sim.scenario import load_scenario
 from msp_sim.sitl import Sitl, start_line, status_line
 from msp_sim.summary import summarise
 from msp_sim.surfaces import Ground
-from msp_sim.terminal import console, make_folder
+from msp_sim.terminal import make_folder
 from msp_sim.world import Air, World
 
 SHOWN_EACH_S = 0.1

@@ -197,7 +197,7 @@ class Sinusoid(Section):
     """from the present height to the other end of the swing, up positive: twice the amplitude [m]"""
     period_s: Positive
     """time of one cycle [s]"""
-    cycles: Annotated[int, Field(ge=1)]
+    cycles: Annotated[int, Field(ge=1, le=100_000)]
     """how many whole cycles"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:

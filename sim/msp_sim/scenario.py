@@ -24,6 +24,12 @@ from msp_sim.world import Air, World
 
 CHECK_EVERY_S = 0.1
 """Time between two looks at the vehicle's height above the ground when a scenario is loaded [s]."""
+MOST_CHECKS = 36_000
+"""Looks in all, 10 us each: in flights of more than an hour they are farther apart."""
+LONGEST_FLIGHT_S = 36_000.0
+"""A longer flight is refused [s]: ten hours of simulated flight take 200 s."""
+LONGEST_EXCESS_S = 3600.0
+"""A plan that is longer than the flight by more than this is not worked out to say by how much [s]."""
 SCRAPES_M = 0.01
 """The vehicle's feet may be this deep in the ground [m]."""
 
@@ -147,7 +153,7 @@ class Scenario(Section):
     """a name of its own: small letters, digits and underscores"""
     airframe: NamedAirframe
     """airframe file, relative to the scenario file"""
-    duration_s: Positive
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_FLIGHT_S)]
     """how long the flight is looked at [s]"""
     flight: Flight
     """what the vehicle does"""
@@ -177,17 +183,23 @@ class Scenario(Section):
         return self
 
     def _check_flight(self) -> None:
+        planned_s = sum(getattr(segment, "duration_s", 0.0) for segment in self.flight.altitude)
+        if planned_s > self.duration_s + LONGEST_EXCESS_S:
+            raise ValueError(
+                f"duration_s: found {self.duration_s:g}; expected at least {planned_s:.1f}, which flight.altitude takes"
+            )
         vehicle = self.vehicle(self.world(), default_rng(0))
         if vehicle.duration_s > self.duration_s + 1e-6:
             raise ValueError(
                 f"duration_s: found {self.duration_s:g}; expected at least {vehicle.duration_s:.1f}, which "
                 "flight.altitude takes"
             )
-        for i in range(math.ceil(self.duration_s / CHECK_EVERY_S)):
-            clearance_m = vehicle.clearance_m(i * CHECK_EVERY_S)
+        every_s = max(CHECK_EVERY_S, self.duration_s / MOST_CHECKS)
+        for i in range(math.ceil(self.duration_s / every_s)):
+            clearance_m = vehicle.clearance_m(i * every_s)
             if clearance_m < -SCRAPES_M:
                 raise ValueError(
-                    f"flight: at {i * CHECK_EVERY_S:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "
+                    f"flight: at {i * every_s:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "
                     "is below it; expected heights above the ground and its boxes, and a landing at rest"
                 )
 

@@ -77,7 +77,7 @@ class Collecting(Bar):
     def __init__(self, todo: Sequence[Point]) -> None:
         self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
             TimeRemainingColumn(),
@@ -103,7 +103,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     table.add_column("readings", justify="right")
     table.add_column("rejected, why")
     for heading in ("rms raw", "95 % raw", "rms filtered", "95 % filtered"):
-        table.add_column(f"{heading} [cm]".replace("[", r"\["), justify="right", max_width=8)
+        table.add_column(f"{heading} [cm]", justify="right", max_width=8)
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]
         total = sum(rejected.values())

@@ -1,4 +1,4 @@
-"""What the commands of msp-sim do alike: a console, a bar of progress, a folder for results.
+"""What the commands of msp-sim do alike: a bar of progress, a folder for results.
 
 Where there is no terminal, what is printed goes into a file or a pipe: lines, and no bar.
 """
@@ -10,15 +10,6 @@ from rich.console import Console
 from rich.progress import Progress, ProgressColumn
 
 from msp_range.yaml_file import ConfigError
-
-WIDTH = 120
-"""Of lines where there is no terminal [characters]."""
-
-
-def console() -> Console:
-    """Standard output, with room for a table also where there is no terminal."""
-    found = Console()
-    return found if found.is_terminal else Console(width=WIDTH)
 
 
 class Bar:

@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -18,10 +19,12 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_range.characterise.collect import TROUBLE_AFTER, Arranged, Say
+from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
 from msp_sim.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, Told, campaign, condition, written
@@ -290,6 +293,26 @@ def test_a_folder_of_another_campaign_bench_or_seed_is_refused(tmp_path: Path) -
     more = Collected(campaign(tmp_path, condition(ranges_cm=[60, 120, 200])), tmp_path / "out")
     more.go()
     assert len(rows(more.table())) == 90
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"attempt": 10**9}, "found attempt 1000000000, expected 1 to 10000"),
+        ({"attempt": -1}, "found attempt -1, expected 1 to 10000"),
+        ({"planned": "[" * 5000}, r"the campaign has changed since: .* was changed \(what it was cannot be read\)"),
+    ],
+)
+def test_a_crafted_sitting_is_reported(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    collected = Collected(campaign(tmp_path), tmp_path / "out")
+    collected.go()
+    (path,) = (tmp_path / "out").glob("*.mcap")
+    begun = next(each.message for each in Recording(path) if each.topic == "/campaign")
+    path.unlink()
+    with closing(Recorder(path, VirtualClock(), metadata={"bench": collected.bench.description})) as recorder:
+        recorder.write("/campaign", 0.0, begun | changes)
+    with pytest.raises(RecordingError, match=said):
+        Collected(campaign(tmp_path), tmp_path / "out")
 
 
 def test_the_recording_holds_campaign_and_models(tmp_path: Path) -> None:

@@ -11,15 +11,19 @@ import pytest
 from pymavlink.dialects.v20 import common
 from typer.testing import CliRunner, Result
 
+from msp_range.characterise.gather import gather
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.transport import Nowhere
+from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
 from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_range.replay import first_ping_s, replay
 from msp_sim.cli import app as sim_app
+from msp_sim.gap.intake import read_readings
+from msp_sim.model.model import load_model
 from tests.support.bench import START_S, Bench, airframe
 from tests.support.data import measured_data
 
@@ -107,6 +111,29 @@ def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
     assert len(read_csv(tmp_path / "cut.csv")) == len(part)
     assert run("recover", cut, tmp_path / "closed.mcap").exit_code == 0
     assert ranges(tmp_path / "closed.mcap") == part
+
+
+def test_what_was_saved_and_what_was_lost_is_said(flight: Path, tmp_path: Path) -> None:
+    whole = len(list(Recording(flight)))
+    assert f"{whole} messages and 2 attached files; lost: nothing" in run("recover", flight, tmp_path / "a.mcap").output
+    data = bytearray(flight.read_bytes())
+    damaged = tmp_path / "damaged.mcap"
+    data[len(data) // 2] ^= 0x10
+    damaged.write_bytes(data)
+    for args in (
+        ("recover", damaged, tmp_path / "b.mcap"),
+        ("export", damaged, tmp_path / "b.csv"),
+        ("replay", damaged),
+    ):
+        said = run(*args).output
+        assert "lost: 1 damaged chunk (" in said
+    assert len(ranges(tmp_path / "b.mcap")) == len(read_csv(tmp_path / "b.csv")) < len(ranges(flight))
+    # The tables that models are made from say so too.
+    sensor = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
+    (warning,) = (each for each in gather([damaged], sensor).warnings if "damaged" in each)
+    assert warning.startswith(f"{damaged} is damaged; lost: 1 damaged chunk")
+    messages = read_readings([damaged], load_model(CONFIGS / "sensors" / "mb1242.yaml")).messages
+    assert any(each.startswith(f"{damaged} is damaged; lost: 1 damaged chunk") for each in messages)
 
 
 def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) -> None:

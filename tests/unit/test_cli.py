@@ -57,7 +57,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (["check", "configs/quad_palet.yaml"], "beside it there is quad_pallet.yaml"),
+        (["check", "configs/quad_palet.yaml"], "next to it there is quad_pallet.yaml"),
         (["run", "configs/quad_pallet.yaml", "--link", "udp:1"], "--link:"),
         (["scan", "--bus", "/nonexistent/i2c-9"], "No such file"),
         (["address", "0x70", "0x28"], "ignores the address 0x28"),

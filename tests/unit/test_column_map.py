@@ -1,6 +1,7 @@
 """Other people's names and units, and what is said where a map does not fit."""
 
 import gzip
+import time
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,30 @@ def test_mistakes_in_options(tmp_path: Path, options: list[str], message: str) -
 def test_mistakes_in_a_map_file(tmp_path: Path, column_map: str, message: str) -> None:
     with pytest.raises((ConfigError, RecordingError), match=message):
         mapped(tmp_path, "dist,word,twice,twice\n1,x,2,3\n", column_map)
+
+
+def test_a_packed_bomb_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.csv.gz"
+    path.write_bytes(gzip.compress(b"dist\n" + b"1\n" * 2_000_000))
+    started_s = time.process_time()
+    with pytest.raises(RecordingError, match=r"bomb\.csv\.gz: found more than 1 MB of unpacked text, expected less"):
+        read_mapped(path, load_map(["reading_cm=dist"]), 765.0)
+    assert time.process_time() - started_s < 2.0
+
+
+def test_more_rows_than_are_held_at_a_time(tmp_path: Path) -> None:
+    """Blocks of both tables side by side, the second of which is shorter."""
+    rows = [f"{i},{i % 700},{i if i < 3000 else ''}" for i in range(5000)]
+    path = tmp_path / "theirs.csv"
+    path.write_text("t,a,b\n" + "\n".join(rows) + "\n")
+    (tmp_path / "map.yaml").write_text(
+        "parts:\n  - columns: {reading_cm: a, time_s: t}\n  - columns: {reading_cm: b, throttle: {value: 0.5}}\n"
+    )
+    data = read_mapped(path, load_map([str(tmp_path / "map.yaml")]), 765.0)
+    assert data["reading_cm"].tolist() == [i % 700 for i in range(5000)] + list(range(3000))
+    assert data["time_s"].tolist()[:5000] == list(range(5000))
+    assert np.isnan(data["throttle"][:5000]).all()
+    assert (data["throttle"][5000:] == 0.5).all()
 
 
 def test_a_file_that_is_no_table(tmp_path: Path) -> None:

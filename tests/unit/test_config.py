@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
+from msp_range import yaml_file
 from msp_range.config import Airframe, RotationDeg, load_airframe
 from msp_range.mavlink.orientation import CUSTOM, DOWN
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
@@ -238,9 +239,28 @@ def test_a_file_that_is_not_a_mapping_of_keys_given_once(tmp_path: Path, text: s
     assert str(error.value).startswith(str(tmp_path / expected))
 
 
+def test_a_model_that_several_sensors_name_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+
+    def read_yaml(path: Path) -> Any:
+        read.append(path)
+        return given(path)
+
+    given = yaml_file.read_yaml
+    monkeypatch.setattr(yaml_file, "read_yaml", read_yaml)
+    load_airframe(CONFIGS / "quad_pallet.yaml")
+    assert [path.name for path in read] == ["quad_pallet.yaml", "mb1242.yaml"]
+
+
+def test_more_sensors_than_a_bus_has_addresses(tmp_path: Path) -> None:
+    (line,) = mistakes(tmp_path, lambda c: c.update(sensors=c["sensors"] * 30))
+    assert line.startswith("sensors: found ")
+    assert "at most 117 items" in line
+
+
 def test_a_file_that_is_not_there_and_the_one_that_was_meant(tmp_path: Path) -> None:
     write(tmp_path, lambda content: None)
-    with pytest.raises(ConfigError, match=r"airfrane\.yaml: no such file \(beside it there is airframe\.yaml\)"):
+    with pytest.raises(ConfigError, match=r"airfrane\.yaml: no such file \(next to it there is airframe\.yaml\)"):
         load_airframe(tmp_path / "airfrane.yaml")
 
 

@@ -1,5 +1,6 @@
 """The one CSV form: what goes in comes out, and mistakes are told with file, line and column."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from msp_range.input_file import CONTROL
 from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 
@@ -37,8 +39,8 @@ def test_reads_numbers_words_and_what_is_unknown(tmp_path: Path) -> None:
     assert "humidity_pct" not in data
 
 
-_NUMBERS = st.floats(allow_infinity=False) | st.integers(-(2**60), 2**60).map(float)
-_WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\r"))
+_NUMBERS = st.floats(-1e30, 1e30) | st.just(float("nan")) | st.integers(-(2**60), 2**60).map(float)
+_WORDS = st.text(st.characters().filter(lambda character: CONTROL.search(character) is None))
 _NAMES = _WORDS.filter(lambda word: word != "")
 
 
@@ -50,7 +52,7 @@ def measured(draw: st.DrawFn) -> MeasuredData:
         return np.array(draw(st.lists(cells, min_size=rows, max_size=rows)), dtype=dtype)
 
     columns = {
-        "time_s": column(st.floats(allow_infinity=False, allow_nan=False), float),
+        "time_s": column(st.floats(-1e30, 1e30), float),
         "sensor": column(_NAMES, str),
         "reading_cm": column(_NUMBERS, float),
     }
@@ -130,6 +132,18 @@ HEADER = "time_s,sensor,reading_cm,target\n"
         (HEADER + "1,a,2,\n,a,2,\n", "a.csv:3: column 'time_s': found nothing, expected a number"),
         (HEADER + "1,a,2,\n1,,2,\n", "a.csv:3: column 'sensor': found nothing, expected a name"),
         (HEADER + '1,a,2,"open\n', "not CSV: unexpected end of data"),
+        (HEADER + "1,a,1e300,\n", "a.csv:2: column 'reading_cm': found '1e300', expected a number"),
+        (HEADER + "1,a,2,b\x00c\n", "a.csv:2: found the control character '\\x00', expected text"),
+        (HEADER + "1,a,2,\x1b[31m\n", "a.csv:2: found the control character '\\x1b', expected text"),
+        (HEADER + f"1,a,2,{'x' * 300}\n", "column 'target': found a word of 300 characters, expected at most 200"),
+        (HEADER + f"1,a,2,{'x' * 200_000}\n", "a.csv:2: not CSV: field larger than field limit (131072)"),
+        ("x" * 10_000_000, "a.csv:1: found a line of more than 262144 characters"),
+        ("a" + "," * 2000, "a.csv:1: found 2001 columns, expected at most 1000"),
+        ("a" + "," * 2_000_000, "a.csv:1: found a line of more than 262144 characters"),
+        (
+            ",".join(f"c{i}" for i in range(900)),
+            "Found: c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13, c14",
+        ),
     ],
 )
 def test_mistakes_are_told_where_they_are(tmp_path: Path, text: str, message: str) -> None:
@@ -138,19 +152,57 @@ def test_mistakes_are_told_where_they_are(tmp_path: Path, text: str, message: st
         read_csv(path)
     assert message in str(told.value)
     assert str(path) in str(told.value)
+    assert len(str(told.value)) < 1000
+
+
+def test_many_rows_of_long_words_would_take_too_much_memory(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", HEADER + f"1,a,2,{'x' * 200}\n" + "1,a,2,x\n" * 400_000)
+    with pytest.raises(RecordingError, match="'target': found a word of 200 characters in a table of 400001 rows, exp"):
+        read_csv(path)
+
+
+def test_what_is_no_table_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(RecordingError, match=r"pipe\.csv: cannot be read: found a pipe, expected a file"):
+        read_csv(tmp_path / "pipe.csv")
+    with pytest.raises(RecordingError, match="/dev/zero: cannot be read: found a device, expected a file"):
+        read_csv("/dev/zero")
+    with pytest.raises(RecordingError, match="cannot be read: found a directory, expected a file"):
+        read_csv(tmp_path)
+    (tmp_path / "a.csv").write_bytes(HEADER.encode("utf-16"))
+    with pytest.raises(RecordingError, match=r"a\.csv: found text in UTF-16, expected UTF-8"):
+        read_csv(tmp_path / "a.csv")
+    with (tmp_path / "sparse.csv").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(RecordingError, match=r"sparse\.csv: cannot be read: found 1099511.6 MB, expected at most 536"):
+        read_csv(tmp_path / "sparse.csv")
+    # Text in pieces: a letter of two bytes across their border, and a wrong one after it.
+    content = HEADER.encode() + b"1,a,2,x\n" * 8188
+    (tmp_path / "b.csv").write_bytes(content + "1,a,2,ö\n".encode() * 10 + b"1,a,2,\xff\n")
+    with pytest.raises(RecordingError, match=r"b\.csv:8200: found the byte 0xff, expected text in UTF-8"):
+        read_csv(tmp_path / "b.csv")
+
+
+def test_a_table_that_cannot_be_written_whole_is_not_there(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(RecordingError, match="there is a file already"):
+        write_csv(tmp_path / "a.csv", {"time_s": np.array([1.0])})
+    with pytest.raises(RecordingError, match=r"cannot be written: File name too long"):
+        write_csv(tmp_path / ("b" * 300), {"time_s": np.array([1.0])})
+    assert os.listdir(tmp_path) == ["a.csv"]
 
 
 def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"b\.csv: cannot be read: No such file"):
         read_csv(tmp_path / "b.csv")
     (tmp_path / "a.csv").write_bytes(b"time_s,sensor,reading_cm\n1,M\xf6we,3\n")
-    with pytest.raises(RecordingError, match=r"a\.csv: not UTF-8"):
+    with pytest.raises(RecordingError, match=r"a\.csv:2: found the byte 0xf6, expected text in UTF-8"):
         read_csv(tmp_path / "a.csv")
     with pytest.raises(RecordingError, match="cannot be written: No such file"):
         write_csv(tmp_path / "no folder" / "a.csv", {"time_s": np.array([1.0])})
-    with pytest.raises(ValueError, match="'reading_cm': found an infinite number at row 1"):
+    with pytest.raises(ValueError, match=r"'reading_cm': found inf at row 1, expected at most 1e\+30"):
         write_csv(tmp_path / "c.csv", {"reading_cm": np.array([1.0, np.inf])})
-    with pytest.raises(ValueError, match="'target': found a carriage return"):
+    with pytest.raises(ValueError, match="'target': found a control character in"):
         write_csv(tmp_path / "c.csv", {"target": np.array(["a", "b\r"])})
     with pytest.raises(ValueError, match="different lengths"):
         write_csv(tmp_path / "c.csv", {"time_s": np.array([1.0]), "reading_cm": np.array([1.0, 2.0])})

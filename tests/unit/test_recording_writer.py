@@ -97,7 +97,7 @@ def test_every_message_comes_back_with_its_topic_and_time(tmp_path: Path) -> Non
     # The file counts whole nanoseconds.
     assert [each.time_s for each in read] == pytest.approx([time_s for _, time_s, _ in written], abs=1e-9)
     assert not recording.cut
-    assert recording.damaged_chunks == 0
+    assert str(recording.losses) == "nothing"
     assert recording.files == {"airframe.yaml": "vehicle: Möwe\n"}
     assert recording.metadata["vehicle"] == "Möwe"
     assert list(recording) == read
@@ -219,11 +219,12 @@ def test_utc_is_taken_once(tmp_path: Path) -> None:
 def test_what_is_unknown_is_left_out(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     recorder.write("/fused", 1.0, {"time_s": 1.0, "range_m": None, "variance_m2": math.inf})
-    recorder.write("/range/left", 2.0, {"status": "ok", "raw": None, "range_m": math.nan})
+    times = {"time_s": 2.0, "ping_s": 2.0, "read_s": 2.1}
+    recorder.write("/range/left", 2.0, {**times, "status": "ok", "raw": None, "range_m": math.nan})
     recorder.close()
     assert [each.message for each in Recording(tmp_path / "flight.mcap")] == [
         {"time_s": 1.0},
-        {"status": "ok"},
+        {**times, "status": "ok"},
     ]
 
 

@@ -175,9 +175,10 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
         ("1,left,20\n0.5,left,30", "sensor 'left': time_s goes back from 1.0 to 0.5"),
         (
             "1,left,-1",
-            "sensor 'left' at time_s 1.0: reading_cm -1 is not a number that the sensor's two bytes can hold",
+            "sensor 'left' at 1.0 s: reading_cm -1 is not a number that the sensor's two bytes can hold",
         ),
         ("1,left,70000", "reading_cm 70000 is not"),
+        ("1e15,left,20", r"found time_s 1e\+15, expected seconds, at most 1e\+10"),
     ],
 )
 def test_csv_that_cannot_be_replayed(tmp_path: Path, rows: str, message: str) -> None:

@@ -208,6 +208,12 @@ def with_segment(**segment):
         (with_fault(kind="impossible", word=300), ["faults[0]", "0x12c", "expected"]),
         (with_segment(kind="hovver", duration_s=3), ["flight.altitude[0]", "'hovver'", "hold"]),
         (with_segment(kind="hold", duration_s=-3), ["flight.altitude[0].duration_s: found -3", "greater than 0"]),
+        (
+            with_segment(kind="terrain", height_m=2, duration_s=1e9),
+            ["found 60", "1000000050.0"],
+        ),
+        (lambda content: content.update(duration_s=1e9), ["duration_s: found 1000000000.0; expected", "36000"]),
+        (lambda content: content.update(duration_s="1e300"), ["found '1e300'; expected", "36000"]),
         (with_segment(kind="climb", to=3), ["flight.altitude[0].to: unknown key", "Did you mean 'to_m'?"]),
         (with_segment(kind="climb", to_m=-0.15), ["flight: at 0.", "deep in what is below", "above the ground"]),
         (

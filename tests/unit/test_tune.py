@@ -102,8 +102,9 @@ def recording(path: Path, tracks: dict[str, list[tuple[float, float]]], filters:
     recorder = Recorder(path, VirtualClock(), files=files)
     for name, track in tracks.items():
         for time_s, range_m in track:
-            message = {"time_s": time_s, "status": "ok", "suspect": False, "range_m": range_m, "corrected_m": range_m}
-            recorder.write(f"/range/{name}", time_s, message)
+            times = {"time_s": time_s, "ping_s": time_s, "read_s": time_s}
+            message = {"status": "ok", "suspect": False, "range_m": range_m, "corrected_m": range_m}
+            recorder.write(f"/range/{name}", time_s, {**times, **message})
     recorder.close()
     return path
 

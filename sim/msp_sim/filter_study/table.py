@@ -6,11 +6,13 @@ CSV enters, checked rows leave; the report's own table is `REPORT`. Two of the r
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 
+from msp_range.recording.csv_rows import csv_rows, short_list
+from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 from msp_sim.filter_study.nine import CAUSAL
 from msp_sim.filter_study.scenarios import NAMES, SAMPLES
@@ -76,7 +78,7 @@ Table = Mapping[tuple[str, str], Row]
 
 def report_table() -> Table:
     """The report's tables 5.4-5.6."""
-    return _parse(REPORT, "the report's table")
+    return _parse(enumerate(csv.reader(StringIO(REPORT)), start=1), "the report's table")
 
 
 def read_table(path: Path) -> Table:
@@ -88,23 +90,20 @@ def read_table(path: Path) -> Table:
         The file cannot be read, or a row or a column is not what is expected.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise ConfigError(f"{path}: this table cannot be read: {reason}") from None
-    return _parse(text, str(path))
+        return _parse(csv_rows(path), str(path))
+    except RecordingError as error:
+        raise ConfigError(str(error)) from None
 
 
-def _parse(text: str, source: str) -> Table:
-    lines = csv.reader(StringIO(text))
-    head = [cell.strip() for cell in next(lines, [])]
+def _parse(rows: Iterator[tuple[int, list[str]]], source: str) -> Table:
+    head = [cell.strip() for cell in next(rows, (0, []))[1]]
     if sorted(head) != sorted(COLUMNS):
-        raise ConfigError(f"{source}: found the columns {', '.join(head) or 'none'}, expected {', '.join(COLUMNS)}")
+        raise ConfigError(f"{source}: found the columns {short_list(head) or 'none'}, expected {', '.join(COLUMNS)}")
     table: dict[tuple[str, str], Row] = {}
-    for line in lines:
+    for number, line in rows:
         if not any(cell.strip() for cell in line):
             continue
-        place = f"{source}: line {lines.line_num}"
+        place = f"{source}: line {number}"
         if len(line) != len(head):
             raise ConfigError(f"{place}: found {len(line)} cells, expected {len(head)}")
         row = _row(dict(zip(head, (cell.strip() for cell in line), strict=True)), place)
@@ -119,7 +118,7 @@ def _parse(text: str, source: str) -> Table:
 def _row(cells: Mapping[str, str], place: str) -> Row:
     for key, known in (("scenario", tuple(NAMES)), ("filter", tuple(CAUSAL))):
         if cells[key] not in known:
-            raise ConfigError(f"{place}: found the {key} {cells[key]!r}, expected one of {', '.join(known)}")
+            raise ConfigError(f"{place}: found the {key} {cells[key][:80]!r}, expected one of {', '.join(known)}")
     numbers, decimals = [], []
     for key in STATISTICS:
         try:
@@ -127,7 +126,7 @@ def _row(cells: Mapping[str, str], place: str) -> Row:
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise ConfigError(f"{place}: {key}: found {cells[key]!r}, expected a number")
+            raise ConfigError(f"{place}: {key}: found {cells[key][:80]!r}, expected a number")
         numbers.append(number)
         decimals.append(len(cells[key].partition(".")[2]))
     if numbers[0] < 0 or numbers[4] < 0:

@@ -11,11 +11,12 @@ from typing import Literal
 
 from msp_range import __version__
 from msp_range.characterise.column_map import load_map
+from msp_range.characterise.gather import sha256
 from msp_range.clock import Clock, date_of
 from msp_range.yaml_file import ConfigError
 from msp_sim.gap import workflow
 from msp_sim.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
-from msp_sim.gap.intake import read_readings, sha256
+from msp_sim.gap.intake import read_readings
 from msp_sim.gap.judge import sentence
 from msp_sim.gap.measures import Table
 from msp_sim.gap.model_file import MODEL, PROVED, write_model

@@ -13,9 +13,12 @@ from typing import Literal, TypeAlias
 
 from pydantic import TypeAdapter, ValidationError
 
+from msp_range.input_file import read_text
 from msp_range.yaml_file import ConfigError
 
 NUMBERS = "gap.json"
+LARGEST_BYTES = 64 * 2**20
+"""A larger file was not written by the gap workflow, whose files have 0.1 to 1 MB."""
 
 Verdict: TypeAlias = Literal["nothing missing", "explained", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "unknown"]
@@ -394,7 +397,7 @@ def read_findings(folder: Path) -> GapFindings:
     """
     path = folder / NUMBERS
     try:
-        return from_json(path.read_text(encoding="utf-8"))
+        return from_json(read_text(path, LARGEST_BYTES))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; 'msp-sim compare' or 'msp-sim gap' makes it") from None
     except OSError as error:

@@ -5,7 +5,6 @@ readings. What only narrows it is told too, and goes on: what has no answer or n
 the model's grid are rounded, point masses that the model does not declare are set aside as calibration.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.characterise.column_map import ColumnMap
-from msp_range.characterise.gather import check_comparable, joined, read_table
+from msp_range.characterise.gather import check_comparable, joined, read_table, sha256
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
@@ -90,8 +89,9 @@ def read_readings(
     """
     tables: list[MeasuredData] = []
     sources: list[Source] = []
+    notes = [column_map.note] if column_map is not None and column_map.note else []
     for path, name in zip(paths, _names(paths), strict=True):
-        table = read_table(path, model.sensor, column_map)
+        table = read_table(path, model.sensor, column_map, notes)
         digest = sha256(path)
         same = next((each.path for each in sources if each.sha256 == digest), None)
         if same is not None:
@@ -101,7 +101,6 @@ def read_readings(
     columns = dict(joined(tables).columns)
     del table, tables
     check_comparable(", ".join(str(path) for path in paths), _within(columns), model.sensor)
-    notes = [column_map.note] if column_map is not None and column_map.note else []
     _settle(columns)
     messages = _clean(columns)
     data = MeasuredData(columns)
@@ -110,12 +109,6 @@ def read_readings(
     constant = _constant(data)
     messages = [*notes, *messages, *_about_contexts(constant), *_about_runs(data["run"])]
     return Readings(data, tuple(sources), (*calibration, *codes), tuple(messages), constant)
-
-
-def sha256(path: Path) -> str:
-    """Of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
+from msp_range.yaml_loader import load_yaml
 from msp_sim.gap.findings import FoundEffect, Gap, GapFindings, Measure, Unknown
 from msp_sim.gap.refit import to_sensor
 from msp_sim.model.model import Model
@@ -47,7 +48,7 @@ def model_text(model: Model, findings: GapFindings, heading: str) -> str:
     text = "\n".join(_wrapped(lines)) + "\n"
     text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=118, default_flow_style=None)
     try:
-        Model.of(SensorModel.model_validate(yaml.safe_load(text)))
+        Model.of(SensorModel.model_validate(load_yaml(text)))
     except (ValidationError, ConfigError) as error:
         raise ConfigError(f"what was added does not make a model file: {error}") from None
     return text

@@ -2,16 +2,16 @@
 
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from msp_range.clock import Clock, SystemClock
+from msp_range.terminal import PlainConsole, console
 from msp_sim.gap.findings import GapFindings, Measure
 from msp_sim.gap.model_file import MODEL
 from msp_sim.gap.words import capitalised, plain
-from msp_sim.terminal import Bar, console
+from msp_sim.terminal import Bar
 
 COLOURS = {"nothing missing": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
 SLICES = 5
@@ -22,9 +22,14 @@ class Progressing(Bar):
 
     def __init__(self) -> None:
         self.clock: Clock = SystemClock()
-        self._console = Console(stderr=True)
+        self._console = PlainConsole(stderr=True)
         self._last = ""
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+        )
         super().__init__(*columns, total=1.0, on=self._console)
 
     def say(self, what: str, share: float) -> None:
@@ -32,7 +37,7 @@ class Progressing(Bar):
         if self.is_shown:
             self.show(what, share)
         elif what != self._last:
-            self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False, markup=False)
+            self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False)
         self._last = what
 
 
@@ -44,28 +49,26 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
         out.print(_gap_table(findings))
     for each in findings.effects:
         if each.rivals and each.experiment:
-            out.print(capitalised(each.experiment), markup=False, highlight=False)
+            out.print(capitalised(each.experiment), highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
-            out.print(f"  {plain(piece.where)}: {piece.channel}{p}", markup=False, highlight=False)
+            out.print(f"  {plain(piece.where)}: {piece.channel}{p}", highlight=False)
     if findings.could_have_seen and not findings.effects and not findings.unknown:
-        out.print(f"These data would have shown: {findings.could_have_seen}", markup=False, highlight=False)
+        out.print(f"These data would have shown: {findings.could_have_seen}", highlight=False)
     for message in findings.messages:
-        out.print(f"note: {message}", style="dim", markup=False, highlight=False)
+        out.print(f"note: {message}", style="dim", highlight=False)
     columns = sorted({name for each in findings.not_testable for name in each.columns})
     if columns:
         out.print(
             f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
             style="dim",
-            markup=False,
             highlight=False,
         )
     runs = f"{findings.runs} run{'s' if findings.runs != 1 else ''}"
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
     out.print(
         f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
-        markup=False,
         highlight=False,
         soft_wrap=True,
     )

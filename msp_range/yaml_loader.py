@@ -1,0 +1,175 @@
+"""The part of YAML that configuration files need, with limits, so that no text can cost more than it is worth.
+
+Text enters, plain Python values leave: mappings, lists, text, numbers, true and false, nothing. Anchors and merge keys
+work. Refused, each with its place, are what silently becomes something else than what is written (a key given twice,
+010, which some take for 8), tags, control characters, and what grows without end: nesting, aliases of aliases, lists
+that contain themselves. Scanning is done in C where libyaml is there; composing is done here, because the one in C
+recurses without a limit.
+"""
+
+import re
+from typing import Any
+
+import yaml
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.resolver import Resolver
+
+from msp_range.input_file import CONTROL
+
+MOST_DEPTH = 32
+"""Mappings and lists inside each other. Files of this project have 7; the stack of a thread takes some hundreds."""
+MOST_NODES = 20_000
+"""Values in a file, with each alias counted as what it stands for. The largest file of this project has 700; so many
+are read in 0.2 s and need 20 MB."""
+LARGEST_INTEGER = 2**63
+"""Largest whole number, either sign. No field takes one beyond it, and those of thousands of digits cannot be shown."""
+
+_TAG = "tag:yaml.org,2002:"
+_TYPES = ("bool", "int", "float", "null", "merge")
+_OCTAL = re.compile(r"[-+]?0[0-7]+")
+
+if yaml.__with_libyaml__:
+    from yaml._yaml import CParser as _Parser
+else:
+    from yaml.parser import Parser
+    from yaml.reader import Reader
+    from yaml.scanner import Scanner
+
+    class _Parser(Reader, Scanner, Parser):  # type: ignore[no-redef]
+        """PyYAML's own parser, which is slower."""
+
+        def __init__(self, text: str) -> None:
+            Reader.__init__(self, text)
+            Scanner.__init__(self)
+            Parser.__init__(self)
+
+
+class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
+    """What reads the text; every mistake is a `yaml.MarkedYAMLError` with its place."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own name; a date stays text
+        first: [each for each in resolvers if each[0].removeprefix(_TAG) in _TYPES]
+        for first, resolvers in Resolver.yaml_implicit_resolvers.items()
+    }
+
+    def __init__(self, text: str) -> None:
+        _Parser.__init__(self, text)
+        Composer.__init__(self)
+        SafeConstructor.__init__(self)
+        Resolver.__init__(self)
+        self._depth = 0
+        self._nodes = 0
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """The next value, checked and counted."""
+        event: Any = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
+            node = super().compose_node(parent, index)
+            size = self._sizes.get(id(node))
+            if size is None:
+                raise _error(f"*{event.anchor} stands inside of &{event.anchor} itself", event)
+            self._count(size, event)
+            return node
+        if event.tag is not None:
+            raise _error(f"found the tag {event.tag.replace(_TAG, '!!')}, expected a value without a tag", event)
+        before = self._nodes
+        self._count(1, event)
+        self._depth += 1
+        if self._depth > MOST_DEPTH:
+            raise _error(f"found more than {MOST_DEPTH} mappings and lists inside each other", event)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if event.anchor is not None:
+            self._sizes[id(node)] = self._nodes - before
+        return node
+
+    def _count(self, nodes: int, event: Any) -> None:
+        self._nodes += nodes
+        if self._nodes > MOST_NODES:
+            raise _error(f"found more than {MOST_NODES} values, aliases counted as what they stand for", event)
+
+    def compose_scalar_node(self, anchor: Any) -> Any:
+        """Text or a number; which of them, and whether it can be."""
+        node = super().compose_scalar_node(anchor)
+        control = CONTROL.search(node.value)
+        if control is not None:
+            raise _error(_control_character(control[0]), node)
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """A mapping, whose keys are text or numbers, each given once."""
+        node = super().compose_mapping_node(anchor)
+        seen = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _error(f"found a {'list' if key.id == 'sequence' else key.id} as a key, expected a word", key)
+            if key.value in seen:
+                raise _error(f"the key {key.value!r} is given twice", key)
+            seen.add(key.value)
+        return node
+
+    def construct_int(self, node: Any) -> int | str:
+        """A whole number, or the text of a time such as 12:30, which YAML 1.1 takes for a number too."""
+        text = node.value.replace("_", "")
+        if ":" in text:
+            return str(node.value)
+        if _OCTAL.fullmatch(text):
+            raise _error(
+                f"found {node.value[:40]}, which some take for an octal number; expected no 0 in front, 0x if it is "
+                "hexadecimal, or quotes around it if it is text",
+                node,
+            )
+        try:
+            number = int(text, 0)
+        except ValueError:  # 0x without a digit, or more digits than Python reads
+            number = LARGEST_INTEGER + 1
+        if abs(number) > LARGEST_INTEGER:
+            raise _error(f"found {node.value[:40]}, expected a whole number of at most 64 bits", node)
+        return number
+
+    def construct_float(self, node: Any) -> float | str:
+        """A number; infinity and NaN where they are named, which the section that holds them refuses."""
+        text = node.value.replace("_", "").lower()
+        if ":" in text:
+            return str(node.value)
+        number = float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        if abs(number) == float("inf") and not text.endswith("inf"):
+            raise _error(f"found {node.value[:40]}, expected a number of at most 1.7e308", node)
+        return number
+
+    yaml_constructors = {  # noqa: RUF012
+        **SafeConstructor.yaml_constructors,
+        _TAG + "int": construct_int,
+        _TAG + "float": construct_float,
+    }
+
+
+def _error(problem: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
+
+
+def _control_character(found: str) -> str:
+    return f"found the control character {found!r}, expected text without any"
+
+
+def load_yaml(text: str) -> Any:
+    """What a YAML text holds, as plain Python values.
+
+    Raises
+    ------
+    yaml.YAMLError
+        It is not YAML, or beyond the limits of this module.
+
+    Examples
+    --------
+    >>> load_yaml("a: &a {x: 0x70, y: 2026-13-45}\\nb: {<<: *a, y: 1.5}")
+    {'a': {'x': 112, 'y': '2026-13-45'}, 'b': {'x': 112, 'y': 1.5}}
+    """
+    control = CONTROL.search(text)
+    if control is not None:
+        before = text[: control.start()]
+        mark = yaml.Mark("", 0, before.count("\n"), control.start() - before.rfind("\n") - 1, "", 0)
+        raise yaml.MarkedYAMLError(problem=_control_character(control[0]), problem_mark=mark)
+    return LimitedLoader(text).get_single_data()

@@ -1,0 +1,33 @@
+"""A recorded flight played through the bridge again, as `msp-range replay` does."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from msp_range import replay
+from msp_range.bus.replay import RecordedPing
+from msp_range.clock import VirtualClock
+from msp_range.config import Airframe
+from msp_range.fusion import Angles
+from msp_range.mavlink.transport import Nowhere
+
+LONGEST_S = 600.0
+MOST_PINGS = 400
+"""Longer flights are not played: they take a time in proportion, 3 ms a second and 1 ms a ping."""
+
+
+def play(
+    airframe: Airframe,
+    pings: Mapping[str, Sequence[RecordedPing]],
+    source: Path,
+    temperatures: Sequence[tuple[float, float]] = (),
+    attitudes: Sequence[tuple[float, Angles]] = (),
+) -> None:
+    """Replay the pings, all of which have to come to their end."""
+    first_s = replay.first_ping_s(pings)
+    last_s = max(each.ping_s for some in pings.values() for each in some)
+    count = sum(map(len, pings.values()))
+    if last_s - first_s > LONGEST_S or count > MOST_PINGS:
+        return
+    clock = VirtualClock(first_s)
+    outcome = replay.replay(airframe, pings, source, clock, Nowhere(), None, temperatures, attitudes)
+    assert sum(each.readings for each in outcome.counts.values()) >= count
