@@ -81,7 +81,9 @@ def recorded_air(source: Path | str | Recording, run: str | None = None) -> list
             return []
         known = ~np.isnan(data["air_temperature_c"])
         times_s, air_c = data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist()
-        pairs = [(time_s, Air(each_c, MEASURED_STD_C, "recorded")) for time_s, each_c in zip(times_s, air_c, strict=True)]
+        pairs = [
+            (time_s, Air(each_c, MEASURED_STD_C, "recorded")) for time_s, each_c in zip(times_s, air_c, strict=True)
+        ]
     # What no thermometer of the bridge is believed is not believed here.
     believed = [(time_s, air) for time_s, air in pairs if COLDEST_C <= air.temperature_c <= HOTTEST_C]
     return sorted(believed, key=itemgetter(0))

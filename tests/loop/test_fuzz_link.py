@@ -1,15 +1,9 @@
-"""The fuzzing of the link finds nothing here, and finds what is put in."""
+"""The fuzzing of the link finds what is put in."""
 
 import pytest
 
 from msp_range.mavlink.frames import Frame, FrameReader
 from tests.fuzz import link
-
-
-def test_a_second_of_it_finds_nothing() -> None:
-    result = link.fuzz(1.0, seed=2)
-    assert result.failures == []
-    assert result.cases >= 10
 
 
 def test_the_same_seed_makes_the_same_bytes() -> None:
