@@ -18,7 +18,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import CONTEXT_COLUMNS, read_csv, write_csv
 from msp_range.recording.csv_rows import csv_rows
 from msp_range.recording.error import RecordingError
-from msp_range.recording.pings import recorded_pings, recorded_temperatures
+from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.yaml_file import ConfigError
 from msp_sim.filter_study.table import REPORT, read_table
 from msp_sim.gap.intake import read_readings
@@ -56,7 +56,7 @@ def prepare(folder: Path) -> base.Check:
             assert not len(data) or np.array_equal(column, again[name], equal_nan=column.dtype.kind == "f"), name
 
     def replayed(path: Path) -> None:
-        played.play(airframe, recorded_pings(path), path, recorded_temperatures(path))
+        played.play(airframe, recorded_pings(path), path, recorded_air(path))
 
     def mapped(path: Path) -> None:
         read_mapped(path, maps[path.stat().st_size % len(maps)], 765)

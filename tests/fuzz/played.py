@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from msp_range import replay
+from msp_range.acoustics.air import Air
 from msp_range.bus.replay import RecordedPing
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
-from msp_range.fusion import Angles
+from msp_range.fusion import Angles, Moved
 from msp_range.mavlink.transport import Nowhere
 
 LONGEST_S = 600.0
@@ -19,8 +20,9 @@ def play(
     airframe: Airframe,
     pings: Mapping[str, Sequence[RecordedPing]],
     source: Path,
-    temperatures: Sequence[tuple[float, float]] = (),
+    air: Sequence[tuple[float, Air]] = (),
     attitudes: Sequence[tuple[float, Angles]] = (),
+    motion: Sequence[Moved] = (),
 ) -> None:
     """Replay the pings, all of which have to come to their end."""
     first_s = replay.first_ping_s(pings)
@@ -29,5 +31,5 @@ def play(
     if last_s - first_s > LONGEST_S or count > MOST_PINGS:
         return
     clock = VirtualClock(first_s)
-    outcome = replay.replay(airframe, pings, source, clock, Nowhere(), None, temperatures, attitudes)
+    outcome = replay.replay(airframe, pings, source, clock, Nowhere(), None, air, attitudes, motion)
     assert sum(each.readings for each in outcome.counts.values()) >= count

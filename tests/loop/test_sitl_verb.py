@@ -354,7 +354,8 @@ def test_a_fault_of_a_sensor_that_the_airframe_does_not_have_is_refused(tmp_path
     scenario = tmp_path / "silent.yaml"
     scenario.write_text(SILENT_SENSOR)
     with pytest.raises(ConfigError, match=r"silent.yaml: faults: found sensor 'rear_left'; expected one of .*front"):
-        fly_sitl(CONFIGS / "proximity.yaml", "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None, False)
+        quad = CONFIGS / "proximity.yaml"
+        fly_sitl(quad, "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None, False)
 
 
 @pytest.mark.real_time

@@ -12,8 +12,8 @@ from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.page.style import new_figure, png, style
+from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.replay import Outcome, show
-from msp_range.service import open_recording
 from msp_range.terminal import PlainConsole
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -64,11 +64,9 @@ def test_a_file_of_any_name_is_reported_and_replayed(tmp_path: Path, capsys: pyt
 
 def test_a_recording_is_named_after_any_vehicle(tmp_path: Path) -> None:
     airframe = load_airframe(airframe_file(tmp_path, "../../[red] a/b"))
-    recorder = open_recording(airframe, tmp_path / "flights", VirtualClock())
-    assert recorder is not None
-    recorder.close()
-    assert recorder.path.parent == tmp_path / "flights"
-    assert recorder.path.name.startswith("red_a_b-")
+    FlightRecorder(tmp_path / "flights", airframe.vehicle, VirtualClock()).close()
+    (path,) = (tmp_path / "flights").iterdir()
+    assert path.name.startswith("red_a_b-")
 
 
 def test_a_picture_shows_a_name_that_looks_like_a_formula() -> None:
