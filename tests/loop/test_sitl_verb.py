@@ -353,8 +353,8 @@ def test_faults_of_the_scenario_are_flown(flights: dict[str, Flown]) -> None:
 def test_a_fault_of_a_sensor_that_the_airframe_does_not_have_is_refused(tmp_path: Path) -> None:
     scenario = tmp_path / "silent.yaml"
     scenario.write_text(SILENT_SENSOR)
+    quad = CONFIGS / "proximity.yaml"
     with pytest.raises(ConfigError, match=r"silent.yaml: faults: found sensor 'rear_left'; expected one of .*front"):
-        quad = CONFIGS / "proximity.yaml"
         fly_sitl(quad, "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None, False)
 
 
