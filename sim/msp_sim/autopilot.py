@@ -39,6 +39,8 @@ _MESSAGES = {
 """Messages whose rate can be set."""
 _INTERVALS_S = {"heartbeat": 1.0, "system_time": 1.0, "pressure": 1.0, "attitude": 0.1}
 """What is sent from the beginning."""
+_MOTION = ("pressure", "raw_imu", "highres_imu")
+"""What an autopilot that shows nothing of its motion does not send."""
 
 
 class LoopbackAutopilot:
@@ -58,6 +60,8 @@ class LoopbackAutopilot:
         Noise of its accelerometer and barometer; None: they have none.
     heard_from_s, reboots_at_s
         Times of the flight [s].
+    sends_motion
+        Whether it sends accelerations and pressures; requests for them are denied where it does not.
     """
 
     description = "loopback"
@@ -74,6 +78,7 @@ class LoopbackAutopilot:
         draw: random.Random | None = None,
         heard_from_s: float = 0.0,
         reboots_at_s: Sequence[float] = (),
+        sends_motion: bool = True,
     ) -> None:
         self.stats = TransportStats()
         self.received: list[tuple[float, Any]] = []
@@ -88,8 +93,9 @@ class LoopbackAutopilot:
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
         self._mav.robust_parsing = True
-        self._intervals_s = dict(_INTERVALS_S)
-        self._due_s = dict.fromkeys(_INTERVALS_S, 0.0)
+        self._refused = () if sends_motion else _MOTION
+        self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
+        self._due_s = dict.fromkeys(self._intervals_s, 0.0)
         self._draw = draw
         self._drift_m, self._drift_s = 0.0, 0.0
         self._sampled = pose(0.0)
@@ -217,8 +223,11 @@ class LoopbackAutopilot:
             result = dialect.MAV_RESULT_ACCEPTED
             if message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL and int(message.param1) in _MESSAGES:
                 what = _MESSAGES[int(message.param1)]
-                self._intervals_s[what] = message.param2 * 1e-6
-                self._due_s.setdefault(what, now_s)
+                if what in self._refused:
+                    result = dialect.MAV_RESULT_DENIED
+                else:
+                    self._intervals_s[what] = message.param2 * 1e-6
+                    self._due_s.setdefault(what, now_s)
             self._put(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
 
     def _put(self, message: Any) -> None:

@@ -135,6 +135,7 @@ class Simulation:
             kind=(plan.kind if plan else None) or airframe.link.autopilot,
             heard_from_s=plan.heard_from_s if plan else float("inf"),
             reboots_at_s=plan.reboots_at_s if plan else (),
+            sends_motion=plan.sends_motion if plan else True,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
         self._transport = _Keeping(transport, clock, tlog)

@@ -137,6 +137,8 @@ class LoopbackAutopilot(Section):
     """when it starts anew, its clock with it [s]"""
     attitude_faults: tuple[AttitudeFault, ...] = ()
     """attitudes that make no sense, in any order"""
+    sends_motion: bool = True
+    """sends accelerations and pressures; where it does not, nothing is sent of its barometer's temperature either"""
 
     def sent_pose(self, pose: Pose) -> Pose:
         """The pose that its messages are made of."""

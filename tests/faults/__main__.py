@@ -37,13 +37,16 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="GROUP", help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'")
     parser.add_argument("--out", type=Path, default=Path("build/faults"), help="folder (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument(
+        "--without-motion", action="store_true", help="the autopilot sends neither accelerations nor pressures"
+    )
     parser.add_argument("--again", metavar="SEED:INDEX", help="fly one flight again and write all of it to OUT")
     given = parser.parse_args()
     if given.again is not None:
         if not re.fullmatch(r"\d+:\d+", given.again):
             parser.error(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
         seed, index = map(int, given.again.split(":"))
-        print(json.dumps(fly_plan(draw_plan(seed, index), given.out), indent=2))
+        print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
         return
     only = given.only
     if only is not None:
@@ -53,7 +56,8 @@ def main() -> None:
                 parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(known))}")
     wanted = (index for index in count() if only is None or group_of(index) in only or row_of(index) in only)
     try:
-        lines = _fly(given.seed, list(islice(wanted, given.flights)), given.jobs, given.out)
+        indices = list(islice(wanted, given.flights))
+        lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
     except KeyboardInterrupt:
         sys.exit(130)
     console = Console()
@@ -65,14 +69,14 @@ def main() -> None:
     print(f"tables: {given.out / 'tables.md'}\nevery flight: {given.out / 'flights.jsonl'}")
 
 
-def _fly(seed: int, indices: list[int], jobs: int, out: Path) -> list[Line]:
+def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool) -> list[Line]:
     out.mkdir(parents=True, exist_ok=True)
     clock = SystemClock()
     started_s = next_line_s = clock.now()
     lines: list[Line] = []
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (out / "flights.jsonl").open("w", encoding="utf-8") as file, Bar(*columns, total=len(indices)) as bar:
-        for line in fly_all(seed, indices, jobs):
+        for line in fly_all(seed, indices, jobs, sends_motion):
             lines.append(line)
             file.write(json.dumps(line) + "\n")
             bar.show(line["row"], len(lines))

@@ -116,20 +116,20 @@ def _write(
     (out / "messages.csv").write_text("".join(rows), encoding="utf-8")
 
 
-def fly_index(seed_and_index: tuple[int, int]) -> dict[str, Any]:
-    """Draw and fly one flight."""
-    return fly_plan(draw_plan(*seed_and_index))
+def fly_drawn(arguments: tuple[int, int, bool]) -> dict[str, Any]:
+    """Draw and fly one flight, see `draw_plan`."""
+    return fly_plan(draw_plan(*arguments))
 
 
-def fly_all(seed: int, indices: Sequence[int], jobs: int) -> Iterator[dict[str, Any]]:
+def fly_all(seed: int, indices: Sequence[int], jobs: int, sends_motion: bool = True) -> Iterator[dict[str, Any]]:
     """Fly many, in the order of their indices, in ``jobs`` processes."""
-    flights = [(seed, index) for index in indices]
+    flights = [(seed, index, sends_motion) for index in indices]
     if jobs == 1:
-        yield from map(fly_index, flights)
+        yield from map(fly_drawn, flights)
         return
     with ProcessPoolExecutor(jobs) as pool:
         try:
-            yield from pool.map(fly_index, flights)
+            yield from pool.map(fly_drawn, flights)
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
             raise

@@ -112,8 +112,8 @@ def row_of(index: int) -> str:
     return f"{group}: {turn_of(index)}" if group in ROWS_BY_TURN else group
 
 
-def draw_plan(seed: int, index: int) -> Plan:
-    """Draw one flight of a campaign."""
+def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
+    """Draw one flight of a campaign; ``sends_motion``: of an autopilot that sends acceleration and pressure."""
     dice, group, turn = Dice(seed, index), group_of(index), turn_of(index)
     airframe = _airframe(dice, turn if group == "airframe" else "quad")
     flight = draw_flight(dice, hover=group == "hover")
@@ -135,7 +135,7 @@ def draw_plan(seed: int, index: int) -> Plan:
         "air": air,
         "thermometer": {"warmer_by_c": warmer_by_c},
         "faults": [],
-        "autopilot": {},
+        "autopilot": {"sends_motion": sends_motion},
     }
     names = [sensor["name"] for sensor in airframe["sensors"]]
     if group in ADD:

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
 from msp_sim.flight import Simulation
 from msp_sim.flight_log import Flight
@@ -253,3 +254,24 @@ def test_a_flight_in_real_time(tmp_path: Path) -> None:
     assert len(distances) >= 95
     summary = json.loads((tmp_path / "f" / "summary.json").read_text())
     assert summary["fused"]["error"]["p95_cm"] < 6
+
+
+def test_an_autopilot_without_motion_is_flown_without_it(tmp_path: Path) -> None:
+    """No acceleration and no pressure arrives, the requests for them are denied, and distances go out all the same."""
+    scenario = load_scenario(SCENARIOS / "demo.yaml")
+    assert scenario.autopilot is not None
+    autopilot = scenario.autopilot.model_copy(update={"sends_motion": False})
+    clock = VirtualClock()
+    recorder = Recorder(tmp_path / "flight.mcap", clock)
+    scenario = scenario.model_copy(update={"autopilot": autopilot})
+    simulation = Simulation(scenario, clock, 1, recorder=recorder)
+    for _ in simulation.fly():
+        pass
+    recorder.close()
+    topics = {topic for topic, _, _ in Recording(tmp_path / "flight.mcap")}
+    assert "/motion" not in topics
+    assert "/attitude" in topics
+    requested = [message for _, message in simulation.received if message.get_type() == "COMMAND_LONG"]
+    assert {int(message.param1) for message in requested} >= {common.MAVLINK_MSG_ID_RAW_IMU}
+    distances = [message for _, message in simulation.received if message.get_type() == "DISTANCE_SENSOR"]
+    assert len(distances) > 9 * simulation.flight.duration_s
