@@ -4,6 +4,7 @@ The bridge fits one small equation when it starts (`msp_range.acoustics.sonar`),
 took longer than everything else of the start together.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -59,13 +60,15 @@ def least_squares(
         slopes = _slopes(residuals, parameters, misses)
         downhill = -slopes.T @ misses
         free = (parameters > bounds) | (downhill > 0.0)
-        normal = (slopes.T @ slopes)[np.ix_(free, free)]
-        # A parameter on which nothing depends stays where it is.
-        scale = np.diag(np.maximum(np.diag(normal), 1e-300))
+        if not free.any():
+            break
+        scale = np.diag(np.linalg.norm(slopes[:, free], axis=0))
+        aims = np.concatenate([-misses, np.zeros(len(scale))])
         before = cost
         while damping < MAX_DAMPING:
             tried = parameters.copy()
-            tried[free] += np.linalg.solve(normal + damping * scale, downhill[free])
+            # The step as a least-squares problem of its own: the shortest one where parameters do the same or nothing.
+            tried[free] += np.linalg.lstsq(np.vstack([slopes[:, free], math.sqrt(damping) * scale]), aims)[0]
             tried = np.maximum(tried, bounds)
             misses_there = np.asarray(residuals(tried), dtype=np.float64)
             if float(misses_there @ misses_there) <= cost:

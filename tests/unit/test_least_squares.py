@@ -47,3 +47,8 @@ def test_sonar_equations_fit_no_worse_than_by_scipy(monkeypatch: pytest.MonkeyPa
         table = BreakawayTable(tuple(ranges_m.tolist()), tuple(np.sort(angles_deg)[::-1].tolist()))
         sonar.fit_sonar(table, 42_000.0, float(draw.uniform(2.0, 8.0)) if number % 2 else None)
     assert np.ptp(sums) > 1.0
+
+
+def test_parameters_that_do_the_same_share_the_step() -> None:
+    found = least_squares(lambda p: [p[0] + p[1] - 3.0, 2.0 * (p[0] + p[1]) - 6.0], [0.0, 1.0], [-np.inf, -np.inf])
+    assert found == pytest.approx([1.0, 2.0])
