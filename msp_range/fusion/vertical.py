@@ -100,7 +100,7 @@ class VerticalMotion:
     ...     mark = motion.mark(i * 0.04) if i == 150 else mark if i > 150 else None
     >>> climb = motion.climbed(mark, 8.0)
     >>> print(f"{climb.height_m:.1f} m, standard deviation {climb.std_m:.1f} m")
-    1.0 m, standard deviation 0.3 m
+    1.0 m, standard deviation 0.2 m
     """
 
     def __init__(self) -> None:

@@ -119,6 +119,7 @@ REQUIRED: dict[str, frozenset[str]] = {
     RANGE_PREFIX: frozenset({"time_s", "ping_s", "read_s", "status"}),
     TRUTH_PREFIX: frozenset(),
     ATTITUDE_TOPIC: frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
+    MOTION_TOPIC: frozenset({"time_s"}),
     "/campaign": frozenset({"event", "point", "attempt", "run", "planned"}),
 }
 """Topics, or their prefixes, whose messages are read back -> keys without which a message is of no use."""

@@ -77,7 +77,7 @@ def garbled_from(word: int) -> tuple[int, ...]:
     Examples
     --------
     >>> garbled_from(247), garbled_from(300)
-    ((503, 502, 759, 757), ())
+    ((503, 759, 502, 757), ())
     """
     if word > 0xFF:
         return ()

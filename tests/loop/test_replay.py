@@ -118,7 +118,7 @@ def test_what_was_saved_and_what_was_lost_is_said(flight: Path, tmp_path: Path) 
     assert f"{whole} messages and 2 attached files; lost: nothing" in run("recover", flight, tmp_path / "a.mcap").output
     data = bytearray(flight.read_bytes())
     damaged = tmp_path / "damaged.mcap"
-    data[len(data) // 2] ^= 0x10
+    data[data.index(b"\x04\0\0\0zstd", len(data) // 2) + 100] ^= 0x10
     damaged.write_bytes(data)
     for args in (
         ("recover", damaged, tmp_path / "b.mcap"),

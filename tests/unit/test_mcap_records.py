@@ -39,7 +39,8 @@ def record(path: Path) -> bytes:
     for count in range(CHUNKS * PER_CHUNK):
         time_s = count / 10
         recorder.write("/range/left", time_s, reading(time_s, raw=100 + count))
-        recorder.flush_if_due(time_s + 0.1)
+        if count % PER_CHUNK == PER_CHUNK - 1:
+            recorder.flush_if_due(time_s + 0.1)
     recorder.close()
     return path.read_bytes()
 

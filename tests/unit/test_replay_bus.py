@@ -145,7 +145,8 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
     )
     assert recorded_air(path) == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
-    air = {"temperature_c": 20.0, "temperature_source": "fixed"}
+    reading = {"ping_s": 1.0, "read_s": 1.0, "status": "no_echo"}
+    air = reading | {"temperature_c": 20.0, "temperature_source": "fixed"}
     recorder.write("/range/left", 1.0, {"time_s": 1.0} | air)
     recorder.write("/range/left", 2.0, {"time_s": 2.0} | air | {"temperature_source": "SCALED_PRESSURE.temperature"})
     recorder.write("/range/left", 3.0, {"time_s": 3.0} | air | {"temperature_std_c": 3.5, "temperature_source": "held"})
