@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema
 
 from msp_range.descriptions import descriptions
@@ -26,8 +26,6 @@ MOST_LINES = 20
 """Mistakes of one file that are reported: who has more reads the first ones."""
 MOST_PROBLEMS = 1000
 """Problems that are looked at to make those lines; unions have several for each mistake. Each costs 50 us."""
-LARGEST_NUMBER = 1e12
-"""A larger number is no quantity of a vehicle, a sensor or a flight; with these, sums and squares stay numbers."""
 LONGEST_LINE = 1000
 """Characters of one reported mistake; what was found can be long, and the start of it is enough."""
 _QUOTE = "'"
@@ -38,7 +36,7 @@ class ConfigError(ValueError):
 
 
 class Section(BaseModel):
-    """Base of every part of a configuration file: frozen, with unknown keys, NaN and huge numbers as errors."""
+    """Base of every part of a configuration file: frozen, with unknown keys and NaN as errors."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -57,14 +55,6 @@ class Section(BaseModel):
         for key, description in descriptions(cls).items():
             properties[key]["description"] = description
         return described
-
-    @field_validator("*")
-    @classmethod
-    def _is_not_huge(cls, value: Any) -> Any:
-        for each in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(each, float | int) and abs(each) > LARGEST_NUMBER:
-                raise ValueError(f"expected a number of at most {LARGEST_NUMBER:g}")
-        return value
 
 
 SectionT = TypeVar("SectionT", bound=Section)
@@ -125,6 +115,8 @@ def load(path: Path | str, section: type[SectionT]) -> SectionT:
         )
     try:
         return section.model_validate(content, context={"folder": path.parent, "read": {}})
+    except ArithmeticError:
+        raise ConfigError(f"{path}: found a number in quotes that is too large to calculate with") from None
     except ValidationError as error:
         lines = list(_explain(path, section, error))
         more = [f"{path}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
