@@ -75,6 +75,11 @@ class Sight:
                 return seen if seen.time_s >= since_s else None
         return None
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has not been read since its readings were forgotten."""
+        return not self._seen
+
     def clear(self) -> None:
         """Forget its readings."""
         self._seen.clear()
