@@ -1,0 +1,197 @@
+"""Which of several heights the bridge sends, and when it sends none: the whole bridge in virtual time."""
+
+import math
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from msp_range.mavlink.inertial import SCALE_HEIGHT_M
+from msp_sim.device import Fault
+from tests.support.bench import FUSED_ID, Bench, airframe, sensor
+
+NAMES = "abcd"
+HEARTBEAT = common.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+SILENCE = "Range: no distance to the ground"
+ABOVE_CM = 766
+
+
+def with_barometer(bench: Bench, until_s: float, height_m: Callable[[float], float]) -> Bench:
+    """Fly while the autopilot sends 20 pressures and accelerations a second; these say that it keeps its speed."""
+    for i in range(round(until_s / 0.05)):
+        time_s = 0.05 * i
+        bench.hear(
+            HEARTBEAT,
+            common.MAVLink_attitude_message(round(1000 * time_s), 0.0, 0.0, 0.0, 0, 0, 0),
+            common.MAVLink_raw_imu_message(0, 0, 0, -1000, 0, 0, 0, 0, 0, 0),
+            common.MAVLink_scaled_pressure_message(0, 1000 * math.exp(-height_m(time_s) / SCALE_HEIGHT_M), 0, 0),
+        )
+        bench.fly(time_s + 0.05)
+    return bench
+
+
+# A reference point below the sensors.
+
+
+@pytest.mark.parametrize(("true_cm", "sent_cm"), [(5, 5), (15, 15), (60, 60), (500, 500)])
+def test_distances_below_the_sensors_minimum_are_sent_from_a_reference_point_below_them(
+    true_cm: int, sent_cm: int
+) -> None:
+    """Sensors 30 cm above the landing gear's feet read 35 cm where the feet are 5 cm above the ground."""
+    vehicle = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": 0.30}})
+    bench = Bench(vehicle, true_cm + 30).fly(3.0)
+    assert set(bench.distances_cm()) == {sent_cm}
+    message = bench.sent()[-1].message
+    assert message.min_distance < sent_cm
+    assert (message.min_distance, message.max_distance) == (0, 735)
+
+
+@pytest.mark.parametrize(("below_m", "bounds_cm"), [(0.0, (19, 765)), (0.10, (9, 755)), (-0.25, (44, 790))])
+def test_bounds_are_counted_from_the_reference_point(below_m: float, bounds_cm: tuple[int, int]) -> None:
+    bench = Bench(airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": below_m}}), 20).fly(3.0)
+    message = bench.sent()[-1].message
+    assert (message.min_distance, message.max_distance) == bounds_cm
+    # 20 is the shortest that a sensor reports, and inside the bounds.
+    assert message.current_distance == bounds_cm[0] + 1
+
+
+def test_above_the_maximum_is_counted_from_the_reference_point() -> None:
+    vehicle = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": 0.30}})
+    assert set(Bench(vehicle, 765).fly(5.0).distances_cm()) == {736}
+
+
+# Two against two.
+
+
+def pairs(
+    order: str,
+    missed: float = 0.0,
+    from_s: float = 0.0,
+    spoilt: Mapping[tuple[str, int], int] | None = None,
+    **bench: Any,
+) -> Bench:
+    """a and b read 3 m; c and d 5 m from a time on.
+
+    A share of the readings has no echo, and those of ``spoilt``, counted for each sensor from that time on, are what
+    they are there. The noise is so large that no sensor repeats itself: then it would have no vote.
+    """
+    draw, count = random.Random(1), Counter[str]()
+
+    def world(name: str, time_s: float) -> int:
+        count[name] += time_s >= from_s
+        range_cm = 300 if name in "ab" or time_s < from_s else 500
+        reading_cm = 765 if draw.random() < missed else round(range_cm + draw.gauss(0.0, 2.5))
+        return (spoilt or {}).get((name, count[name]), reading_cm)
+
+    return Bench(airframe([sensor(name, number) for number, name in enumerate(order, start=1)]), world, **bench)
+
+
+@pytest.mark.parametrize("order", ["abcd", "acbd", "cdab"])
+@pytest.mark.parametrize("missed", [0.0, 0.05])
+def test_two_sensors_against_two_at_the_start_are_silence_and_a_text(order: str, missed: float) -> None:
+    bench = pairs(order, missed).fly(20.0)
+    assert bench.distances_cm() == []
+    assert SILENCE in bench.texts()
+    states = {message.system_status for time_s, message in bench.sent("HEARTBEAT") if time_s > 2.5}
+    assert states == {common.MAV_STATE_CRITICAL}
+
+
+def test_lost_answers_of_two_sensors_do_not_make_the_other_two_right() -> None:
+    bench = pairs("abcd", faults={name: [Fault("clock_fault", 0.0, 30.0, probability=0.1)] for name in "cd"})
+    assert bench.fly(30.0).distances_cm() == []
+    assert SILENCE in bench.texts()
+
+
+@pytest.mark.parametrize("wrong", ["cd", "ab"])
+def test_a_barometer_decides_between_two_pairs_once_the_vehicle_climbs(wrong: str) -> None:
+    """Two follow the climb, two keep reading 6 m: by the barometer these are stuck."""
+
+    def height_m(time_s: float) -> float:
+        return 2.0 + 0.5 * min(max(time_s - 5.0, 0.0), 6.0)
+
+    draw = random.Random(2)
+
+    def world(name: str, time_s: float) -> int:
+        return 600 if name in wrong else round(100 * height_m(time_s) + draw.gauss(0.0, 2.0))
+
+    bench = with_barometer(Bench(airframe(), world), 20.0, height_m)
+    sent = [(time_s, message.current_distance) for time_s, message in bench.sent() if message.id == FUSED_ID]
+    assert all(abs(distance_cm - 100 * height_m(time_s)) < 40 for time_s, distance_cm in sent)
+    settled = [distance_cm for time_s, distance_cm in sent if time_s > 12.0]
+    assert len(settled) > 70
+    assert all(abs(distance_cm - 500) < 10 for distance_cm in settled)
+
+
+SPOILT: list[tuple[dict[tuple[str, int], int], float]] = [
+    # The one misses a reading in the turn in which the other one reads something else: no ground is seen in that turn.
+    ({("a", 10): 765, ("b", 10): 120, ("a", 20): 640, ("b", 20): 765}, 0.55),
+    # Each a turn apart from the other's.
+    ({("a", 10): 765, ("b", 12): 120, ("b", 20): 765, ("a", 22): 640}, 0.35),
+    # Two of one sensor's last three: it has no vote until it has seen the ground twice more.
+    ({("a", 10): 765, ("a", 11): 120}, 0.95),
+]
+
+
+@pytest.mark.parametrize(("spoilt", "longest_s"), SPOILT)
+def test_a_pair_keeps_its_vote_over_a_missed_reading_and_an_outlier(
+    spoilt: dict[tuple[str, int], int], longest_s: float
+) -> None:
+    """All four saw the ground; from 5 s on two see something else. Readings of the other two are counted from there."""
+    bench = pairs("abcd", from_s=5.0, spoilt=spoilt).fly(25.0)
+    sent = [(time_s, message.current_distance) for time_s, message in bench.sent() if message.id == FUSED_ID]
+    assert all(abs(distance_cm - 300) < 15 for _, distance_cm in sent)
+    assert max(late - early for (early, _), (late, _) in pairwise(sent)) < longest_s
+    assert SILENCE not in bench.said()
+
+
+# Above the maximum, or a ground that is not heard.
+
+
+@pytest.mark.parametrize("deaf_from_s", [0.0, 5.0])
+@pytest.mark.parametrize("seeing", NAMES)
+def test_a_descent_that_one_of_four_sensors_sees_is_never_above_the_maximum(seeing: str, deaf_from_s: float) -> None:
+    def height_cm(time_s: float) -> int:
+        return round(190 - 20 * min(max(time_s - 6.0, 0.0), 8.0))
+
+    def world(name: str, time_s: float) -> int:
+        return 765 if name != seeing and time_s >= deaf_from_s else height_cm(time_s)
+
+    bench = Bench(airframe(), world).fly(16.0)
+    sent = [(time_s, message.current_distance) for time_s, message in bench.sent()]
+    assert all(abs(distance_cm - height_cm(time_s)) < 12 for time_s, distance_cm in sent)
+    assert len(bench.distances_cm(from_s=6.5, to_s=14.0)) > 15
+    assert sent[-1][1] == pytest.approx(30, abs=2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_descent_in_which_all_sensors_miss_half_is_never_above_the_maximum(seed: int) -> None:
+    draw = random.Random(seed)
+
+    def world(name: str, time_s: float) -> int:
+        height_cm = round(190 - 20 * min(max(time_s - 6.0, 0.0), 8.0))
+        return 765 if time_s > 5.0 and draw.random() < 0.5 else height_cm
+
+    bench = Bench(airframe(), world).fly(16.0)
+    assert max(bench.distances_cm()) < 200
+
+
+@pytest.mark.parametrize("dead", ["", "b", "abd"])
+def test_a_restart_in_cruise_is_above_the_maximum_after_three_turns(dead: str) -> None:
+    bench = Bench(airframe(), 765, absent=dead).fly(6.0)
+    assert set(bench.distances_cm()) == {ABOVE_CM}
+    first_s = bench.sent()[0].time_s
+    read = Counter(name for ping_s, name, _ in bench.pings if ping_s < first_s - 0.01)
+    assert min(read.values()) == 3
+    assert set(read) == set(NAMES) - set(dead)
+    assert max(read.values()) <= 4
+    times_s = [time_s for time_s, _ in bench.sent()]
+    assert max(late - early for early, late in pairwise(times_s)) < 0.35
+
+
+def test_a_restart_in_cruise_over_ground_that_one_sensor_sees_is_not_above_the_maximum() -> None:
+    bench = Bench(airframe(), lambda name, time_s: 700 if name == "c" else 765).fly(6.0)
+    assert set(bench.distances_cm()) == {700}
