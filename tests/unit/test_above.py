@@ -86,3 +86,33 @@ def test_one_outlier_in_cruise_changes_nothing_and_two_that_hear_the_ground_do()
     flight.fly(3.0)
     assert all(flight.fly(1.0, heard="b"))
     assert not flight.fly(1.0, heard="ab")[-1]
+
+
+@pytest.mark.parametrize(("height_m", "above"), [(7.34, False), (7.36, True)])
+def test_the_ground_may_be_lost_30_cm_below_the_maximum(height_m: float, above: bool) -> None:
+    flight = Flight()
+    flight.height_m = height_m
+    flight.fly(10.0, heard=NAMES)
+    flight.see()
+    for name in NAMES:
+        flight.above.note(name, True, True)
+    assert flight.above.decide(flight.time_s) is above
+
+
+@pytest.mark.parametrize(("height_m", "above"), [(4.0, False), (4.5, True)])
+def test_a_climb_may_be_three_standard_deviations_longer_than_the_barometer_says(height_m: float, above: bool) -> None:
+    """Its drift is 1.04 m in 100 s."""
+    flight = Flight()
+    flight.height_m = height_m
+    flight.fly(10.0, heard=NAMES)
+    flight.see()
+    assert flight.fly(100.0)[-1] is above
+
+
+def test_without_a_barometer_no_vehicle_climbs_faster_than_five_metres_a_second() -> None:
+    flight = Flight(barometer=False)
+    flight.height_m = 0.1
+    flight.fly(2.0, heard=NAMES)
+    flight.see(climb_m_s=20.0)
+    # 7.25 m at 5 m/s.
+    assert flight.fly(3.0).index(True) == pytest.approx(14, abs=1)

@@ -164,11 +164,11 @@ def test_only_the_last_four_heights_of_a_sensor_count() -> None:
 
 
 def test_of_two_lines_the_one_that_more_sensors_are_on_is_taken() -> None:
-    """At rest a and c agree; at 0.7 m/s all three do."""
+    """At rest b and c agree; at 0.4 m/s all three do."""
     begin = First(3)
     begin.see(0.0, "a", 3.00)
-    begin.see(0.2, "b", 3.10)
-    found = begin.see(0.4, "c", 3.30)
+    begin.see(0.5, "b", 3.12)
+    found = begin.see(0.7, "c", 3.26)
     assert found is not None
     assert found.sensors == set("abc")
     assert found.earlier.sensor == "a"
@@ -251,8 +251,23 @@ def test_of_two_against_two_the_barometer_takes_those_that_climb_with_it() -> No
 
 
 def test_a_barometer_that_has_just_begun_is_not_used() -> None:
-    """Its first value says nothing of the rate: heights that climb make a ground by their own line."""
+    """Its first value says nothing of the rate: heights that climb make a ground by their own line, of three."""
     begin = First(3)
     begin.motion.on_pressure_height(FIRST_S, 100.0)
-    out = [begin.see(SLOT_S * i, "abc"[i % 3], 4.0 + 0.08 * i) for i in range(3)]
-    assert first(out) == 2
+    assert first([begin.see(SLOT_S * i, "abc"[i], 4.0 + 0.3 * i) for i in range(3)]) == 3
+
+
+def test_a_garbled_reading_is_compared_along_the_climb() -> None:
+    """At 2 m/s 5.03 m are 6.03 m half a second later."""
+    begin = First(3, 2.0)
+    assert begin.see(0.0, "a", 2.47, 5.03) is None
+    assert begin.see(0.5, "b", 6.03) is None
+    found = begin.see(0.6, "c", 6.23)
+    assert found is not None
+    assert not found.in_doubt
+    later = First(3, 2.0)
+    assert later.see(0.0, "a", 5.03) is None
+    assert later.see(0.5, "b", 3.47, 6.03) is None
+    found = later.see(0.6, "c", 6.23)
+    assert found is not None
+    assert not found.in_doubt

@@ -268,3 +268,32 @@ def test_where_only_sensors_that_repeat_themselves_hold_the_ground_the_others_ma
     # One that does not repeat itself holds the ground: nobody climbs.
     healthy = sight("ground", "ground", newest_s=9.7)
     assert step(rising, earlier, stuck[0], healthy) is None
+
+
+def test_ground_is_never_part_of_a_step_however_close_it_is() -> None:
+    """A step of some centimetres moves what was off close to the ground without making it ground."""
+    ground = [sight("ground", newest_s=each) for each in (9.9, 9.8)]
+    assert step(sight(0.1), *ground) is None
+    assert step(sight("ground"), *[sight(0.1, newest_s=each) for each in (9.9, 9.8)]) is None
+
+
+def test_a_sensor_at_fault_holds_no_ground_against_two_that_agree() -> None:
+    failed = sight("ground", "ground", "nothing", newest_s=9.8, works=False)
+    assert step(sight(0.5), sight(0.6, newest_s=9.9), failed) == pytest.approx(0.55)
+
+
+def test_a_sensor_against_one_that_repeats_itself_is_too_few() -> None:
+    assert step(sight("ground", 0.75, 0.75), sight("ground", "ground", newest_s=9.9, repeated=True)) is None
+
+
+def test_a_sensor_that_repeats_itself_and_agrees_is_one_of_those_that_must_be_more_than_half() -> None:
+    outliers = sight(3.0, 2.0, 1.0, newest_s=9.8), sight(-1.0, -2.0, 1.5, newest_s=9.7)
+    assert step(sight(0.5), sight(0.5, newest_s=9.9, repeated=True), *outliers) is None
+
+
+def test_vehicles_climb_away_from_stuck_sensors_at_up_to_two_metres_a_second() -> None:
+    stuck = [sight("ground", "ground", repeated=True, newest_s=each) for each in (9.9, 9.8)]
+    assert step(sight(0.45), sight(0.1, newest_s=9.8), *stuck) == pytest.approx(0.45)
+    # Not where a sensor that varies still sees the ground.
+    rising = sight(0.45), sight(0.30, newest_s=9.9), sight(0.15, newest_s=9.8)
+    assert step(*rising, sight("ground", "ground", newest_s=9.7)) is None

@@ -7,6 +7,7 @@ import pytest
 
 from msp_range.assembly import intervals_s, windows_of
 from msp_range.config import load_airframe
+from msp_range.fusion import Windows
 from tests.support.bench import CONFIGS, FOUR_DOWN, FUSED_ID, Bench, airframe, sensor
 
 CORNERS = [(0.25, -0.2), (0.25, 0.2), (-0.25, -0.2), (-0.25, 0.2)]
@@ -67,3 +68,14 @@ def test_intervals_of_all_streams() -> None:
     send = {"fused": {"id": FUSED_ID}, "sensors": ["b"]}
     vehicle = airframe(polling={"ping_interval_s": 0.5}, send=send, link=link)
     assert intervals_s(vehicle) == {"b": 2.0, "fused": 0.5}
+
+
+def test_windows_are_so_many_turns_and_gaps_and_at_least_those_of_four_sensors() -> None:
+    def lengths_s(windows: Windows) -> list[float]:
+        return [windows.fresh_s, windows.held_s, windows.memory_s, windows.newest_s, windows.lost_s]
+
+    assert lengths_s(Windows(2.0, 1.0)) == pytest.approx([3.2, 6.2, 7.5, 2.5, 3.5])
+    least_s = pytest.approx([0.64, 1.24, 1.5, 0.25, 0.35])
+    assert lengths_s(Windows()) == lengths_s(Windows(0.1, 0.05)) == least_s
+    assert Windows(0.45, 0.11).fresh_s == pytest.approx(0.72)
+    assert (Windows().silence_s, Windows(2.0, 1.0).silence_s) == (pytest.approx(0.95), pytest.approx(3.8))
