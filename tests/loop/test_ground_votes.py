@@ -62,6 +62,8 @@ def test_bounds_are_counted_from_the_reference_point(below_m: float, bounds_cm: 
 def test_above_the_maximum_is_counted_from_the_reference_point() -> None:
     vehicle = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": 0.30}})
     assert set(Bench(vehicle, 765).fly(5.0).distances_cm()) == {736}
+    higher = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": -0.25}})
+    assert set(Bench(higher, 760).fly(5.0).distances_cm()) == {785}
 
 
 # Two against two.
