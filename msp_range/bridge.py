@@ -224,15 +224,16 @@ class Bridge:
 
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
-        self._clock.sleep_until(min(self._poller.next_event_s, self._streams.next_event_s, self.link.next_event_s))
-        steps = [self._take(ranging) for ranging in self._poller.step()]
-        now_s = self._clock.now()
-        self._streams.send_due(now_s)
-        if self._poller.next_event_s <= now_s < self.link.next_event_s + LINK_WAITS_S:
+        clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
+        clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s))
+        steps = [self._take(ranging) for ranging in poller.step()]
+        now_s = clock.now()
+        outbox.send_due(now_s)
+        if poller.next_event_s <= now_s < link.next_event_s + LINK_WAITS_S:
             return steps
-        if now_s >= self.link.next_event_s:
-            self.link.service()
-        if now_s >= min(self._next_look_s, self._next_silence_s):
+        if now_s >= link.next_event_s:
+            link.service()
+        if now_s >= self._next_look_s or now_s >= self._next_silence_s:
             self._next_look_s = now_s + LOOK_INTERVAL_S
             self._look_after(now_s)
         self.completed_s = now_s

@@ -71,7 +71,7 @@ class Sensor(SensorOnBus):
         """Unit vector along which it looks, body FRD."""
         return boresight(*self.rotation_deg.radians)
 
-    @property
+    @cached_property
     def tilt_from_down_rad(self) -> float:
         """Angle between its axis and straight down [rad]."""
         return angle_between(self.boresight, _DOWN_AXIS)

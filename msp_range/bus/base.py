@@ -29,7 +29,7 @@ class BusError(OSError):
     @property
     def bus_at_fault(self) -> bool:
         """True where the bus is locked up, gone, or not to be opened: no device could have answered."""
-        return self.locked_up or self.errno in _NO_BUS
+        return self.errno == errno_names.ETIMEDOUT or self.errno in _NO_BUS
 
     def __str__(self) -> str:
         name = errno_names.errorcode.get(self.errno or 0, "?")

@@ -54,6 +54,11 @@ class Streams:
         How many sensors the fused stream has.
     send
         Sends one message now.
+
+    Attributes
+    ----------
+    outbox
+        Messages of the single streams that wait for their turn.
     """
 
     def __init__(
@@ -73,16 +78,7 @@ class Streams:
         self._of_singles = {name: _Quality() for name in singles}
         self._of_fused: dict[str, _Quality] = {}
         self._of_objects = {name: _Quality() for name in objects}
-        self._outbox = Outbox(send)
-
-    @property
-    def next_event_s(self) -> float:
-        """When `send_due` has something to do [s]."""
-        return self._outbox.next_event_s
-
-    def send_due(self, now_s: float) -> None:
-        """Send a single stream's message that waited for its turn."""
-        self._outbox.send_due(now_s)
+        self.outbox = Outbox(send)
 
     def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air) -> bool:
         """Send what a downward sensor's reading means for the fused stream; False where it means nothing usable.
@@ -107,9 +103,9 @@ class Streams:
         beam = self._beams[sensor]
         if outcome.fused is not None:
             quality = sum([each.percent for each in self._of_fused.values()]) // self._downward
-            self._outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, air, beam, quality))
+            self.outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, air, beam, quality))
         elif outcome.above_maximum:
-            self._outbox.send_now(now_s, _no_echo(self._fused, boot_ms, beam))
+            self.outbox.send_now(now_s, _no_echo(self._fused, boot_ms, beam))
         else:
             return False
         return True
@@ -131,12 +127,12 @@ class Streams:
         if filtered.rejected != UNCONFIRMED:
             quality.note(estimate is not None)
         if estimate is not None:
-            self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality.percent))
+            self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality.percent))
         elif status is Status.NO_ECHO:
-            self._outbox.put(stream.id, _no_echo(stream, boot_ms, beam))
+            self.outbox.put(stream.id, _no_echo(stream, boot_ms, beam))
         else:
             return False
-        self._outbox.send_due(now_s)
+        self.outbox.send_due(now_s)
         return True
 
     def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
@@ -147,8 +143,8 @@ class Streams:
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
         estimate, beam = Estimate(reading.range_m, variance_m2), self._beams[reading.sensor]
         quality = self._of_objects[reading.sensor].percent
-        self._outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality))
-        self._outbox.send_due(now_s)
+        self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality))
+        self.outbox.send_due(now_s)
 
 
 def _distance(

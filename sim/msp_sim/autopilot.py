@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from msp_range.clock import Clock
-from msp_range.geometry import Vector, rotation_matrix
+from msp_range.geometry import Vector, dot, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import Transport, TransportStats
@@ -92,7 +92,6 @@ class LoopbackAutopilot:
         self._reboots_at_s = sorted(reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
-        self._mav.robust_parsing = True
         self._refused = () if sends_motion else _MOTION
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
@@ -120,9 +119,9 @@ class LoopbackAutopilot:
         self.stats.sent_frames += 1
         if not self._is_up(now_s):
             return True
-        for message in self._mav.parse_buffer(frame) or ():
-            self.received.append((now_s, message))
-            self._answer(now_s, message)
+        message = self._mav.decode(bytearray(frame))
+        self.received.append((now_s, message))
+        self._answer(now_s, message)
         return True
 
     def receive(self) -> bytes:
@@ -185,21 +184,17 @@ class LoopbackAutopilot:
         The acceleration a is the mean since the sample before, so that a profile's sudden change of speed shows.
         """
         before, self._sampled = self._sampled, pose
-        elapsed_s = pose.time_s - before.time_s
-        a_north, a_east, a_down = (
-            (now_m_s - before_m_s) / elapsed_s if elapsed_s > 0.0 else 0.0
+        elapsed_s = (pose.time_s - before.time_s) or math.inf
+        north, east, down = [
+            (now_m_s - before_m_s) / elapsed_s
             for now_m_s, before_m_s in zip(pose.velocity_ned_m_s, before.velocity_ned_m_s, strict=True)
-        )
-        north, east, down = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
-        net = (a_north, a_east, a_down - GRAVITY_M_S2)
-        x, y, z = (
-            north[i] * net[0]
-            + east[i] * net[1]
-            + down[i] * net[2]
-            + self._force_bias[i]
-            + self._noise(ACCELEROMETER_STD_M_S2)
-            for i in range(3)
-        )
+        ]
+        net = (north, east, down - GRAVITY_M_S2)
+        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        x, y, z = [
+            dot(axis, net) + bias + self._noise(ACCELEROMETER_STD_M_S2)
+            for axis, bias in zip(zip(*rotation, strict=True), self._force_bias, strict=True)
+        ]
         return x, y, z
 
     def _noise(self, std: float) -> float:

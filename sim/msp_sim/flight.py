@@ -159,7 +159,7 @@ class Simulation:
 
     def height_m(self) -> float:
         """Vertical distance to what is below the vehicle now [m]."""
-        return self.world.height_above_ground(self.pose()).vertical_m
+        return self.world.height_m(self.pose())
 
     def fly(self) -> Steps[list[Step], None, None]:
         """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""

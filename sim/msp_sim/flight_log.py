@@ -109,11 +109,12 @@ class FlightLog:
     def keep_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
         """Note what a ping met, at a time of the flight [s], and further context."""
         self._truths[sensor] = ping
-        below_m = self._world.height_above_ground(self._pose(ping_s)).down_axis_m
-        if sensor in self._downward and ping.slant_range_cm is not None and below_m is not None:
-            mounted = self._downward[sensor]
-            down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
-            self._steps_m[sensor] = down_m - below_m
+        mounted = self._downward.get(sensor)
+        if mounted is not None and ping.slant_range_cm is not None:
+            below_m = self._world.down_axis_m(self._pose(ping_s))
+            if below_m is not None:
+                down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
+                self._steps_m[sensor] = down_m - below_m
         if self._recorder is not None:
             unsaid = ("heard", "slant_range_cm")
             truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
@@ -134,7 +135,7 @@ class FlightLog:
             track.below_m.append(None)
             return
         pose = self._pose(time_s)
-        below_m = self._world.height_above_ground(pose).down_axis_m
+        below_m = self._world.down_axis_m(pose)
         truth_m = None if below_m is None else below_m - self._reference_down_m
         is_edge = below_m is None or self._is_edge(time_s, pose, below_m)
         track.below_m.append(None if is_edge else truth_m)

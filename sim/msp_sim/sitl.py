@@ -282,7 +282,7 @@ class Sitl:
 
     def height_m(self) -> float:
         """Vertical distance from the vehicle's reference point to what is below it now [m]."""
-        return self._world.height_above_ground(self.vehicle.pose(self.now_s())).vertical_m
+        return self._world.height_m(self.vehicle.pose(self.now_s()))
 
     def autopilot_heard(self) -> bool:
         """True while heartbeats of an autopilot come."""

@@ -382,7 +382,9 @@ class Block:
             if first_m > enters_m:
                 enters_m, side = first_m, i
             leaves_m = min(leaves_m, last_m)
-        if not -TOUCH_M <= enters_m <= leaves_m:
+            if enters_m > leaves_m:
+                return None
+        if enters_m < -TOUCH_M:
             return None
         slant_m = max(enters_m, 0.0)
         sign = math.copysign(1.0, own_axis[side])

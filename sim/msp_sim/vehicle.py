@@ -185,9 +185,16 @@ class Vehicle:
         self._height = altitude(flight.altitude, self._surface_m, altitude_generator)
         self._attitude = Attitude(flight.attitude, attitude_generator)
         self.duration_s = self._height.end_s
+        self._newest = self._pose(0.0)
 
     def pose(self, time_s: float) -> Pose:
         """The vehicle at ``time_s``; before 0 and after the end it rests."""
+        # A ping, its truth and the autopilot's messages ask about the same time.
+        if time_s != self._newest.time_s:
+            self._newest = self._pose(time_s)
+        return self._newest
+
+    def _pose(self, time_s: float) -> Pose:
         north_m, north_m_s, north_m_s2 = self._north.at(time_s)
         east_m, east_m_s, east_m_s2 = self._east.at(time_s)
         height_m, climb_m_s, climb_m_s2 = self._height.at(time_s)

@@ -115,21 +115,6 @@ class Ping(NamedTuple):
     target_size_cm: float | None
 
 
-class HeightAboveGround(NamedTuple):
-    """Height of the body frame's origin over what is below, objects included.
-
-    Attributes
-    ----------
-    vertical_m
-        Straight down [m].
-    down_axis_m
-        Along the body's down axis, as an autopilot expects a rangefinder to read [m]; None where it meets nothing.
-    """
-
-    vertical_m: float
-    down_axis_m: float | None
-
-
 class World:
     """Ground, objects and air.
 
@@ -149,8 +134,11 @@ class World:
 
     def elevation_m(self, north_m: float, east_m: float) -> float:
         """Height of the surface over the origin, objects included [m]."""
-        tops_m = [block.top_m for block in self._blocks if block.covers(north_m, east_m)]
-        return max(self._terrain.elevation_m(north_m, east_m), *tops_m, -math.inf)
+        elevation_m = self._terrain.elevation_m(north_m, east_m)
+        for block in self._blocks:
+            if block.top_m > elevation_m and block.covers(north_m, east_m):
+                elevation_m = block.top_m
+        return elevation_m
 
     def air_temperature_c(self, height_m: float) -> float:
         """Air temperature at a height over the origin [deg C]."""
@@ -180,12 +168,16 @@ class World:
             None if target_size_m is None else 100 * target_size_m,
         )
 
-    def height_above_ground(self, pose: Pose) -> HeightAboveGround:
-        """How high the vehicle is, for comparison with what it believes."""
+    def height_m(self, pose: Pose) -> float:
+        """Height of the body frame's origin over what is below, objects included, straight down [m]."""
         north_m, east_m, down_m = pose.position_ned_m
-        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
-        below = self._ray(pose.position_ned_m, _rotate(rotation, (0.0, 0.0, 1.0)))
-        return HeightAboveGround(-down_m - self.elevation_m(north_m, east_m), below.slant_m if below else None)
+        return -down_m - self.elevation_m(north_m, east_m)
+
+    def down_axis_m(self, pose: Pose) -> float | None:
+        """The same along the body's down axis, as an autopilot expects a rangefinder to read; None: it meets nothing."""
+        north, east, down = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        below = self._ray(pose.position_ned_m, (north[2], east[2], down[2]))
+        return below.slant_m if below else None
 
     def _nearest_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Echo | None:
         nearest = None
@@ -207,8 +199,12 @@ class World:
         return any(block.covers(north_m, east_m) for block in self._blocks)
 
     def _ray(self, sensor: Vector, axis: Vector) -> Echo | None:
-        meets = [self._terrain.ray(sensor, axis), *(block.ray(sensor, axis) for block in self._blocks)]
-        return min((echo for echo in meets if echo is not None), key=lambda echo: echo.slant_m, default=None)
+        first = self._terrain.ray(sensor, axis)
+        for block in self._blocks:
+            met = block.ray(sensor, axis)
+            if met is not None and (first is None or met.slant_m < first.slant_m):
+                first = met
+        return first
 
 
 def _rotate(rotation: Matrix, vector: Vector) -> Vector:

@@ -55,7 +55,7 @@ class Truth:
     def distances_m(self, time_s: float) -> list[float]:
         """Every distance that is true at a time of the flight [m]: the first is the down axis' own."""
         pose = self._vehicle.pose(time_s)
-        below_m = self._world.height_above_ground(pose).down_axis_m
+        below_m = self._world.down_axis_m(pose)
         own_m = math.inf if below_m is None else below_m - self._reference_m
         if not self._reliefs:
             return [own_m]
@@ -91,7 +91,7 @@ class Truth:
         """Reliefs that the down axis and the sensors meet [m], in whole centimetres."""
         pose = self._vehicle.pose(time_s)
         height_m, rate, rotation = self._reference(time_s)
-        below_m = self._world.height_above_ground(pose).down_axis_m
+        below_m = self._world.down_axis_m(pose)
         reliefs = set() if below_m is None else {height_m - (below_m - self._reference_m) * rate}
         for beam in self._beams:
             offset = tuple(dot(row, beam.position_m) for row in rotation)

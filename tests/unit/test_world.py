@@ -307,7 +307,7 @@ def test_nothing_changes_when_everything_is_turned_together(turn_deg):
         targets.add(one.target)
         assert (one.heard, one.target, one.target_size_cm) == (other.heard, other.target, other.target_size_cm)
         assert one[1:6] == pytest.approx(other[1:6], abs=1e-5)
-        assert straight.height_above_ground(before) == pytest.approx(around.height_above_ground(after))
+        assert heights_m(straight, before) == pytest.approx(heights_m(around, after))
     assert targets == {"grass", "concrete", "gravel", "box"}
 
 
@@ -486,7 +486,7 @@ def test_echoes_and_rays_are_those_of_polygons_in_space(polygons, boresight, til
             assert ping.target == met[2]
             met_names.add(ping.target)
         down = polygons.ray(sensor, body_to_world(pose)[:, 2])
-        assert ground.height_above_ground(pose).down_axis_m == pytest.approx(down[0])
+        assert ground.down_axis_m(pose) == pytest.approx(down[0])
     assert heard_names == names
     assert len(met_names) >= 3
 
@@ -513,25 +513,30 @@ def test_air_temperature_is_the_mean_along_the_path():
     assert ground.air_temperature_c(2.0) == pytest.approx(24.0)
 
 
+def heights_m(over: World, pose: Pose) -> tuple[float, float | None]:
+    """Straight down, and along the body's down axis [m]."""
+    return over.height_m(pose), over.down_axis_m(pose)
+
+
 def test_height_above_ground_straight_down_and_along_the_body():
     ground = world(boxes=(Box(centre_m=(2.0, 0.0), size_m=(1.0, 1.0), height_m=0.5),))
-    level = ground.height_above_ground(at(height_m=3.0))
+    level = heights_m(ground, at(height_m=3.0))
     assert level == (pytest.approx(3.0), pytest.approx(3.0))
-    tilted = ground.height_above_ground(at(height_m=3.0, roll_deg=15, pitch_deg=5, yaw_deg=90))
-    assert tilted.vertical_m == pytest.approx(3.0)
-    assert tilted.down_axis_m == pytest.approx(3.0 / math.cos(math.radians(15)) / math.cos(math.radians(5)))
+    vertical_m, down_axis_m = heights_m(ground, at(height_m=3.0, roll_deg=15, pitch_deg=5, yaw_deg=90))
+    assert vertical_m == pytest.approx(3.0)
+    assert down_axis_m == pytest.approx(3.0 / math.cos(math.radians(15)) / math.cos(math.radians(5)))
     # Above the box, and leaning so that the axis passes beside it: nose down at yaw 180 looks north.
-    assert ground.height_above_ground(at(2.0, height_m=3.0)) == (pytest.approx(2.5), pytest.approx(2.5))
-    aside = ground.height_above_ground(at(2.4, height_m=3.0, pitch_deg=10))
+    assert heights_m(ground, at(2.0, height_m=3.0)) == (pytest.approx(2.5), pytest.approx(2.5))
+    aside = heights_m(ground, at(2.4, height_m=3.0, pitch_deg=10))
     assert aside == (pytest.approx(2.5), pytest.approx(3.0 / math.cos(math.radians(10))))
-    assert ground.height_above_ground(at(roll_deg=180)).down_axis_m is None
+    assert ground.down_axis_m(at(roll_deg=180)) is None
 
 
 @pytest.mark.parametrize("height_m", [0.0, 0.5])
 def test_a_vehicle_on_the_ground_or_on_a_box_has_no_height(height_m):
     boxes = (Box(centre_m=(0.0, 0.0), size_m=(1.0, 1.0), height_m=0.5),) if height_m else ()
     ground = world(boxes=boxes)
-    assert ground.height_above_ground(at(height_m=height_m)) == (0.0, 0.0)
+    assert heights_m(ground, at(height_m=height_m)) == (0.0, 0.0)
     assert ground.ping(at(height_m=height_m), looking())[:2] == (True, 0.0)
     buried = ground.ping(at(height_m=height_m - 0.02), looking())
     assert buried[:2] == (True, 0.0)
@@ -555,7 +560,7 @@ def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
         assert one.true_range_cm is not None
         assert other.true_range_cm is not None
         off_m.append((one.true_range_cm - other.true_range_cm) / 100)
-        assert rough.height_above_ground(pose) == smooth.height_above_ground(pose)
+        assert heights_m(rough, pose) == heights_m(smooth, pose)
         assert rough.ping(pose, beam) == one
     assert np.std(off_m) == pytest.approx(0.03, rel=0.1)
     assert np.mean(off_m) == pytest.approx(0.0, abs=0.003)
