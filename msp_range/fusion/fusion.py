@@ -66,6 +66,7 @@ FIT_TOLERATED = 1.5
 """Up to this mean square the stated variance stands, beyond it the variance grows with it. Ten readings of a filter
 that is right exceed it in one of ten turns; larger believes a noisy sensor's small variance for longer."""
 
+GARBLED = Status.GARBLED.value
 OBJECT, OUTLIER, SUSPECT, REPEATED, PAST = "object", "outlier", "suspect", "repeated", "past_the_ground"
 """Why a reading with a range was not used for the ground: it is of an object below its sensor, of nothing that is
 known, a fault code away from the ground, the same answer as ever while others see other things, or made past the ground
@@ -218,7 +219,7 @@ class Fusion:
             rejected = self._on_first(sensor, reading, reading.range_m, rotation)
         else:
             rejected = self._on_range(self._filter, sensor, reading, reading.range_m, rotation)
-            if rejected == Status.GARBLED.value:
+            if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
                 sensor.sight.works = False
         if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
@@ -348,7 +349,7 @@ class Fusion:
         far = abs(innovation_m) >= self._gate_m and not below.is_object(off_m)
         if far and self._was_garbled(known, sensor, reading, range_m, view):
             self._on_nothing(sensor, reading)
-            return Status.GARBLED.value
+            return GARBLED
         sight.repeated = sensor.stuck.repeated
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)

@@ -4,7 +4,7 @@ A distance goes out where filter or fusion gave one, 'no echo' where a single se
 above the range of its downward sensors, and a fault is silence.
 """
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -76,7 +76,7 @@ class Streams:
         self._objects = objects
         self._downward = downward
         self._of_singles = {name: _Quality() for name in singles}
-        self._of_fused: dict[str, _Quality] = {}
+        self._of_fused: defaultdict[str, _Quality] = defaultdict(_Quality)
         self._of_objects = {name: _Quality() for name in objects}
         self.outbox = Outbox(send)
 
@@ -95,7 +95,7 @@ class Streams:
             What the ranges were compensated for. Its uncertainty is added to the variance of what is sent.
         """
         if outcome.rejected != UNCONFIRMED:
-            self._of_fused.setdefault(sensor, _Quality()).note(outcome.rejected is None)
+            self._of_fused[sensor].note(outcome.rejected is None)
         if sensor in self._of_objects:
             self._of_objects[sensor].note(outcome.rejected == OBJECT)
         if self._fused is None:

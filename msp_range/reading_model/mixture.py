@@ -216,7 +216,7 @@ class ReadingModel:
         hit, unexpected, max_, random = self._shares
         here = self.max_weight(true_range_cm)
         # The odds of `max` against the others.
-        log_max = logit(here) + _log(1.0 - max_) if np.ndim(here) else _log(max_)
+        log_max = logit(here) + _log(1.0 - max_) if isinstance(here, np.ndarray) else _log(max_)
         return _log(hit), _log(unexpected), log_max, _log(random)
 
     def _within(self, true_range_cm: Any) -> Any:

@@ -82,6 +82,7 @@ class Poller:
         self._schedule = schedule
         self._unpinged: deque[PolledSensor] = deque()
         self._pending: list[_Pending] = []
+        self._next: _Pending
         self._to_reopen: Ranging | None = None
         self._last_ping_s = clock.now()
         self._acknowledged = False
@@ -100,13 +101,14 @@ class Poller:
         elif self._unpinged:
             ranging = self._ping(self._unpinged.popleft())
         else:
-            ranging = self._ask(min(self._pending, key=_next_try_s), now_s)
+            ranging = self._ask(self._next, now_s)
         if ranging is not None:
             self._schedule.hear(ranging.reading)
         if self._to_reopen is not None:
             self.next_event_s = self._to_reopen.answered_s
         elif self._pending and not self._unpinged:
-            self.next_event_s = min([each.next_try_s for each in self._pending])
+            self._next = min(self._pending, key=_next_try_s)
+            self.next_event_s = self._next.next_try_s
         else:
             if not self._unpinged:
                 self._plan()

@@ -6,7 +6,6 @@ Only the standard library is used, so that the same device answers in a virtual 
 interface under the system's own Python. Every time is seconds on the ``now`` clock that the device is given.
 """
 
-import errno
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,11 +27,8 @@ PART_INFO = b"\x01\x2c"
 CLOCK_FAULT_BIT = 0x8000
 
 
-class NotAcknowledged(OSError):
-    """Nobody pulled the data line low: errno 121 on a Raspberry Pi."""
-
-    def __init__(self) -> None:
-        super().__init__(errno.EREMOTEIO, "not acknowledged")
+class NotAcknowledged(Exception):
+    """Nobody pulled the data line low."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +170,7 @@ class MB1242:
     >>> sonar.read(2)
     Traceback (most recent call last):
         ...
-    msp_sim.device.NotAcknowledged: [Errno 121] not acknowledged
+    msp_sim.device.NotAcknowledged
     >>> time_s = 0.1
     >>> sonar.read(2).hex()
     '0102'

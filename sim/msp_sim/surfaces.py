@@ -337,8 +337,9 @@ class Block:
 
     def covers(self, north_m: float, east_m: float) -> bool:
         """Whether this place on the ground is below it."""
-        x, y = self._turn(north_m - self._north_m, east_m - self._east_m)
-        return abs(x) <= self._half_x and abs(y) <= self._half_y
+        north_m, east_m = north_m - self._north_m, east_m - self._east_m
+        along_m, across_m = self._cos * north_m + self._sin * east_m, self._cos * east_m - self._sin * north_m
+        return -self._half_x <= along_m <= self._half_x and -self._half_y <= across_m <= self._half_y
 
     def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Iterator[Echo]:
         """Whatever of it is heard from ``sensor`` [m, NED] looking along ``axis``, in no order."""
@@ -378,11 +379,14 @@ class Block:
                 if not low_m <= own_m <= high_m:
                     return None
                 continue
-            first_m, last_m = sorted(((low_m - own_m) / own_axis[i], (high_m - own_m) / own_axis[i]))
+            if own_axis[i] < 0:
+                low_m, high_m = high_m, low_m
+            first_m, last_m = (low_m - own_m) / own_axis[i], (high_m - own_m) / own_axis[i]
             if first_m > enters_m:
                 enters_m, side = first_m, i
-            leaves_m = min(leaves_m, last_m)
-            if enters_m > leaves_m:
+            if last_m < leaves_m:
+                leaves_m = last_m
+            if leaves_m < enters_m or leaves_m < -TOUCH_M:
                 return None
         if enters_m < -TOUCH_M:
             return None

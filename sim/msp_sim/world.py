@@ -174,7 +174,7 @@ class World:
         return -down_m - self.elevation_m(north_m, east_m)
 
     def down_axis_m(self, pose: Pose) -> float | None:
-        """The same along the body's down axis, as an autopilot expects a rangefinder to read; None: it meets nothing."""
+        """The same along the body's down axis, as an autopilot expects it [m]; None where that meets nothing."""
         north, east, down = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         below = self._ray(pose.position_ned_m, (north[2], east[2], down[2]))
         return below.slant_m if below else None

@@ -70,7 +70,7 @@ def test_acknowledges_nothing_while_ranging(reading_cm: int, ranging_s: float) -
 def test_a_ping_while_ranging_is_not_taken() -> None:
     bench = Bench([258])
     bench.sonar.write(RANGE_COMMAND)
-    with pytest.raises(OSError, match="121"):
+    with pytest.raises(NotAcknowledged):
         bench.sonar.write(RANGE_COMMAND)
     assert bench.ping_times_s == [0.0]
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from msp_range import __version__
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.frames import Frame
 from msp_range.mavlink.link import (
     ANSWERS_PER_S,
     DECODED_FROM_AUTOPILOT,
@@ -584,21 +585,20 @@ class TestFlood:
 
     ATTITUDE = dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
 
-    def decoded(self, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    def decoded(self, monkeypatch: pytest.MonkeyPatch) -> list[int]:
         """System ids of what is decoded from now on."""
         systems: list[int] = []
-        real = bench.link._mav.decode
+        real = Frame.decode
 
-        def decode(frame: bytearray) -> Any:
-            message = real(frame)
-            systems.append(message.get_srcSystem())
-            return message
+        def decode(frame: Frame) -> Any:
+            systems.append(frame.system)
+            return real(frame)
 
-        monkeypatch.setattr(bench.link._mav, "decode", decode)
+        monkeypatch.setattr(Frame, "decode", decode)
         return systems
 
     def test_a_call_decodes_a_bounded_number(self, met: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-        decoded = self.decoded(met, monkeypatch)
+        decoded = self.decoded(monkeypatch)
         autopilot, other = Component(7), Component(8)
         met.arrive(autopilot.frame(self.ATTITUDE) * 150, other.heartbeat() * 30)
         assert decoded == [7] * DECODED_FROM_AUTOPILOT + [8] * DECODED_FROM_OTHERS
@@ -620,7 +620,7 @@ class TestFlood:
             Component(7, 154).frame(self.ATTITUDE) * 20,
         ]
         met.heard.clear()
-        decoded = self.decoded(met, monkeypatch)
+        decoded = self.decoded(monkeypatch)
         for number in range(200):
             wanted = autopilot.frame(self.ATTITUDE) if number % 2 else b""
             met.arrive(*flood, wanted)
