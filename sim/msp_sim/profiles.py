@@ -57,8 +57,9 @@ class Course:
         """Position, speed and acceleration at ``time_s``; at rest before the first piece and after the last."""
         if time_s >= self.end_s:
             return self.end_m, 0.0, 0.0
-        index = max(bisect_right(self._starts_s, time_s) - 1, 0)
-        return self._pieces[index](max(time_s - self._starts_s[index], 0.0))
+        time_s = max(time_s, 0.0)
+        index = bisect_right(self._starts_s, time_s) - 1
+        return self._pieces[index](time_s - self._starts_s[index])
 
     def change_speed(self, by_m_s: float, duration_s: float) -> None:
         """Change speed by ``by_m_s`` along a smooth step; the acceleration is at most 1.5 times the mean.

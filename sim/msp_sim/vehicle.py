@@ -99,8 +99,8 @@ class Attitude:
         self._roll_swings = _swings(sway.roll_rms_deg, sway.period_s, generator)
         self._pitch_swings = _swings(sway.pitch_rms_deg, sway.period_s, generator)
 
-    def at(self, time_s: float, north_m_s2: float, east_m_s2: float, sways: float) -> Angles:
-        """Angles at ``time_s`` under a horizontal acceleration.
+    def at(self, time_s: float, north_m_s2: float, east_m_s2: float, sways: float) -> tuple[float, float, float]:
+        """Roll, pitch and yaw [rad] at ``time_s`` under a horizontal acceleration.
 
         Thrust along the body's up axis gives the acceleration and carries the weight where tan(-pitch) = a_forward / g
         and tan(roll) = a_right cos(pitch) / g.
@@ -124,7 +124,7 @@ class Attitude:
             tilt_rad = -math.atan(forward_m_s2 / GRAVITY_M_S2)
             pitch_rad += tilt_rad
             roll_rad += math.atan(right_m_s2 * math.cos(tilt_rad) / GRAVITY_M_S2)
-        return Angles(roll_rad, pitch_rad, yaw_rad)
+        return roll_rad, pitch_rad, yaw_rad
 
 
 def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
