@@ -449,8 +449,8 @@ class Fusion:
     def _is_supported(self, was_used: bool, now_s: float) -> bool:
         """Whether the ground may be sent: sensors enough see it, and no more of them agree on another one.
 
-        Of as many against as many the ground is that which more than half have seen before. Until then more than half
-        of the sensors that give ranges must see it; one that has not been read since it was found may give another.
+        Of as many against as many the ground is that which more than half have seen before; until then more than half
+        of the sensors that give ranges must see it.
         """
         time_s, windows = self._time_s, self._windows
         if time_s - self._seen_s > windows.fresh_s:
@@ -462,11 +462,10 @@ class Fusion:
         # An answer that was lost just now is no sensor that is out of order.
         ranging = [sight for sight in self._sights if sight.newest(time_s - windows.held_s) is not None]
         in_order = [sight for sight in self._sights if sight.works or sight.read_s == float("-inf")]
-        unread = [sight for sight in in_order if sight.is_empty]
         self._proven |= 2 * votes.ground > len({*ranging, *in_order})
         if not self._established or self._on_trial or votes.ground < 1 or now_s - time_s > STALE_S:
             return False
-        if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging) + len(unread)):
+        if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging)):
             return False
         return was_used or (votes.ground >= 2 and not self._stepping and len(self._off_m) < OFF_IN_A_ROW)
 

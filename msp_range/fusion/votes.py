@@ -75,11 +75,6 @@ class Sight:
                 return seen if seen.time_s >= since_s else None
         return None
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether it has not been read since its readings were forgotten."""
-        return not self._seen
-
     def clear(self) -> None:
         """Forget its readings."""
         self._seen.clear()
@@ -166,8 +161,8 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
     """How much lower the ground is by the sensors that agree with the newest reading; None where they are too few.
 
     More sensors must see it than still vote for the old ground, more than half of those that give ranges, and two at
-    least; a sensor that is alone must see it twice in a row. Sensors that repeat themselves do not count for the old
-    ground: where they alone hold it, they may be stuck, and the others may be climbing.
+    least; a sensor that is alone must see it twice in a row. Where sensors that repeat themselves hold the ground alone
+    and the others leave it slowly, they do not count: they may be stuck, and the vehicle may be climbing.
     """
     fresh_s, held_s = now_s - windows.fresh_s, now_s - windows.held_s
     own = newest.newest(fresh_s)
@@ -190,16 +185,9 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
         and not seen.is_ground
         and abs(seen.off_m - own.off_m) < AGREE_M + speed_m_s * (own.time_s - seen.time_s)
     }
-    old = [
-        sight
-        for sight in sights
-        if sight.works and sight not in agreeing and not sight.repeated and sight.votes_ground(held_s)
-    ]
-    voters = [
-        sight
-        for sight in sights
-        if sight.works and sight.newest(held_s) is not None and not (sight.repeated and sight not in agreeing)
-    ]
+    others = [sight for sight in sights if sight.works and sight not in agreeing and not (leaving and sight.repeated)]
+    old = [sight for sight in others if sight.votes_ground(held_s)]
+    voters = [*agreeing, *(sight for sight in others if sight.newest(held_s) is not None)]
     offs = list(agreeing.values())
     if len(offs) < 2 or len(offs) <= len(old) or 2 * len(offs) <= len(voters):
         return None

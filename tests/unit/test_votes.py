@@ -262,9 +262,8 @@ def test_where_only_sensors_that_repeat_themselves_hold_the_ground_the_others_ma
     assert step(sight("ground", "ground", 0.45), sight("ground", "ground", -0.10, newest_s=9.8), *stuck) is None
     # Half a metre away something was passed over: no motion that began at the ground.
     assert step(sight("ground", "ground", 0.75), sight("ground", "ground", 0.45, newest_s=9.8), *stuck) is None
-    assert step(
-        sight("ground", "ground", 0.75), sight("ground", "ground", 0.70, newest_s=9.8), *stuck
-    ) == pytest.approx(0.725)
+    # Two against two: over calm ground good sensors repeat themselves too.
+    assert step(sight("ground", "ground", 0.75), sight("ground", "ground", 0.70, newest_s=9.8), *stuck) is None
     # One that does not repeat itself holds the ground: nobody climbs.
     healthy = sight("ground", "ground", newest_s=9.7)
     assert step(rising, earlier, stuck[0], healthy) is None
