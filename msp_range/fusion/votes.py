@@ -185,6 +185,10 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
         and not seen.is_ground
         and abs(seen.off_m - own.off_m) < AGREE_M + speed_m_s * (own.time_s - seen.time_s)
     }
+    # Between pairs that have long disagreed one reading of the ground's decides only where it is close to the others.
+    settled = [off_m for sight, off_m in agreeing.items() if not sight.votes_ground(held_s)]
+    if len(settled) >= 2 and not leaving:
+        agreeing = {sight: off_m for sight, off_m in agreeing.items() if abs(off_m - median(settled)) < CLOSE_M}
     others = [sight for sight in sights if sight.works and sight not in agreeing and not (leaving and sight.repeated)]
     old = [sight for sight in others if sight.votes_ground(held_s)]
     voters = [*agreeing, *(sight for sight in others if sight.newest(held_s) is not None)]

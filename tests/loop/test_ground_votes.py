@@ -222,3 +222,11 @@ def test_a_pair_that_jumps_does_not_take_the_ground_from_a_pair_that_repeats_its
     sent_cm = Bench(airframe(), world).fly(30.0).distances_cm(from_s=5.0)
     assert len(sent_cm) > 240
     assert all(abs(distance_cm - 300) < 10 for distance_cm in sent_cm)
+
+
+def test_one_outlier_that_hits_the_other_pairs_height_moves_nothing() -> None:
+    """Two against two for long, the first pair proven; single readings of a then agree with c and d."""
+    bench = pairs("abcd", from_s=5.0, spoilt={("a", number): 511 for number in range(20, 60, 8)}).fly(40.0)
+    sent_cm = bench.distances_cm(from_s=5.0)
+    assert len(sent_cm) > 300
+    assert all(abs(distance_cm - 300) < 15 for distance_cm in sent_cm)
