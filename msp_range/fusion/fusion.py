@@ -41,9 +41,9 @@ STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 OFF_IN_A_ROW = 3
-"""After readings of so many sensors in a row that are not of the ground, or of two that agree with each other, nothing
-is sent until one is: the ground may have a step, or the vehicle a motion that the filter has not seen. Fewer make gaps
-of outliers, more send an old ground for longer."""
+"""After readings of so many sensors in a row, or of all, that are not of the ground, or of two that agree with each
+other, nothing is sent until one is: the ground may have a step, or the vehicle a motion that the filter has not seen.
+Fewer make gaps of outliers, more send an old ground for longer."""
 ON_TRIAL, DOUBT_READINGS = 3, 8
 """A first ground with which other readings do not agree, or after most of the last readings were of no ground, is sent
 after so many further readings of it in a row: four outliers may lie on a line once in some seconds of nothing else,
@@ -450,7 +450,7 @@ class Fusion:
         """Whether the ground may be sent: sensors enough see it, and no more of them agree on another one.
 
         Of as many against as many the ground is that which more than half have seen before; until then more than half
-        of the sensors that give ranges must see it.
+        of the sensors that give ranges must see it. All of those that see it may be stuck where they repeat themselves.
         """
         time_s, windows = self._time_s, self._windows
         if time_s - self._seen_s > windows.fresh_s:
@@ -467,7 +467,10 @@ class Fusion:
             return False
         if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging)):
             return False
-        return was_used or (votes.ground >= 2 and not self._stepping and len(self._off_m) < OFF_IN_A_ROW)
+        if votes.ground == votes.against and not votes.moving:
+            return False
+        all_off = len(self._off_m) >= min(OFF_IN_A_ROW, votes.voters)
+        return was_used or (votes.ground >= 2 and not self._stepping and not all_off)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""

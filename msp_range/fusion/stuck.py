@@ -5,6 +5,8 @@ constant answer alone says nothing: over calm ground a good sensor repeats itsel
 the answer does not is what no good sensor does.
 """
 
+from collections import deque
+
 from msp_range.fusion.vertical import Mark, VerticalMotion
 
 STUCK_READINGS = 3
@@ -14,10 +16,13 @@ REPEATED_READINGS = 5
 STUCK_M = 0.15
 """While the height over the ground has changed by this much by all sensors [m]: three times what a good sensor's noise
 would hide."""
-STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 4.0
+STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 3.0
 """Or while the vehicle has climbed or sunk by this much [m], and so many standard deviations, by its barometer: then
 all sensors may be stuck. A vehicle that follows a slope to a centimetre over that height looks the same; it answers
 something else again within a reading or two."""
+MARK_EACH_S, MARKS = 2.0, 3
+"""Its climb is taken from the first of the answers and from the last few seconds, in which the barometer has drifted
+less: between marks [s], and how many are kept."""
 
 
 class StuckWatch:
@@ -27,7 +32,8 @@ class StuckWatch:
         self._raw: int | None = None
         self._times = 0
         self._since_m = 0.0
-        self._mark: Mark | None = None
+        self._marks: deque[tuple[float, Mark]] = deque(maxlen=MARKS)
+        self._first: Mark | None = None
         self._stuck = False
 
     @property
@@ -50,14 +56,21 @@ class StuckWatch:
         """
         if raw != self._raw:
             self._raw, self._times, self._stuck = raw, 0, False
-            self._mark = None
+            self._marks.clear()
+            self._first = None
         if self._times == 0 or height_m is None:
             self._since_m = height_m or 0.0
-        if self._mark is None:
-            self._mark = motion.mark(time_s)
+        if not self._marks or time_s - self._marks[-1][0] >= MARK_EACH_S:
+            mark = motion.mark(time_s)
+            if mark is not None:
+                self._marks.append((time_s, mark))
+                self._first = self._first or mark
         self._times += 1
         if self._times >= STUCK_READINGS and height_m is not None and abs(height_m - self._since_m) >= STUCK_M:
             self._stuck = True
-        if self.repeated and (climb := motion.climbed(self._mark, time_s)) is not None:
-            self._stuck |= abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)
+        if self.repeated and not self._stuck:
+            climbs = [motion.climbed(mark, time_s) for mark in (self._first, *(mark for _, mark in self._marks))]
+            self._stuck = any(
+                abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m) for climb in climbs if climb
+            )
         return self._stuck

@@ -121,8 +121,8 @@ class Tally(NamedTuple):
 
     Attributes
     ----------
-    ground
-        Sensors that vote for the ground.
+    ground, moving
+        Sensors that vote for the ground; those of them that do not repeat themselves.
     against
         The most sensors that vote for one and the same other height.
     voters
@@ -130,6 +130,7 @@ class Tally(NamedTuple):
     """
 
     ground: int
+    moving: int
     against: int
     voters: int
 
@@ -137,18 +138,19 @@ class Tally(NamedTuple):
 def tally(sights: Collection[Sight], now_s: float, windows: Windows) -> Tally:
     """Count the votes."""
     since_s = now_s - windows.held_s
-    ground = voters = 0
+    ground = moving = voters = 0
     offs: list[float] = []
     for sight in sights:
         if sight.votes_ground(since_s):
             ground += 1
+            moving += not sight.repeated
         elif sight.works and not sight.repeated and (off_m := sight.votes_off_m(since_s)) is not None:
             offs.append(off_m)
         voters += sight.works and sight.newest(since_s) is not None
     against = 0
     for off_m in offs:
         against = max(against, sum([abs(off_m - other_m) < AGREE_M for other_m in offs]))
-    return Tally(ground, against, voters)
+    return Tally(ground, moving, against, voters)
 
 
 def working(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
@@ -189,9 +191,10 @@ def step_m(newest: Sight, sights: Collection[Sight], now_s: float, windows: Wind
     settled = [off_m for sight, off_m in agreeing.items() if not sight.votes_ground(held_s)]
     if len(settled) >= 2 and not leaving:
         agreeing = {sight: off_m for sight, off_m in agreeing.items() if abs(off_m - median(settled)) < CLOSE_M}
-    others = [sight for sight in sights if sight.works and sight not in agreeing and not (leaving and sight.repeated)]
+    others = [sight for sight in sights if sight not in agreeing and not (leaving and sight.repeated)]
+    # Also one whose last answer was lost has seen it just now.
     old = [sight for sight in others if sight.votes_ground(held_s)]
-    voters = [*agreeing, *(sight for sight in others if sight.newest(held_s) is not None)]
+    voters = [*agreeing, *(sight for sight in others if sight.works and sight.newest(held_s) is not None)]
     offs = list(agreeing.values())
     if len(offs) < 2 or len(offs) <= len(old) or 2 * len(offs) <= len(voters):
         return None

@@ -63,15 +63,15 @@ def climbing(climb_m_s: float, answers: int, seconds: float = 0.4) -> list[bool]
 
 
 def test_by_the_barometer_alone_it_takes_five_answers_and_a_climb_that_is_sure() -> None:
-    # The fifth answer is 1.6 s after the first one; four standard deviations of a climb are 0.84 m by then.
-    assert climbing(0.48, 5) == [False] * 5
-    assert climbing(0.58, 5) == [False] * 4 + [True]
-    assert climbing(-0.58, 5) == [False] * 4 + [True]
+    # The fifth answer is 1.6 s after the first one; three standard deviations of a climb are 0.63 m by then.
+    assert climbing(0.36, 5) == [False] * 5
+    assert climbing(0.44, 5) == [False] * 4 + [True]
+    assert climbing(-0.44, 5) == [False] * 4 + [True]
     assert climbing(5.0, 5) == [False] * 4 + [True], "fewer answers alike are chance, however fast it climbs"
     assert climbing(0.0, 100) == [False] * 100
 
 
 def test_by_the_barometer_alone_it_takes_half_a_metre_however_sure_the_climb_is() -> None:
-    """0.2 s after the first answer four standard deviations are 0.2 m."""
+    """0.2 s after the first answer three standard deviations are 0.15 m."""
     assert climbing(2.3, 5, 0.05) == [False] * 5
     assert climbing(2.7, 5, 0.05) == [False] * 4 + [True]
