@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from msp_lab.filter_study.explain import explain
+from msp_lab.filter_study.goals import goals
+from msp_lab.filter_study.study import study
+from msp_lab.filter_study.table import report_table
 from msp_range.filters.base import Estimate
 from msp_range.filters.changepoint import ChangepointParameters
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.filter_study.explain import explain
-from msp_sim.filter_study.goals import goals
-from msp_sim.filter_study.study import study
-from msp_sim.filter_study.table import report_table
 
 SENSOR = Path(__file__).parents[1] / "configs" / "sensors" / "mb1242.yaml"
 UPDATES = 20_000

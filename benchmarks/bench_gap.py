@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from msp_lab.gap.search import Search
+from msp_lab.gap.units import numbered
 from msp_range.recording.csv_form import CONTEXT_COLUMNS
-from msp_sim.gap.search import Search
-from msp_sim.gap.units import numbered
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, contexts
 

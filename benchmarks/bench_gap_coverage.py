@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from msp_lab.gap.units import split
+from msp_lab.gap.workbench import explain
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_sim.gap.units import split
-from msp_sim.gap.workbench import explain
 from msp_sim.model.model import Model
 from tests.blind.score import interval
 from tests.support.plain_effects import BASE, fly

@@ -143,8 +143,8 @@ def schema(
 
     Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
-    from msp_range.characterise.campaign import Campaign
-    from msp_range.characterise.flights import FlightCampaign
+    from msp_lab.campaigns.campaign import Campaign
+    from msp_lab.campaigns.flights import FlightCampaign
     from msp_range.config import Airframe
     from msp_range.reading_model.sensor_model import SensorModel
     from msp_range.yaml_file import Section
@@ -331,15 +331,15 @@ def collect(
     readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
     asks for the recording and the reference of each flight instead, and keeps copies of them.
     """
-    from msp_range.characterise.bench import KernelBench
-    from msp_range.characterise.campaign import load_campaign
-    from msp_range.characterise.collect import chosen
-    from msp_range.characterise.collect import collect as collect_readings
-    from msp_range.characterise.flights import is_of_flights
-    from msp_range.characterise.plan import plan
-    from msp_range.characterise.store import Store
-    from msp_range.characterise.terminal import Terminal
-    from msp_range.characterise.terminal import show_plan as show_points
+    from msp_lab.campaigns.bench import KernelBench
+    from msp_lab.campaigns.campaign import load_campaign
+    from msp_lab.campaigns.collect import chosen
+    from msp_lab.campaigns.collect import collect as collect_readings
+    from msp_lab.campaigns.flights import is_of_flights
+    from msp_lab.campaigns.plan import plan
+    from msp_lab.campaigns.store import Store
+    from msp_lab.campaigns.terminal import Terminal
+    from msp_lab.campaigns.terminal import show_plan as show_points
     from msp_range.service import stop_signals
     from msp_range.terminal import PlainConsole
 
@@ -373,7 +373,7 @@ def collect(
 
 
 def _collect_flights(campaign_file: Path, out: Path, console: Any, show_plan: bool) -> None:
-    from msp_range.characterise.flights import Hangar, collect_flights, load_flights, show_flights
+    from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights, show_flights
 
     campaign = load_flights(campaign_file)
     hangar = Hangar(out, campaign)
@@ -444,12 +444,12 @@ def characterise(
     """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
     from numpy.random import default_rng
 
-    from msp_range.characterise.characterise import characterise as analyse
-    from msp_range.characterise.column_map import load_map
-    from msp_range.characterise.gather import gather
-    from msp_range.characterise.model_file import changed, write_model
-    from msp_range.characterise.publish import check_free, publish
-    from msp_range.characterise.show import show
+    from msp_lab.characterise.characterise import characterise as analyse
+    from msp_lab.characterise.model_file import changed, write_model
+    from msp_lab.characterise.publish import check_free, publish
+    from msp_lab.characterise.show import show
+    from msp_lab.readings.column_map import load_map
+    from msp_lab.readings.gather import gather
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.terminal import PlainConsole

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from msp_lab.gap.cli import app as gap_app
 from msp_range.mistakes import tell_mistakes
 from msp_range.yaml_file import ConfigError
-from msp_sim.gap.cli import app as gap_app
 
 ReadBy = Annotated[
     Path | None,
@@ -153,8 +153,8 @@ def collect(
     In --out: readings.csv (all readings that count, in the one CSV form) and sitting-001.mcap ... Interrupted, the same
     command goes on and ends with the same readings. Of a campaign of flights it flies the scenarios.
     """
-    from msp_range.characterise.flights import is_of_flights
-    from msp_sim.collecting import collect_campaign, collect_flights
+    from msp_lab.campaigns.collecting import collect_campaign, collect_flights
+    from msp_lab.campaigns.flights import is_of_flights
 
     if is_of_flights(campaign_file):
         collect_flights(campaign_file, out, model, seed)
@@ -179,13 +179,13 @@ def filters(
     Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
     an implementation must have done otherwise to get it, or says what was tried.
     """
+    from msp_lab.filter_study.explain import explain
+    from msp_lab.filter_study.goals import goals
+    from msp_lab.filter_study.publish import publish
+    from msp_lab.filter_study.show import print_explanations, print_goals, print_tables
+    from msp_lab.filter_study.study import delays, study
+    from msp_lab.filter_study.table import read_table, report_table
     from msp_range.terminal import console
-    from msp_sim.filter_study.explain import explain
-    from msp_sim.filter_study.goals import goals
-    from msp_sim.filter_study.publish import publish
-    from msp_sim.filter_study.show import print_explanations, print_goals, print_tables
-    from msp_sim.filter_study.study import delays, study
-    from msp_sim.filter_study.table import read_table, report_table
     from msp_sim.terminal import make_folder
 
     rows = report_table() if table is None else read_table(table)

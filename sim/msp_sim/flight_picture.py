@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from msp_range.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
 from msp_sim.flight_log import Flight
+from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
 
 SHOWN_CM = 40.0
 """Errors beyond this are not shown [cm]."""

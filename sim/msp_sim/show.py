@@ -9,8 +9,8 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from msp_lab.campaigns.plan import Point
 from msp_range.bridge import Step
-from msp_range.characterise.plan import Point
 from msp_sim.flight import Simulation
 from msp_sim.terminal import Bar
 

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.characterise.column_map import load_map, read_mapped
-from msp_range.characterise.gather import gather
+from msp_lab.filter_study.table import REPORT, read_table
+from msp_lab.gap.intake import read_readings
+from msp_lab.readings.column_map import load_map, read_mapped
+from msp_lab.readings.gather import gather
 from msp_range.config import load_airframe
 from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -20,8 +22,6 @@ from msp_range.recording.csv_rows import csv_rows
 from msp_range.recording.error import RecordingError
 from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.yaml_file import ConfigError
-from msp_sim.filter_study.table import REPORT, read_table
-from msp_sim.gap.intake import read_readings
 from msp_sim.model.model import load_model
 from tests.fuzz import base, mutate, played
 

@@ -11,11 +11,11 @@ from typing import Any
 import typer
 import yaml
 
+from msp_lab.campaigns.campaign import load_campaign
+from msp_lab.campaigns.flights import is_of_flights, load_flights
+from msp_lab.campaigns.plan import plan
+from msp_lab.readings.column_map import ColumnMap
 from msp_range import cli
-from msp_range.characterise.campaign import load_campaign
-from msp_range.characterise.column_map import ColumnMap
-from msp_range.characterise.flights import is_of_flights, load_flights
-from msp_range.characterise.plan import plan
 from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError, load

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from msp_range.characterise.collect import TROUBLE_AFTER, Arranged, Say
+from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Say
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.csv_form import read_csv

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from msp_range.characterise.terminal import Terminal
+from msp_lab.campaigns.terminal import Terminal
 from msp_range.cli import app
 from msp_sim.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, campaign, condition, written

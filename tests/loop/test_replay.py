@@ -11,7 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 from typer.testing import CliRunner, Result
 
-from msp_range.characterise.gather import gather
+from msp_lab.gap.intake import read_readings
+from msp_lab.readings.gather import gather
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.transport import Nowhere
@@ -22,7 +23,6 @@ from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_range.replay import first_ping_s, replay
 from msp_sim.cli import app as sim_app
-from msp_sim.gap.intake import read_readings
 from msp_sim.model.model import load_model
 from tests.support.bench import START_S, Bench, airframe
 from tests.support.data import measured_data

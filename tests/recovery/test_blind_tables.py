@@ -15,9 +15,9 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
+from msp_lab.gap.findings import FoundEffect, GapFindings, read_findings
 from msp_range.cli import app as range_app
 from msp_sim.cli import app as sim_app
-from msp_sim.gap.findings import FoundEffect, GapFindings, read_findings
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, Regime, contexts, habits
 from tests.blind.mechanisms import MECHANISMS

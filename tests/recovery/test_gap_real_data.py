@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from msp_range.characterise.column_map import load_map
+from msp_lab.gap import workflow
+from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.intake import read_readings
+from msp_lab.readings.column_map import load_map
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.gap import workflow
-from msp_sim.gap.findings import GapFindings, Settings
-from msp_sim.gap.intake import read_readings
 from msp_sim.model.model import load_model
 from tests.support.data import measured_data
 from tests.support.measured import ROOT

@@ -7,9 +7,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from msp_range.characterise.characterise import characterise
-from msp_range.characterise.findings import Effect, Findings, Question
-from msp_range.characterise.gather import gather
+from msp_lab.characterise.characterise import characterise
+from msp_lab.characterise.findings import Effect, Findings, Question
+from msp_lab.readings.gather import gather
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from tests.blind.campaign import campaign

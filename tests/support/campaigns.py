@@ -6,13 +6,13 @@ from typing import Any
 
 import yaml
 
-from msp_range.characterise.campaign import Campaign, load_campaign
-from msp_range.characterise.collect import Arranged, Place, Say, collect
-from msp_range.characterise.plan import Point, plan
-from msp_range.characterise.store import Store
-from msp_range.characterise.watch import Outlier, Watch
+from msp_lab.campaigns.campaign import Campaign, load_campaign
+from msp_lab.campaigns.collect import Arranged, Place, Say, collect
+from msp_lab.campaigns.plan import Point, plan
+from msp_lab.campaigns.simulated_bench import Draw, Nobody, SimulatedBench, readings_of
+from msp_lab.campaigns.store import Store
+from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.reading import Reading
-from msp_sim.bench import Draw, Nobody, SimulatedBench, readings_of
 from msp_sim.device import Fault
 
 CONFIGS = Path(__file__).parents[2] / "configs"

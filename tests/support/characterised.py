@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msp_range.characterise import findings as found
+from msp_lab.characterise import findings as found
 from msp_range.recording.csv_form import MeasuredData
 
 BASELINE_CM = tuple(range(40, 261, 20))

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from importlib import import_module
 
 HEAVY = (
-    "msp_range.characterise.characterise",
-    "msp_range.characterise.gather",
-    "msp_range.characterise.model_file",
-    "msp_range.characterise.show",
-    "msp_sim.gap.commands",
-    "msp_sim.gap.terminal",
+    "msp_lab.characterise.characterise",
+    "msp_lab.readings.gather",
+    "msp_lab.characterise.model_file",
+    "msp_lab.characterise.show",
+    "msp_lab.gap.commands",
+    "msp_lab.gap.terminal",
 )
 """What the commands import late."""
 TAIL = 500

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.accuracy import baseline, heard_to_cm, maximum_range, peaks
-from msp_range.characterise.points import sort_into_points
+from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range, peaks
+from msp_lab.characterise.points import sort_into_points
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.points import sort_into_points
-from msp_range.characterise.temperature import compensation_table, hot_boxes
+from msp_lab.characterise.points import sort_into_points
+from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.calibration import calibrate
-from msp_range.characterise.findings import Calibration
-from msp_range.characterise.points import sort_into_points
+from msp_lab.characterise.calibration import calibrate
+from msp_lab.characterise.findings import Calibration
+from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import Calibration as Curve
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from msp_range.characterise.campaign import load_campaign
-from msp_range.characterise.flights import is_of_flights, load_flights
-from msp_range.characterise.plan import Point, Setup, changes, plan, reading_s, setup_s
+from msp_lab.campaigns.campaign import load_campaign
+from msp_lab.campaigns.flights import is_of_flights, load_flights
+from msp_lab.campaigns.plan import Point, Setup, changes, plan, reading_s, setup_s
 from msp_range.yaml_file import ConfigError
 from tests.support.campaigns import CONFIGS, PLYWOOD, campaign, condition, written
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from msp_range.characterise.findings import Findings
-from msp_range.characterise.report import write_report
-from msp_range.characterise.report.draw.errors import Errors, draw_errors
+from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.report import write_report
+from msp_lab.characterise.report.draw.errors import Errors, draw_errors
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError

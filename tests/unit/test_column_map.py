@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.column_map import load_map, read_mapped
+from msp_lab.readings.column_map import load_map, read_mapped
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_range.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share
+from msp_lab.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share
 
 
 @pytest.mark.parametrize(("sigma_cm", "n"), [(0.15, 50), (0.35, 100), (0.5, 2000), (2.0, 100)])

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from msp_lab.filter_study.candidates import changepoint, oracle
+from msp_lab.filter_study.explain import Verdict, explain
+from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
+from msp_lab.filter_study.scenarios import Runs, gaussian_parameters, report_readings, truth
+from msp_lab.filter_study.statistics import delay_samples, mirrored, statistics
+from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import app
-from msp_sim.filter_study.candidates import changepoint, oracle
-from msp_sim.filter_study.explain import Verdict, explain
-from msp_sim.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
-from msp_sim.filter_study.scenarios import Runs, gaussian_parameters, report_readings, truth
-from msp_sim.filter_study.statistics import delay_samples, mirrored, statistics
-from msp_sim.filter_study.table import REPORT, read_table, report_table
 
 READINGS = np.random.default_rng(5).normal(300.0, 20.0, (3, 40)).round()
 

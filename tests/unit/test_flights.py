@@ -9,7 +9,7 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from msp_range.characterise.flights import Hangar, collect_flights, load_flights
+from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError

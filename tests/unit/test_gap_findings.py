@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from msp_range.yaml_file import ConfigError
-from msp_sim.gap.findings import (
+from msp_lab.gap.findings import (
     Calibration,
     FoundEffect,
     Gap,
@@ -26,7 +25,8 @@ from msp_sim.gap.findings import (
     read_findings,
     write_findings,
 )
-from msp_sim.gap.judge import sentence, verdict
+from msp_lab.gap.judge import sentence, verdict
+from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL
 

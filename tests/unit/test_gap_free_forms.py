@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap import units
+from msp_lab.gap.adequacy import FreeForm, curves_of, formula, scan
+from msp_lab.gap.findings import FoundEffect
+from msp_lab.gap.refit import refit
+from msp_lab.gap.tangent import Prepared
+from msp_lab.gap.workbench import explain
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.gap import units
-from msp_sim.gap.adequacy import FreeForm, curves_of, formula, scan
-from msp_sim.gap.findings import FoundEffect
-from msp_sim.gap.refit import refit
-from msp_sim.gap.tangent import Prepared
-from msp_sim.gap.workbench import explain
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor

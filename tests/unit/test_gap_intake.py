@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msp_range.characterise.column_map import load_map
+from msp_lab.gap.intake import Readings, read_readings
+from msp_lab.readings.column_map import load_map
 from msp_range.recording.csv_form import write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
-from msp_sim.gap.intake import Readings, read_readings
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
 

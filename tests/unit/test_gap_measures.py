@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from msp_sim.gap.cells import partitions
-from msp_sim.gap.free_fit import FreeFit
-from msp_sim.gap.measures import Measures, Table, measure, twins, usable
-from msp_sim.gap.slices import ranked
+from msp_lab.gap.cells import partitions
+from msp_lab.gap.free_fit import FreeFit
+from msp_lab.gap.measures import Measures, Table, measure, twins, usable
+from msp_lab.gap.slices import ranked
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from msp_lab.gap.cells import Partition, partitions
+from msp_lab.gap.findings import FoundEffect, GapFindings, Rival, Settings, Source, Step, Unknown, Value
+from msp_lab.gap.measures import Table
+from msp_lab.gap.pictures import _apart
+from msp_lab.gap.report import Models, write_report
+from msp_lab.gap.words import headline
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
 from msp_sim.cli import app
-from msp_sim.gap.cells import Partition, partitions
-from msp_sim.gap.findings import FoundEffect, GapFindings, Rival, Settings, Source, Step, Unknown, Value
-from msp_sim.gap.measures import Table
-from msp_sim.gap.pictures import _apart
-from msp_sim.gap.report import Models, write_report
-from msp_sim.gap.words import headline
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
 from tests.unit.test_gap_findings import FULL

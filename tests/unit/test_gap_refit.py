@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap.refit import Fitted, extended, refit, to_sensor
+from msp_lab.gap.tangent import BASE, Prepared
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_sim.gap.refit import Fitted, extended, refit, to_sensor
-from msp_sim.gap.tangent import BASE, Prepared
 from msp_sim.model.model import Active, Model, active, active_curve
 from tests.support.measured import MODEL as FILE
 from tests.support.plain_sampler import PlainSensor

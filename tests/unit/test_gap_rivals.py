@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap.name import Chosen, settle
+from msp_lab.gap.refit import refit
+from msp_lab.gap.search import Item, Search
+from msp_lab.gap.units import numbered
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.gap.name import Chosen, settle
-from msp_sim.gap.refit import refit
-from msp_sim.gap.search import Item, Search
-from msp_sim.gap.units import numbered
 from msp_sim.model.model import Model, active
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor

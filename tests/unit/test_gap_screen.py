@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from msp_lab.gap.screen import Screen, Sums, information_of, score_matrix, screen, sums, twin
+from msp_lab.gap.tangent import BASE, Entry, Prepared, entries
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.gap.screen import Screen, Sums, information_of, score_matrix, screen, sums, twin
-from msp_sim.gap.tangent import BASE, Entry, Prepared, entries
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as SENSOR
 from tests.support.plain_sampler import PlainSensor

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap import units
+from msp_lab.gap.adequacy import formula
+from msp_lab.gap.prove import gain
+from msp_lab.gap.refit import refit, to_sensor
+from msp_lab.gap.screen import score_matrix
+from msp_lab.gap.tangent import BASE, Prepared, entries
+from msp_lab.gap.workbench import Explanation, explain
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
-from msp_sim.gap import units
-from msp_sim.gap.adequacy import formula
-from msp_sim.gap.prove import gain
-from msp_sim.gap.refit import refit, to_sensor
-from msp_sim.gap.screen import score_matrix
-from msp_sim.gap.tangent import BASE, Prepared, entries
-from msp_sim.gap.workbench import Explanation, explain
 from msp_sim.model.model import Model, active_curve
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.column_map import load_map
-from msp_range.characterise.gather import gather
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.gather import gather
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from msp_range.characterise.bench import KernelBench
+from msp_lab.campaigns.bench import KernelBench
 from msp_range.correction.temperature import FileSource
 
 

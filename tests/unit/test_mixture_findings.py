@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.findings import Mixture
-from msp_range.characterise.mixture import fit_mixture
-from msp_range.characterise.points import sort_into_points
+from msp_lab.characterise.findings import Mixture
+from msp_lab.characterise.mixture import fit_mixture
+from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import IDENTITY
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table

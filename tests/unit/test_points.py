@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_range.characterise.points import conditions, sort_into_points
+from msp_lab.characterise.points import conditions, sort_into_points
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table
 

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
-from msp_range.page.style import new_figure, png, style
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.replay import Outcome, show
 from msp_range.terminal import PlainConsole
+from msp_sim.page.style import new_figure, png, style
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 ODD = "[red]quad[/] [/red] :warning: \\[x]"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from msp_range.characterise.terminal import histogram
-from msp_range.characterise.watch import FIRST_LOOK, Outlier, Watch
+from msp_lab.campaigns.terminal import histogram
+from msp_lab.campaigns.watch import FIRST_LOOK, Outlier, Watch
 from msp_range.reading import Reading, Status
 
 

@@ -1,0 +1,258 @@
+"""The campaign file: what is to be measured, at which settings, how often, and against which reference.
+
+YAML enters, a validated `Campaign` leaves; every mistake is named with its place (`msp_range.yaml_file`). The
+conditions follow the report's chapter 4 and Table 4.1. `msp_lab.campaigns.plan` makes from it the points in the
+order in which a person goes through them.
+"""
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+
+from msp_range.correction.temperature import FileSource
+from msp_range.sensors.on_bus import Name, SensorOnBus
+from msp_range.yaml_file import Section, folder_of, load, read_config
+
+RangeCm = Annotated[float, Field(gt=0, le=2000)]
+AngleDeg = Annotated[float, Field(gt=-90, lt=90)]
+SizeCm = Annotated[float, Field(gt=0, le=10_000)]
+TemperatureC = Annotated[float, Field(ge=-40, le=80)]
+HumidityPct = Annotated[float, Field(ge=0, le=100)]
+Firing = Literal["sequential", "simultaneous"]
+
+STEPS_MOST = 1000
+
+
+class Span(Section):
+    """Evenly spaced values, both ends included."""
+
+    first: float
+    """the first value"""
+    last: float
+    """the last value"""
+    step: float = Field(gt=0)
+    """distance between two values"""
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Span":
+        steps = (self.last - self.first) / self.step
+        if not (abs(steps - round(steps)) < 1e-6 and 0 < round(steps) <= STEPS_MOST):
+            raise ValueError(
+                f"expected last to be first plus 1 to {STEPS_MOST} whole steps, "
+                f"found first {self.first:g}, last {self.last:g}, step {self.step:g}"
+            )
+        return self
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All of them."""
+        count = round((self.last - self.first) / self.step)
+        return tuple(round(self.first + self.step * each, 6) for each in range(count + 1))
+
+
+def _spread(given: Any) -> Any:
+    """A span's values in place of the span."""
+    return Span.model_validate(given).values if isinstance(given, dict) else given
+
+
+class Sensor(SensorOnBus):
+    """One range finder on the bench."""
+
+    simulator: str | None = None
+    """sensor model file by which the simulator's sensor reads, relative to the campaign file; left out: the same"""
+
+    _simulated_by: Path = PrivateAttr()
+
+    @model_validator(mode="after")
+    def _name_simulator(self, info: ValidationInfo) -> "Sensor":
+        self._simulated_by = folder_of(info) / (self.simulator or self.model)
+        return self
+
+    @property
+    def simulated_by(self) -> Path:
+        """The file by which the simulator's sensor reads."""
+        return self._simulated_by
+
+
+class Reference(Section):
+    """What the readings are compared with."""
+
+    method: str = Field(min_length=1)
+    """how the true range is measured, from where to where"""
+    uncertainty_cm: float = Field(gt=0, le=100)
+    """standard deviation of that [cm]; half the step of a ruler is about right. The simulator errs by as much"""
+
+
+class Target(Section):
+    """What the beam meets."""
+
+    material: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_ -]{0,31}$")]
+    """a word: plywood, asphalt, concrete, wall ..."""
+    size_cm: tuple[SizeCm, SizeCm] | None = None
+    """width and height [cm]; left out: larger than the beam"""
+    how: str = ""
+    """what a person has to know to put it up"""
+
+
+class Air(Section):
+    """The air between sensor and target."""
+
+    air_temperature_c: TemperatureC | None = None
+    """at the sensor [deg C]; left out: as it comes, and the thermometer says"""
+    target_temperature_c: TemperatureC | None = None
+    """at the far end, next to the target [deg C]; left out: the same as at the sensor"""
+    humidity_pct: HumidityPct | None = None
+    """relative humidity [%]; left out: unknown"""
+    how: str = ""
+    """how it is brought about: a box, a vent, a humidifier"""
+
+    @model_validator(mode="after")
+    def _near_end_first(self) -> "Air":
+        if self.target_temperature_c is not None and self.air_temperature_c is None:
+            raise ValueError("target_temperature_c: found without air_temperature_c, expected both ends or none")
+        return self
+
+
+class External(Section):
+    """An ultrasonic transmitter beside the bench, at every combination of what is listed here."""
+
+    levels_db: tuple[Annotated[float, Field(ge=0, le=160)], ...] = Field(min_length=1)
+    """sound level at 30 cm from it [dB re 20 uPa]"""
+    duties: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(min_length=1)
+    """share of the time that it sounds"""
+    distances_cm: tuple[Annotated[float, Field(gt=0, le=2000)], ...] = Field(min_length=1)
+    """from it to the sensor [cm]"""
+    frequencies_khz: tuple[Annotated[float, Field(ge=20, le=200)], ...] = Field(min_length=1)
+    """of its sound [kHz]"""
+    quiet: bool = True
+    """whether each point is also read with it switched off, to compare with"""
+
+
+class Moving(Section):
+    """A target that moves along the beam at a constant rate, from each range to another."""
+
+    to_cm: RangeCm
+    """where it ends [cm]"""
+    rates_cm_s: tuple[Annotated[float, Field(gt=0, le=500)], ...] = Field(min_length=1)
+    """how fast [cm/s]; the direction follows from the ranges"""
+
+
+class Condition(Section):
+    """One experiment: it is read at every combination of what it lists."""
+
+    condition: Name
+    """the word under which its readings are found; several entries may share it. With two ways of firing listed, each
+    one's word is added: crosstalk_simultaneous"""
+    question: str = ""
+    """what it is to find out, and where the report does"""
+    setup: str = ""
+    """what a person has to know when it begins"""
+    ranges_cm: tuple[RangeCm, ...] = Field(min_length=1)
+    """perpendicular distances from sensor to target [cm]: a list, or {first, last, step}"""
+    angles_deg: tuple[AngleDeg, ...] = Field((0.0,), min_length=1)
+    """angles between the beam and the target's normal, signed [deg]: a list, or {first, last, step}"""
+    targets: tuple[Target, ...] = Field(min_length=1)
+    """what the beam meets"""
+    air: tuple[Air, ...] = Field((), max_length=100)
+    """air between sensor and target; left out: the campaign's room"""
+    vibrations_hz: tuple[Annotated[float, Field(ge=0, le=100_000)], ...] = Field((0.0,), min_length=1)
+    """vibration of the sensor's housing [Hz]; 0: none"""
+    sensors: tuple[Name, ...] = ()
+    """names of the sensors that are read; left out: the first one"""
+    apart_cm: float | None = Field(None, gt=0, le=1000)
+    """distance between them, where there are several [cm]"""
+    firing: tuple[Firing, ...] = Field(("sequential",), min_length=1)
+    """sequential: each waits for the one before; simultaneous: all ping at once"""
+    external: External | None = None
+    """an ultrasonic transmitter nearby; left out: none"""
+    moving: Moving | None = None
+    """a target that moves; left out: it stands still"""
+    readings: int | None = Field(None, ge=1, le=10_000_000)
+    """readings a point and sensor; left out: the campaign's"""
+
+    @field_validator("ranges_cm", "angles_deg", mode="before")
+    @classmethod
+    def _spans(cls, given: Any) -> Any:
+        return _spread(given)
+
+    @model_validator(mode="after")
+    def _once_each(self) -> "Condition":
+        for key in ("ranges_cm", "angles_deg", "targets", "air", "vibrations_hz", "sensors", "firing"):
+            twice = [each for each, count in Counter(getattr(self, key)).items() if count > 1]
+            if twice:
+                raise ValueError(f"{key}: found {twice[0]!r} more than once, expected each once")
+        if self.moving is not None and self.moving.to_cm in self.ranges_cm:
+            raise ValueError(f"moving.to_cm: found {self.moving.to_cm:g}, which is also where a movement begins")
+        if len(self.sensors) < 2 and self.firing != ("sequential",):
+            raise ValueError("firing: found with one sensor, expected it where sensors lists several")
+        return self
+
+
+class Campaign(Section):
+    """A campaign file."""
+
+    campaign: Name
+    """a name of its own: small letters, digits and underscores"""
+    purpose: str = ""
+    """what it is for"""
+    reference: Reference
+    """what the readings are compared with"""
+    sensors: tuple[Sensor, ...] = Field(min_length=1)
+    """the range finders; the first one is read where a condition names none"""
+    room: Air = Air()
+    """the air where a condition says nothing else"""
+    thermometer: FileSource | None = None
+    """file of a thermometer next to the sensor; left out: a person types in what a thermometer says"""
+    readings: int = Field(100, ge=1, le=10_000_000)
+    """readings a point and sensor, where a condition says nothing else"""
+    conditions: tuple[Condition, ...] = Field(min_length=1)
+    """the experiments, in the order in which they are done"""
+
+    _files: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Campaign":
+        names = [sensor.name for sensor in self.sensors]
+        for what, values in (("name", names), ("address", [f"0x{sensor.address:02x}" for sensor in self.sensors])):
+            twice = [each for each, count in Counter(values).items() if count > 1]
+            if twice:
+                raise ValueError(f"sensors: {what} {twice[0]} is given more than once; each needs its own")
+        for number, condition in enumerate(self.conditions):
+            for name in condition.sensors:
+                if name not in names:
+                    raise ValueError(
+                        f"conditions.{number}.sensors: no sensor is named {name!r}; the sensors are {', '.join(names)}"
+                    )
+        return self
+
+    def keep_files(self, files: dict[str, str]) -> None:
+        """Note the texts that this campaign was read from."""
+        self._files = files
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Text of the campaign file, as ``campaign.yaml``, and of the sensor model files by the names it gives them."""
+        return self._files
+
+    def sensor(self, name: str) -> Sensor:
+        """The sensor of that name."""
+        return next(each for each in self.sensors if each.name == name)
+
+
+def load_campaign(path: Path | str) -> Campaign:
+    """Read a campaign file and the sensor model files that it names.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or used; one line a mistake.
+    """
+    path = Path(path)
+    campaign = load(path, Campaign)
+    files = {"campaign.yaml": read_config(path)}
+    for sensor in campaign.sensors:
+        files[sensor.model] = read_config(path.parent / sensor.model)
+    campaign.keep_files(files)
+    return campaign

@@ -1,0 +1,79 @@
+"""What ``msp-sim collect`` does: a campaign on emulated sensors, by the code of ``msp-range collect``.
+
+A campaign's file and the command's options enter; recordings and one table of readings leave.
+"""
+
+from pathlib import Path
+
+from msp_lab.campaigns.campaign import load_campaign
+from msp_lab.campaigns.collect import chosen, collect
+from msp_lab.campaigns.flights import Hangar, load_flights
+from msp_lab.campaigns.plan import plan
+from msp_lab.campaigns.simulated_bench import Nobody, SimulatedBench, readings_of
+from msp_lab.campaigns.store import Store
+from msp_range.clock import SystemClock, VirtualClock
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.writer import Recorder
+from msp_range.service import stop_signals
+from msp_sim.flight import Simulation
+from msp_sim.scenario import load_scenario
+from msp_sim.show import Collecting
+
+
+def collect_campaign(
+    campaign_file: Path, out: Path, model: Path | None, seed: int, only: list[str], repeat: list[str]
+) -> None:
+    """Read the points of a campaign at the bench; the parameters are the options of the command."""
+    campaign = load_campaign(campaign_file)
+    points = plan(campaign)
+    again = chosen(points, repeat, "--repeat")
+    # What is to be read again is not a reason to read all the rest.
+    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
+    models, described = readings_of(campaign, model)
+    bench = SimulatedBench(campaign, points, models, seed, described)
+    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    system = SystemClock()
+    started_s = system.now()
+    todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
+    with stop_signals() as stopped, Collecting(todo) as shown:
+        nobody = Nobody(shown.take, lambda: bool(stopped))
+        try:
+            collect(campaign, points, bench, store, nobody, wanted, again)
+        finally:
+            store.close()
+    table, rows = store.write_table()
+    for text in nobody.texts:
+        print(text)
+    left = sum(not store.is_done(point) for point in points)
+    print(
+        f"{table}: {rows} readings, {nobody.readings} of them now in {system.now() - started_s:.1f} s; "
+        f"{nobody.outliers} outliers, {nobody.failed} pings without a usable answer; "
+        f"{left} of {len(points)} points are left"
+    )
+
+
+def collect_flights(campaign_file: Path, out: Path, model: Path | None, seed: int) -> None:
+    """Fly a campaign's flights, those that are not recorded yet; the parameters are the options of the command."""
+    campaign = load_flights(campaign_file)
+    hangar = Hangar(out, campaign)
+    sensor_model = load_sensor_model(model) if model is not None else None
+    scenarios = {
+        flight.flight: load_scenario(campaign_file.parent / flight.scenario)
+        for flight in campaign.flights
+        if flight.scenario is not None
+    }
+    for number, flight in enumerate(campaign.flights, start=1):
+        scenario = scenarios.get(flight.flight)
+        if scenario is None or hangar.recordings(flight):
+            continue
+        print(f"{number} of {len(campaign.flights)}: {flight.flight}, {scenario.duration_s:g} s of {scenario.name}")
+        clock = VirtualClock()
+        with hangar.making(flight) as path:
+            files = scenario.airframe.files
+            recorder = Recorder(path, clock, files=files, metadata={"scenario": scenario.name, "seed": str(seed)})
+            simulation = Simulation(scenario, clock, seed + number, model=sensor_model, recorder=recorder)
+            for _ in simulation.fly():
+                pass
+            recorder.close()
+    table, rows = hangar.write_table()
+    print(f"{table}: {rows} readings of {len(scenarios)} flights")

@@ -1,0 +1,311 @@
+"""A campaign in the air: flights whose readings the bridge records itself, and the truth from another instrument.
+
+A flight campaign file says what is to be flown, a recording of `msp-range run` and a table of the reference come in for
+each flight, and the same table of readings leaves as from the bench. Copies are kept and only ever added to.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, model_validator
+from rich.console import Console
+
+from msp_lab.campaigns.campaign import Reference
+from msp_range.config import NamedAirframe
+from msp_range.input_file import open_input
+from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, Column, MeasuredData, read_csv, write_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.export import measured_data
+from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
+from msp_range.sensors.on_bus import Name
+from msp_range.yaml_file import Section, load, read_yaml
+
+GAP_S = 1.0
+"""Between two values of the reference that are farther apart, the truth is not known [s]."""
+SCENARIO = "scenario"
+READINGS = "readings.csv"
+TRUTH, TIME, UTC = "true_range_cm", "time_s", "utc_s"
+
+
+class Flight(Section):
+    """One flight."""
+
+    flight: Name
+    """a name of its own; it is the condition of its readings"""
+    question: str = ""
+    """what it is to find out"""
+    how: str = Field(min_length=1)
+    """what the pilot does"""
+    target: str = Field(min_length=1)
+    """what lies below, a word"""
+    scenario: str | None = None
+    """scenario file that the simulator flies in its place, relative to this file"""
+
+
+class FlightCampaign(Section):
+    """A campaign file of flights."""
+
+    campaign: Name
+    """a name of its own: small letters, digits and underscores"""
+    purpose: str = ""
+    """what it is for"""
+    reference: Reference
+    """what the readings are compared with"""
+    airframe: NamedAirframe
+    """airframe file of the vehicle, relative to this file"""
+    flights: tuple[Flight, ...] = Field(min_length=1)
+    """the flights, in the order in which they are flown"""
+
+    @model_validator(mode="after")
+    def _once_each(self) -> "FlightCampaign":
+        names = [each.flight for each in self.flights]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"flights: flight {twice[0]} is given more than once; each needs its own name")
+        return self
+
+
+def load_flights(path: Path | str) -> FlightCampaign:
+    """Read a campaign file of flights and the airframe file that it names.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read or used; one line a mistake.
+    """
+    return load(path, FlightCampaign)
+
+
+def is_of_flights(path: Path | str) -> bool:
+    """Whether a campaign file is one of flights.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read.
+    """
+    content = read_yaml(Path(path))
+    return isinstance(content, dict) and "flights" in content
+
+
+class Hangar:
+    """The folder of a flight campaign: ``flights/<flight>-001.mcap`` with its reference, and ``readings.csv``.
+
+    Where a flight was flown several times, the last one counts. Recordings and references are only ever added; whoever
+    does not want one deletes it, and its number is not given again while there are later ones.
+
+    Raises
+    ------
+    RecordingError
+        There is a ``readings.csv`` that was not made from recordings of these flights.
+    """
+
+    def __init__(self, folder: Path, campaign: FlightCampaign) -> None:
+        self.folder = folder
+        self._campaign = campaign
+        table = folder / READINGS
+        if table.exists() and not any(self.recordings(flight) for flight in campaign.flights):
+            raise RecordingError(
+                f"{table}: not collected here, for there is no recording of these flights in {folder / 'flights'}, and "
+                "it would be overwritten; name another folder with --out"
+            )
+
+    def recordings(self, flight: Flight) -> list[Path]:
+        """Its recordings, in their order."""
+        numbered = {_number(flight, path): path for path in self._files(flight) if path.suffix == ".mcap"}
+        return [numbered[number] for number in sorted(numbered)]
+
+    def _files(self, flight: Flight) -> list[Path]:
+        """Its recordings and references, in any order."""
+        pattern = re.compile(re.escape(flight.flight) + r"-\d{3,}(\.mcap|\.reference\.csv)")
+        return [path for path in (self.folder / "flights").glob("*") if pattern.fullmatch(path.name)]
+
+    @contextmanager
+    def making(self, flight: Flight) -> Iterator[Path]:
+        """Where to write its next recording; it is there when it is whole."""
+        self._refuse_other_kind(simulated=True)
+        path = self._next_path(flight)
+        beside = path.with_name(f".{path.name}.new")
+        beside.unlink(missing_ok=True)
+        yield beside
+        _add(beside, path)
+
+    def _refuse_other_kind(self, *, simulated: bool) -> None:
+        """Simulated and real flights never share a folder; the simulator names its scenario in the recording."""
+        for flight in self._campaign.flights:
+            for path in self.recordings(flight):
+                if (SCENARIO in Recording(path).metadata) != simulated:
+                    kind = "real" if simulated else "simulated"
+                    raise RecordingError(f"{path}: of a {kind} flight; name another folder with --out")
+
+    def _next_path(self, flight: Flight) -> Path:
+        folder = self.folder / "flights"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{folder}: this folder cannot be made: {error.strerror}") from None
+        # A reference whose recording was deleted must not become that of the next one.
+        last = max((_number(flight, path) for path in self._files(flight)), default=0)
+        return folder / f"{flight.flight}-{last + 1:03d}.mcap"
+
+    def keep(self, flight: Flight, recording: Path, reference: Path | None) -> None:
+        """Copy a flight's recording and the table of its reference, both looked at before.
+
+        Raises
+        ------
+        RecordingError
+            One cannot be read or holds nothing of use, or cannot be copied.
+        """
+        data = measured_data(Recording(recording), faults=False)
+        if not len(data):
+            raise RecordingError(f"{recording}: holds no readings")
+        if reference is not None:
+            known = ~np.isnan(truth_at(data["time_s"], Recording(recording), reference))
+            if not known.any():
+                raise RecordingError(f"{reference}: its times and those of {recording} have nothing in common")
+        self._refuse_other_kind(simulated=False)
+        path = self._next_path(flight)
+        if reference is not None:
+            _copy(reference, path.with_suffix(".reference.csv"))
+        _copy(recording, path)
+
+    def readings(self) -> MeasuredData:
+        """The readings of every flight's last recording, in the order of the campaign."""
+        parts = [
+            self._of(flight, self.recordings(flight)[-1])
+            for flight in self._campaign.flights
+            if self.recordings(flight)
+        ]
+        found = dict.fromkeys(name for part in parts for name in part.columns)
+        names = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS) if name in found]
+        return MeasuredData({name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names})
+
+    def write_table(self) -> tuple[Path, int]:
+        """Write ``readings.csv`` anew; returns its path and how many rows it has."""
+        path, beside = self.folder / READINGS, self.folder / f".{READINGS}.new"
+        data = self.readings()
+        beside.unlink(missing_ok=True)
+        write_csv(beside, data)
+        os.replace(beside, path)
+        return path, len(data)
+
+    def _of(self, flight: Flight, path: Path) -> MeasuredData:
+        recording = Recording(path)
+        data = measured_data(recording, faults=False)
+        columns = dict(data.columns)
+        columns["condition"] = np.full(len(data), flight.flight)
+        if "target" not in columns:
+            columns["target"] = np.full(len(data), flight.target)
+        reference = path.with_suffix(".reference.csv")
+        if reference.exists():
+            columns[TRUTH] = truth_at(data["time_s"], recording, reference)
+        return MeasuredData(columns)
+
+
+def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
+    """The reference's range [cm] at times on the bridge's clock [s], NaN where it does not say.
+
+    Parameters
+    ----------
+    time_s
+        Times of the echoes, shape (n,).
+    recording
+        Knows what UTC its times are.
+    reference
+        CSV with ``true_range_cm`` and either ``time_s`` on the bridge's clock or ``utc_s``, seconds since 1970.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Linear between two values that are at most `GAP_S` apart.
+
+    Raises
+    ------
+    RecordingError
+        The table cannot be read, has no times, or they go backwards.
+    """
+    table = read_csv(reference, required=(TRUTH,))
+    if TIME not in table and UTC not in table:
+        raise RecordingError(f"{reference}: found no column {TIME} (the bridge's clock) nor {UTC} (since 1970)")
+    known = ~np.isnan(table[TRUTH])
+    their_s = table[TIME if TIME in table else UTC][known]
+    if their_s.size < 2 or (np.diff(their_s) <= 0).any():
+        raise RecordingError(
+            f"{reference}: found times that do not grow, or fewer than two; expected one after another"
+        )
+    asked_s = time_s if TIME in table else time_s + recording.utc_s(0.0)
+    after = np.clip(np.searchsorted(their_s, asked_s), 1, their_s.size - 1)
+    inside = (asked_s >= their_s[0]) & (asked_s <= their_s[-1]) & (their_s[after] - their_s[after - 1] <= GAP_S)
+    return np.where(inside, np.interp(asked_s, their_s, table[TRUTH][known]), np.nan)
+
+
+def show_flights(campaign: FlightCampaign, hangar: Hangar, console: Console) -> None:
+    """What is to be flown, and what is there."""
+    for number, flight in enumerate(campaign.flights, start=1):
+        there = "   recorded" if hangar.recordings(flight) else ""
+        console.print(f"{number:4d}  {flight.flight}{there}", highlight=False)
+        console.print(
+            f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim", highlight=False
+        )
+    console.print(f"The reference: {campaign.reference.method}", highlight=False)
+
+
+def collect_flights(campaign: FlightCampaign, hangar: Hangar, console: Console, ask: Callable[[str], str]) -> None:
+    """Lead a person through the flights: what to fly, and where its recording and reference are."""
+    for number, flight in enumerate(campaign.flights, start=1):
+        if hangar.recordings(flight):
+            continue
+        console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold", highlight=False)
+        console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}", highlight=False)
+        console.print(f"  The reference: {campaign.reference.method}", highlight=False)
+        console.print("  Record it with: msp-range run AIRFRAME.yaml --record FOLDER", highlight=False)
+        while True:
+            answer = ask("  The recording (.mcap).  s: later.  q: stop > ").strip()
+            if answer in ("s", "q"):
+                break
+            reference = ask("  Table of the reference (.csv), Enter: none > ").strip()
+            if reference == "q":
+                answer = "q"
+                break
+            try:
+                hangar.keep(flight, Path(answer), Path(reference) if reference else None)
+                break
+            except RecordingError as error:
+                console.print(f"  {error}", style="yellow", highlight=False)
+        if answer == "q":
+            return
+
+
+def _or_unknown(part: MeasuredData, name: str) -> Column:
+    if name in part:
+        return part[name]
+    return np.full(len(part), "") if name in ("run", "target", "condition") else np.full(len(part), np.nan)
+
+
+def _number(flight: Flight, path: Path) -> int:
+    return int(path.name.removeprefix(f"{flight.flight}-").partition(".")[0])
+
+
+def _add(written: Path, path: Path) -> None:
+    """Give a whole file its name; RecordingError where there is a file of that name."""
+    if path.exists():
+        raise RecordingError(f"{path}: there is a file already, and none is overwritten")
+    os.replace(written, path)
+
+
+def _copy(source: Path, path: Path) -> None:
+    """A copy that is whole or not there."""
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        with open_input(source, LARGEST_FILE_BYTES) as read, beside.open("wb") as written:
+            shutil.copyfileobj(read, written)
+            written.flush()
+            os.fsync(written.fileno())
+        _add(beside, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,283 @@
+"""The bench of a campaign without a bench: emulated sensors on an emulated bus, in virtual time, with nobody there.
+
+A point's set-up enters as the columns of measured data, and the readings of a model leave through the bus that the real
+polling drives. Every point begins at a time and with a stream of chance of its own, so that a collection that was
+interrupted goes on as if it had not been, and a change of one point leaves the others as they were.
+"""
+
+import random
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.random import Generator, SeedSequence, default_rng
+
+from msp_lab.campaigns.bench import Columns
+from msp_lab.campaigns.campaign import Campaign
+from msp_lab.campaigns.collect import Arranged, Place, Say
+from msp_lab.campaigns.plan import Point, reading_s, setup_s
+from msp_lab.campaigns.watch import Outlier, Watch
+from msp_range.bus import Bus
+from msp_range.clock import Clock, VirtualClock
+from msp_range.reading import Reading
+from msp_sim.bus import EmulatedBus
+from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.model.model import Model, load_model
+from msp_sim.model.streams import Streams
+
+BIT_S = 1 / 50_000
+"""The maker's highest bus clock without clock stretching."""
+BITS_OVERHEAD = 2
+"""Start and stop of a transfer."""
+BITS_A_BYTE = 9
+"""Eight and the acknowledgement."""
+DRAWN_MOST = 1024
+"""Readings that are drawn at a time."""
+MARGIN = 1.3
+"""A point may take so much longer than planned, for pings that are asked again, before it delays the next one."""
+
+Draw = Callable[[Mapping[str, float | str]], int]
+"""A reading [cm] for what is known of a ping."""
+
+
+class TimedBus:
+    """A bus on which transfers take their time: two sensors that ping at once do so one after the other.
+
+    Parameters
+    ----------
+    bus
+        Where the devices are.
+    clock
+        Moved on by each transfer, before the device hears of it.
+    """
+
+    def __init__(self, bus: EmulatedBus, clock: VirtualClock) -> None:
+        self._bus = bus
+        self._clock = clock
+
+    def write(self, address: int, data: bytes) -> None:
+        """Send ``data``, address first."""
+        self._pass(1 + len(data))
+        self._bus.write(address, data)
+
+    def read(self, address: int, count: int) -> bytes:
+        """Read ``count`` bytes; a device that does not acknowledge its address ends the transfer there."""
+        self._pass(1)
+        answer = self._bus.read(address, count)
+        self._pass(count)
+        return answer
+
+    def reopen(self) -> None:
+        """Open the bus again."""
+        self._bus.reopen()
+
+    def close(self) -> None:
+        """Release the bus."""
+        self._bus.close()
+
+    def _pass(self, count: int) -> None:
+        self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_A_BYTE) * BIT_S)
+
+
+class SimulatedBench:
+    """A `msp_lab.campaigns.bench.Bench` whose sensors read what a model says.
+
+    The true range is the campaign's, off by the reference's uncertainty: a normal error for each time that the target
+    is put somewhere.
+
+    Parameters
+    ----------
+    campaign, points
+        What is to be measured.
+    models
+        Makes, for a sensor's name and a stream of chance, what draws its readings.
+    seed
+        Of all chance.
+    of
+        What the readings are drawn from, in words.
+    faults
+        By sensor: what is wrong with its electronics, in the bench's time.
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        points: Sequence[Point],
+        models: Callable[[str, Generator], Draw],
+        seed: int,
+        of: str,
+        faults: Mapping[str, Sequence[Fault]] | None = None,
+    ) -> None:
+        self._campaign = campaign
+        self._models = models
+        self._seed = seed
+        self._faults = dict(faults or {})
+        self._clock = VirtualClock()
+        self.clock: Clock = self._clock
+        self.description = f"the simulator, {of}, seed {seed}"
+        self.begins_s: dict[str, float] = {}
+        begin_s, before = 0.0, None
+        for point in points:
+            begin_s += setup_s(before, point.setup)
+            self.begins_s[point.name] = begin_s
+            begin_s += MARGIN * reading_s(campaign, point)
+            before = point.setup
+        self._length_s = begin_s
+
+    def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
+        """Fresh sensors; what was recorded before an interruption happens once more and is passed over."""
+        self._clock.sleep_until((attempt - 1) * self._length_s + self.begins_s[point.name])
+        chance = SeedSequence([self._seed, zlib.crc32(point.name.encode()), attempt])
+        for_placing, *for_sensors = chance.spawn(1 + len(point.setup.sensors))
+        off_cm = self._campaign.reference.uncertainty_cm * default_rng(for_placing).standard_normal()
+        scene = _Scene(columns, off_cm, point, attempt, self._clock.now())
+        devices = []
+        for name, of_sensor in zip(point.setup.sensors, for_sensors, strict=True):
+            for_readings, for_faults = of_sensor.spawn(2)
+            sensor = self._campaign.sensor(name)
+            timing = sensor.sensor_model.timing
+            devices.append(
+                MB1242(
+                    sensor.address,
+                    self._clock.now,
+                    scene.echo_of(name, self._models(name, default_rng(for_readings))),
+                    Timing(timing.ready_s, timing.s_per_cm, timing.cycle_s),
+                    self._faults.get(name, ()),
+                    random.Random(int(for_faults.generate_state(1)[0])),
+                )
+            )
+        return TimedBus(EmulatedBus(devices, self._clock.now), self._clock), done
+
+    def air_c(self, now_s: float) -> float | None:
+        """No thermometer: the air is as planned."""
+        return None
+
+
+class _Scene:
+    """What the sensors of a point face."""
+
+    def __init__(self, columns: Columns, off_cm: float, point: Point, attempt: int, start_s: float) -> None:
+        self._columns = dict(columns)
+        self._run = f"{point.name}.{attempt}"
+        self._start_cm = float(columns["true_range_cm"]) + off_cm
+        self._rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
+        self._start_s = start_s
+        self._last_s: dict[str, float] = {}
+
+    def echo_of(self, name: str, draw: Draw) -> Callable[[float], int]:
+        """What the sensor reads at a ping's time [s]."""
+
+        def echo(ping_s: float) -> int:
+            columns = dict(self._columns)
+            columns |= {"sensor": name, "run": self._run}
+            columns["true_range_cm"] = self._range_cm(ping_s)
+            others = [last_s for other, last_s in self._last_s.items() if other != name]
+            if others:
+                columns["neighbour_lag_ms"] = round((ping_s - max(others)) * 1e3, 6)
+                columns["neighbour_range_cm"] = self._range_cm(max(others))
+            self._last_s[name] = ping_s
+            return draw(columns)
+
+        return echo
+
+    def _range_cm(self, time_s: float) -> float:
+        return self._start_cm + self._rate_cm_s * (time_s - self._start_s)
+
+
+def readings_of(campaign: Campaign, model_file: Path | None) -> tuple[Callable[[str, Generator], Draw], str]:
+    """What draws the readings of each sensor, and in words what that is.
+
+    Parameters
+    ----------
+    campaign
+        Names the files of what its sensors read by in the simulator.
+    model_file
+        Sensor model file for all of them instead; None: their own.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be used.
+    """
+    paths = {sensor.name: model_file or sensor.simulated_by for sensor in campaign.sensors}
+    models = {name: load_model(path) for name, path in paths.items()}
+    texts = "".join(path.read_text(encoding="utf-8") for path in paths.values())
+    files = " and ".join(dict.fromkeys(path.name for path in paths.values()))
+    # Of the content too: after a change of the file, what is there must not be gone on with.
+    words = f"{files} ({zlib.crc32(texts.encode()):08x})"
+    return lambda name, generator: _Drawn(models[name], generator).draw, words
+
+
+class _Drawn:
+    """Readings of a model; where one ping is like the one before, several are drawn at a time."""
+
+    def __init__(self, model: Model, generator: Generator) -> None:
+        self._model = model
+        self._streams = Streams(generator)
+        self._columns: Mapping[str, float | str] = {}
+        self._drawn: Iterator[float] = iter(())
+        self._count = 1
+
+    def draw(self, columns: Mapping[str, float | str]) -> int:
+        """The reading [cm] of a ping."""
+        if columns != self._columns:
+            self._columns, self._drawn, self._count = columns, iter(()), 1
+        reading_cm = next(self._drawn, None)
+        if reading_cm is None:
+            contexts = {name: np.full(self._count, value) for name, value in columns.items()}
+            self._drawn = iter(self._model.sample(contexts, self._streams).tolist())
+            self._count = min(4 * self._count, DRAWN_MOST)
+            reading_cm = next(self._drawn)
+        return int(reading_cm)
+
+
+class Nobody:
+    """A `msp_lab.campaigns.collect.Person` who sets up at once, keeps every point, and counts.
+
+    Parameters
+    ----------
+    progress
+        Called with (point, readings so far).
+    stopped
+        Whether the collection is to end.
+    """
+
+    def __init__(
+        self,
+        progress: Callable[[Point, int], None] = lambda point, readings: None,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._progress = progress
+        self._stopped = stopped
+        self.readings = 0
+        self.outliers = 0
+        self.failed = 0
+        self.texts: list[str] = []
+
+    def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
+        """Everything is as planned."""
+        self._progress(point, self.readings)
+        return Arranged(Say.STOP if self._stopped() else Say.GO)
+
+    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
+        """Count."""
+        if reading.status.is_fault:
+            self.failed += 1
+        else:
+            self.readings += 1
+            self.outliers += outlier is not None
+        if self.readings % 500 == 0:
+            self._progress(point, self.readings)
+            if self._stopped():
+                return Say.STOP
+        return Say.GO
+
+    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
+        """Keep it."""
+        return Say.GO
+
+    def trouble(self, text: str) -> Say:
+        """Note it and try on; the collection gives up on its own."""
+        self.texts.append(text)
+        return Say.GO

@@ -1,0 +1,306 @@
+"""The folder of a campaign: recordings that are only ever added to, and the table that is made from them.
+
+Every sitting writes one more recording (``sitting-001.mcap``, safe against power loss), and what is done and what is
+left is read back from all of them, so an interruption costs a second of readings at most. ``readings.csv`` is written
+anew from the recordings, in the order of the plan: for each point its last complete attempt, or where none is complete
+the last one.
+"""
+
+import json
+import math
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from msp_lab.campaigns.bench import Known
+from msp_lab.campaigns.plan import Point
+from msp_range.clock import Clock
+from msp_range.reading import Status
+from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData, word_column, write_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
+from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
+from msp_range.recording.writer import Recorder
+
+READINGS_NAME = "readings.csv"
+CAMPAIGN_TOPIC = "/campaign"
+BENCH_KEY = "bench"
+MOST_ATTEMPTS = 10_000
+"""Attempts at a point: nobody makes so many, and each one in a damaged recording would be made up here."""
+_FAULTS = frozenset(status.value for status in Status if status.is_fault)
+
+
+@dataclass
+class Attempt:
+    """One go at a point.
+
+    Attributes
+    ----------
+    number
+        1, 2 ...
+    runs
+        Names of its sittings.
+    rangings
+        How many ended, unanswered ones too.
+    readings
+        Answers by sensor.
+    done
+        Whether it was read to its end.
+    """
+
+    number: int
+    runs: list[str] = field(default_factory=list)
+    rangings: int = 0
+    readings: Counter[str] = field(default_factory=Counter)
+    done: bool = False
+
+
+class Store:
+    """The folder of one campaign at one bench.
+
+    Parameters
+    ----------
+    folder
+        Made with the first reading where it is not there.
+    points
+        The plan.
+    bench
+        What the bench is; recordings of another one are refused.
+    clock
+        The bench's.
+    files
+        The campaign file and the sensor model files, kept in each recording.
+
+    Raises
+    ------
+    RecordingError
+        The folder holds what does not belong to this campaign and bench, or cannot be written.
+    """
+
+    def __init__(
+        self, folder: Path, points: Sequence[Point], bench: str, clock: Clock, files: Mapping[str, str]
+    ) -> None:
+        self.folder = folder
+        self._points = {point.name: point for point in points}
+        self._bench = bench
+        self._clock = clock
+        self._files = dict(files)
+        self._recorder: Recorder | None = None
+        self._attempts: dict[str, list[Attempt]] = {}
+        self._now: Attempt | None = None
+        self._run = ""
+        recordings = self.recordings
+        if not recordings and (folder / READINGS_NAME).exists():
+            raise RecordingError(
+                f"{folder / READINGS_NAME}: not collected here, for there is no sitting-*.mcap beside it, and it would "
+                "be overwritten; name another folder with --out"
+            )
+        for path in recordings:
+            self._recall(Recording(path))
+
+    @property
+    def recordings(self) -> list[Path]:
+        """The recordings of all sittings, in their order."""
+        return sorted(self.folder.glob("sitting-*.mcap"))
+
+    def attempts(self, point: Point) -> list[Attempt]:
+        """What has been done of a point."""
+        return self._attempts.get(point.name, [])
+
+    def is_done(self, point: Point) -> bool:
+        """Whether a point has been read to its end."""
+        return any(attempt.done for attempt in self.attempts(point))
+
+    def next_attempt(self, point: Point, *, again: bool) -> Attempt:
+        """The attempt that is to be read now: one that was interrupted, or a new one.
+
+        A movement cannot be taken up in its middle, so it begins anew.
+        """
+        attempts = self.attempts(point)
+        if attempts and not attempts[-1].done and not again and point.setup.movement is None:
+            return attempts[-1]
+        return Attempt(len(attempts) + 1)
+
+    def begin(self, point: Point, attempt: Attempt, *, goes_on: bool) -> None:
+        """Readings of an attempt follow; ``goes_on``: in the same run as those before the interruption."""
+        attempts = self._attempts.setdefault(point.name, [])
+        if attempt not in attempts:
+            attempts.append(attempt)
+        self._now = attempt
+        if not (goes_on and attempt.runs):
+            again = f".{attempt.number}" if attempt.number > 1 else ""
+            sitting = f"+{len(attempt.runs)}" if attempt.runs else ""
+            attempt.runs.append(f"{point.name}{again}{sitting}")
+        self._run = attempt.runs[-1]
+        self._write_event("begin", point, attempt)
+
+    def keep(self, known: Known) -> None:
+        """Record a ranging of the attempt that has begun; raises RecordingError where the disk has failed."""
+        assert self._now is not None
+        ranging, _, columns = known
+        reading = ranging.reading
+        recorder = self._recording()
+        recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": self._run, **columns})
+        message: dict[str, Any] = {
+            "time_s": reading.time_s,
+            "ping_s": ranging.ping_s,
+            "read_s": ranging.answered_s,
+            "status": reading.status.value,
+        }
+        if reading.raw is not None:
+            message["raw"] = reading.raw
+        if reading.range_m is not None:
+            message["range_m"] = reading.range_m
+            message["suspect"] = reading.suspect
+        recorder.write(RANGE_PREFIX + reading.sensor, ranging.answered_s, message)
+        recorder.flush_if_due(ranging.answered_s)
+        if recorder.fault is not None:
+            self.close()
+        self._now.rangings += 1
+        if not reading.status.is_fault:
+            self._now.readings[reading.sensor] += 1
+
+    def done(self, point: Point) -> None:
+        """The attempt that has begun is complete."""
+        assert self._now is not None
+        self._now.done = True
+        self._write_event("done", point, self._now)
+
+    def close(self) -> None:
+        """End this sitting's recording; raises RecordingError where the disk has not taken it."""
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            recorder.close()
+
+    def readings(self) -> MeasuredData:
+        """The readings that count, in the order of the plan; unanswered pings and faults have an empty reading."""
+        rank: dict[str, int] = {}
+        for name in self._points:
+            attempts = self._attempts.get(name, [])
+            complete = [attempt for attempt in attempts if attempt.done]
+            for chosen in (complete or attempts)[-1:]:
+                rank |= {run: len(rank) + number for number, run in enumerate(chosen.runs)}
+        rows = [row for path in self.recordings for row in _rows(Recording(path)) if row.get("run") in rank]
+        rows.sort(key=lambda row: rank[row["run"]])
+        names = ["time_s", "sensor", "run", "reading_cm", "true_range_cm"]
+        found = {name for row in rows for name in row}
+        names += [name for name in CONTEXT_COLUMNS if name in found]
+        return MeasuredData({name: self._column(name, [row.get(name) for row in rows]) for name in names})
+
+    def _column(self, name: str, values: list[Any]) -> Column:
+        if name in WORD_COLUMNS:
+            return word_column(str(self.folder), name, ["" if value is None else str(value) for value in values])
+        return np.array([math.nan if value is None else value for value in values], dtype=float)
+
+    def write_table(self) -> tuple[Path, int]:
+        """Write ``readings.csv`` anew where anything was read; returns its path and how many rows it has."""
+        path, beside = self.folder / READINGS_NAME, self.folder / f".{READINGS_NAME}.new"
+        if not self.recordings:
+            return path, 0
+        data = self.readings()
+        self._make_folder()
+        beside.unlink(missing_ok=True)
+        write_csv(beside, data)
+        os.replace(beside, path)
+        return path, len(data)
+
+    def _recording(self) -> Recorder:
+        if self._recorder is None:
+            self._make_folder()
+            numbers = [int(path.stem.removeprefix("sitting-")) for path in self.recordings]
+            path = self.folder / f"sitting-{max(numbers, default=0) + 1:03d}.mcap"
+            self._recorder = Recorder(path, self._clock, files=self._files, metadata={BENCH_KEY: self._bench})
+        return self._recorder
+
+    def _make_folder(self) -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{self.folder}: this folder cannot be made: {error.strerror}") from None
+
+    def _write_event(self, event: str, point: Point, attempt: Attempt) -> None:
+        message = {
+            "event": event,
+            "point": point.name,
+            "attempt": attempt.number,
+            "run": self._run,
+            "readings": point.readings,
+            "planned": _planned(point),
+        }
+        self._recording().write(CAMPAIGN_TOPIC, self._clock.now(), message)
+
+    def _recall(self, recording: Recording) -> None:
+        """Take note of what an earlier sitting has done."""
+        if BENCH_KEY not in recording.metadata and not recording.cut:
+            raise RecordingError(f"{recording.path}: not of a campaign; name another folder with --out")
+        found = recording.metadata.get(BENCH_KEY, self._bench)
+        if found != self._bench:
+            raise RecordingError(
+                f"{recording.path}: collected from {found}, and this is {self._bench}; name another folder with --out"
+            )
+        attempt: Attempt | None = None
+        for topic, _, message in recording:
+            if topic == CAMPAIGN_TOPIC:
+                attempt = self._recall_event(recording.path, message)
+            elif topic.startswith(RANGE_PREFIX) and attempt is not None:
+                attempt.rangings += 1
+                if message["status"] not in _FAULTS:
+                    attempt.readings[topic.removeprefix(RANGE_PREFIX)] += 1
+
+    def _recall_event(self, path: Path, message: dict[str, Any]) -> Attempt:
+        name = message["point"]
+        point = self._points.get(name)
+        if point is None or _planned(point) != message["planned"]:
+            how = "is not in it" if point is None else _changed(message["planned"], point)
+            raise RecordingError(
+                f"{path}: the campaign has changed since: point {name} {how}; go on with the campaign file of then "
+                "(msp-range collect keeps it in the recording), or name another folder with --out"
+            )
+        attempts = self._attempts.setdefault(name, [])
+        if not 1 <= message["attempt"] <= MOST_ATTEMPTS:
+            raise RecordingError(
+                f"{path}: point {name}: found attempt {message['attempt']}, expected 1 to {MOST_ATTEMPTS}"
+            )
+        while len(attempts) < message["attempt"]:
+            attempts.append(Attempt(len(attempts) + 1))
+        attempt: Attempt = attempts[message["attempt"] - 1]
+        if message["run"] not in attempt.runs:
+            attempt.runs.append(message["run"])
+        attempt.done |= message["event"] == "done"
+        return attempt
+
+
+def _changed(planned: str, point: Point) -> str:
+    try:
+        before = orjson.loads(planned)
+    except ValueError:
+        before = None
+    if not isinstance(before, dict):
+        return "was changed (what it was cannot be read)"
+    now = json.loads(_planned(point))
+    names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    told = [f"{name} {before.get(name, 'none')}, now {now.get(name, 'none')}" for name in names]
+    return f"was changed ({'; '.join(told)})"
+
+
+def _planned(point: Point) -> str:
+    return json.dumps({**point.columns, "sensors": point.setup.sensors, "readings": point.readings}, sort_keys=True)
+
+
+def _rows(recording: Recording) -> Iterator[dict[str, Any]]:
+    known: dict[str, dict[str, Any]] = {}
+    for topic, _, message in recording:
+        if topic.startswith(TRUTH_PREFIX):
+            known[topic.removeprefix(TRUTH_PREFIX)] = message
+        elif topic.startswith(RANGE_PREFIX):
+            sensor = topic.removeprefix(RANGE_PREFIX)
+            row = known.pop(sensor, None)
+            if row is not None:
+                reading_cm = None if message["status"] in _FAULTS else message.get("raw")
+                yield row | {"time_s": message["time_s"], "sensor": sensor, "reading_cm": reading_cm}

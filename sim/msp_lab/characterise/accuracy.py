@@ -1,0 +1,154 @@
+"""Accuracy with nothing varied (report 4.3.1), and the longest range with missed echoes masked (4.3.2).
+
+Points enter, `Baseline` and `MaximumRange` leave.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.characterise.calibration import line_design, pooled_spread
+from msp_lab.characterise.estimates import fit_points, share, standard_error
+from msp_lab.characterise.findings import Baseline, Estimate, MaximumRange, Peak
+from msp_lab.characterise.points import PointReadings
+from msp_range.reading_model.sensor_model import SensorModel
+
+PEAK_HALF_CM = 3
+"""Readings this near to each other belong to one peak [cm]."""
+LEAST_PEAK = 0.001
+LEAST_READINGS = 10
+BEYOND_CHANCE = 6.0
+"""A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
+evenly over the sensor's range would have."""
+
+
+def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
+    """Accuracy on the axis with nothing varied.
+
+    Parameters
+    ----------
+    points
+        Of the baseline.
+    reference_std_cm
+        As for `calibration.calibrate`.
+    """
+    found = sorted((point.found for point in points), key=lambda each: each.true_range_cm)
+    errors = [each.error for each in found if each.error is not None]
+    heard = [point for point in points if point.found.error is not None]
+    if not errors:
+        return None
+    readings = sum(each.readings for each in found)
+    hits = np.concatenate([point.error_cm[point.is_hit] for point in heard])
+    range_cm = np.array([each.true_range_cm for each in found if each.error is not None])
+    mean_cm = np.array([each.value for each in errors])
+    # A point whose readings give no interval counts as one rounded reading.
+    variance_cm2 = np.array([min(standard_error(each) ** 2, 1.0) for each in errors])
+    between = None
+    if np.unique(range_cm).size >= 3:
+        line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
+        between = Estimate(math.sqrt(line.between), None, None, "cm", len(errors), "points")
+    return Baseline(
+        points=tuple(found),
+        bias=fit_points(np.ones((len(errors), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
+        spread=pooled_spread(heard),
+        between_points=between,
+        missed=share(sum(each.no_echo + each.saturated + each.no_answer for each in found), readings),
+        outliers=share(sum(each.short + each.long for each in found), readings),
+        largest_error_cm=max((each.worst_error_cm or 0.0 for each in found), key=abs),
+        largest_hit_error_cm=float(hits[np.abs(hits).argmax()]),
+    )
+
+
+def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> MaximumRange | None:
+    """Histogram and peaks at the longest range, before and after missed echoes are masked.
+
+    Parameters
+    ----------
+    points
+        Of the maximum range experiment; the longest range of them is taken, all its runs together.
+    sensor
+        Its codes.
+    """
+    heard = [point for point in points if point.hits]
+    if not heard:
+        return None
+    range_cm = max(point.range_cm for point in heard)
+    here = [point for point in heard if point.range_cm == range_cm]
+    readings = np.rint(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]))
+    kept = np.rint(np.concatenate([point.reading_cm[point.is_heard] for point in here]))
+    values, counts = np.unique(readings, return_counts=True)
+    span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
+    no_echo = int((readings == sensor.maximum_cm).sum())
+    return MaximumRange(
+        true_range_cm=range_cm,
+        readings=readings.size,
+        histogram=tuple(zip(values.astype(int).tolist(), counts.tolist(), strict=True)),
+        no_echo=no_echo,
+        saturated=int(readings.size - kept.size) - no_echo,
+        peaks_before=peaks(readings, span_cm),
+        peaks_after=peaks(kept, span_cm),
+        peak=_mode(kept),
+    )
+
+
+def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
+    """Peaks of whole-centimetre readings, the largest first.
+
+    A peak is where the readings within 3 cm hold the most, by `LEAST_PEAK` and the like; it ends where they hold less
+    than a tenth of its top.
+
+    Parameters
+    ----------
+    reading_cm
+        Readings.
+    span_cm
+        From the sensor's shortest reading to its longest.
+
+    Examples
+    --------
+    >>> readings = np.repeat([502.0, 503.0, 504.0, 765.0], [30, 50, 30, 10])
+    >>> [(peak.reading_cm, round(peak.share, 2)) for peak in peaks(readings, 745.0)]
+    [(503.0, 0.92), (765.0, 0.08)]
+    """
+    if not reading_cm.size:
+        return ()
+    first = int(reading_cm.min()) - 2 * PEAK_HALF_CM
+    counts = np.bincount(reading_cm.astype(int) - first, minlength=int(np.ptp(reading_cm)) + 4 * PEAK_HALF_CM + 1)
+    near = np.convolve(counts, np.ones(2 * PEAK_HALF_CM + 1), "same")
+    # What is there almost everywhere; most of the range holds nothing where readings do not stray.
+    evenly = float(np.median(np.concatenate([near, np.zeros(max(int(span_cm) - near.size, 0))])))
+    least = max(LEAST_PEAK * reading_cm.size, LEAST_READINGS, evenly + BEYOND_CHANCE * math.sqrt(evenly))
+    free = np.ones(counts.size, dtype=bool)
+    found: list[Peak] = []
+    while True:
+        top = int(np.where(free, near, -1.0).argmax())
+        if not free[top] or near[top] < least:
+            return tuple(sorted(found, key=lambda each: -each.share))
+        low = high = top
+        while low > 0 and free[low - 1] and near[low - 1] >= 0.1 * near[top]:
+            low -= 1
+        while high < counts.size - 1 and free[high + 1] and near[high + 1] >= 0.1 * near[top]:
+            high += 1
+        inside = counts[low : high + 1]
+        # A tail of a peak that was found before is none of its own.
+        if (low == 0 or free[low - 1]) and (high == counts.size - 1 or free[high + 1]) and inside.any():
+            found.append(Peak(float(first + low + int(inside.argmax())), float(inside.sum()) / reading_cm.size))
+        free[low : high + 1] = False
+
+
+def _mode(reading_cm: NDArray[np.float64]) -> Estimate:
+    """Most frequent reading, and those whose counts are not surely lower."""
+    values, counts = np.unique(reading_cm, return_counts=True)
+    top = int(counts.max())
+    as_likely = values[counts >= top - 1.96 * np.sqrt(top + counts)]
+    middle = float(values[counts.argmax()])
+    near = as_likely[np.abs(as_likely - middle) <= 2 * PEAK_HALF_CM]
+    return Estimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)
+
+
+def heard_to_cm(points: Sequence[PointReadings], reliable_share: float) -> float | None:
+    """Longest range on the axis at which a large enough share of the readings is of the surface [cm]."""
+    ranges = [p.range_cm for p in points if p.reading_cm.size and p.hits / p.reading_cm.size >= reliable_share]
+    return max(ranges, default=None)

@@ -1,0 +1,271 @@
+"""Readings against the reference: bias, scale, spread, resolution, linearity, and the calibration worth keeping.
+
+Points with nothing varied enter, `findings.Calibration` leaves. Every point counts once with its own uncertainty and
+the scatter between points, which is how well ranges were set up and whatever else changes from one to the next. A more
+complex calibration is kept only where it predicts ranges that it was not fitted to better than the simpler one does.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from msp_lab.characterise.estimates import (
+    CONFIDENCE,
+    PointsFit,
+    between_points,
+    dependence_factor,
+    fit_points,
+    mean_of_points,
+    standard_error,
+)
+from msp_lab.characterise.findings import Calibration, Estimate, Form, HeldOut, Knot
+from msp_lab.characterise.points import PointReadings
+from msp_range.correction.calibration import IDENTITY
+from msp_range.correction.calibration import Calibration as Curve
+from msp_range.reading_model.sensor_model import SensorModel
+
+LEAST_RANGES = 4
+"""A straight line that is to predict a range which it has not seen needs three others."""
+LEAST_RUNS = 3
+LEAST_SET_UPS = 8
+"""Of which a variance between them can be known within a factor of 4."""
+RANGES_A_PIECE = 3
+MOST_PIECES = 4
+
+_Array = NDArray[np.float64]
+
+
+class _Points(NamedTuple):
+    """What a point says: apparent true range, mean reading, its variance by chance, true range, number of its run."""
+
+    true_cm: _Array
+    reading_cm: _Array
+    variance_cm2: _Array
+    range_cm: _Array
+    run: _Array
+
+    def select(self, rows: NDArray[np.bool_]) -> "_Points":
+        return _Points(*(column[rows] for column in self))
+
+
+def calibrate(
+    points: Sequence[PointReadings],
+    sensor: SensorModel,
+    reference_std_cm: float | None = None,
+    set_up_std_cm: float | None = None,
+) -> Calibration | None:
+    """Calibration of a sensor.
+
+    Parameters
+    ----------
+    points
+        On the axis, nothing varied.
+    sensor
+        Of which the readings are.
+    reference_std_cm
+        Standard deviation of an error that the reference may have at all ranges alike [cm], as its owner states it;
+        it widens the bias's interval, for readings cannot tell it from the sensor's own.
+    set_up_std_cm
+        Standard deviation of what each set-up's true range is off by on its own [cm]; None: not stated, and all that
+        lies between set-ups is taken for it.
+
+    Returns
+    -------
+    Calibration or None
+        None where no point has readings of the surface.
+    """
+    used = [point for point in points if point.found.error is not None]
+    if not used:
+        return None
+    errors = [point.found.error for point in points if point.found.error is not None]
+    variance = np.array([standard_error(error) ** 2 for error in errors])
+    # A point whose readings give no interval counts as one rounded reading.
+    variance = np.where(np.isfinite(variance), variance, 1.0)
+    true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
+    reading_cm = np.array([point.range_cm + error.value for point, error in zip(used, errors, strict=True)])
+    runs = np.unique([point.run for point in used], return_inverse=True)[1].ravel().astype(np.float64)
+    data = _Points(true_cm, reading_cm, variance, np.array([round(point.range_cm, 6) for point in used]), runs)
+    ranges = np.unique(data.range_cm)
+    mean = fit_points(np.ones((len(used), 1)), data.reading_cm - data.true_cm, data.variance_cm2)
+    line = None
+    if ranges.size >= 3:
+        line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
+    # Set-ups differ by more than chance in the readings; what the line leaves over is added to every point.
+    between_cm2 = 0.0 if line is None else line.between
+    form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2), sensor)
+    linearity, by_chance = (None, None) if line is None else _linearity(data, line)
+    step_cm = used[0].step_cm
+    return Calibration(
+        form=form,
+        knots=knots,
+        reason=reason,
+        bias=mean.estimate(0, "cm", reference_std_cm or 0.0),
+        offset=None if line is None else line.estimate(0, "cm", reference_std_cm or 0.0),
+        scale=None if line is None else line.estimate(1, ""),
+        spread=pooled_spread(used),
+        resolution=Estimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
+        resolution_note=(
+            f"all readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
+        ),
+        linearity=linearity,
+        linearity_by_chance_cm=by_chance,
+        reference_std_cm=reference_std_cm,
+        set_up_offset=_set_up_offset(used, data, knots, set_up_std_cm),
+        held_out=held_out,
+        held_out_unit="range and run" if _has_runs(data) else "range",
+        true_cm=tuple(data.true_cm.tolist()),
+        reading_cm=tuple(data.reading_cm.tolist()),
+        reading_std_cm=tuple(np.sqrt(data.variance_cm2).tolist()),
+    )
+
+
+def _set_up_offset(
+    used: Sequence[PointReadings], data: _Points, knots: Sequence[Knot], set_up_std_cm: float | None
+) -> Estimate | None:
+    if set_up_std_cm is None or len(used) < LEAST_SET_UPS:
+        return None
+    curve = (
+        Curve(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots)) if knots else IDENTITY
+    )
+    factor = dependence_factor([point.error_cm[point.is_hit] for point in used])
+    return between_points(data.reading_cm - curve.forward(data.true_cm), data.variance_cm2 * factor, set_up_std_cm**2)
+
+
+def line_design(x: _Array) -> _Array:
+    """Of a straight line: offset and scale."""
+    return np.column_stack([np.ones_like(x), x])
+
+
+def pooled_spread(points: Sequence[PointReadings]) -> Estimate:
+    """Standard deviation of hits about their own point's mean, before rounding: root mean square over the points."""
+    found = [point.found.spread for point in points if point.found.spread is not None]
+    weights = np.array([each.n - 1.0 for each in found])
+    if not found or weights.sum() == 0.0:
+        return Estimate(0.0, None, None, "cm", len(found))
+    value = math.sqrt(float(weights @ np.array([each.value**2 for each in found])) / weights.sum())
+    # Each point's own interval of the variance; they are independent.
+    errors = np.array([((each.high or 0.0) ** 2 - (each.low or 0.0) ** 2) / 3.92 for each in found])
+    error = math.sqrt(float((weights**2) @ errors**2)) / float(weights.sum())
+    low, high = math.sqrt(max(value**2 - 1.96 * error, 0.0)), math.sqrt(value**2 + 1.96 * error)
+    return Estimate(value, low, high, "cm", int(weights.sum()) + len(found))
+
+
+def _linearity(data: _Points, line: PointsFit) -> tuple[Estimate, float]:
+    """Largest distance from the line, and what chance in the readings alone makes the largest in 95 % of cases."""
+    residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
+    i = int(np.abs(residual).argmax())
+    half = 1.96 * math.sqrt(float(data.variance_cm2[i]))
+    value = float(residual[i])
+    # The largest of n distances is below its limit where each is.
+    z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
+    by_chance = z * math.sqrt(float(data.variance_cm2.mean()))
+    return Estimate(value, value - half, value + half, "cm", residual.size, "points"), by_chance
+
+
+def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
+    """The form whose predictions of what it has not seen are surely better than those of the simpler ones."""
+    ranges = np.unique(data.range_cm)
+    if ranges.size < LEAST_RANGES:
+        reason = (
+            f"found {ranges.size} range{'s'[: ranges.size - 1]}, expected {LEAST_RANGES} to check it on one left out"
+        )
+        return "none", (), reason, ()
+    pieces = [count for count in range(2, MOST_PIECES + 1) if ranges.size >= RANGES_A_PIECE * count]
+    by_run = _has_runs(data)
+    errors = {count: _left_out_errors(data, count, data.range_cm) for count in (0, 1, *pieces)}
+    # Of the piecewise ones the best stands for its kind.
+    best = min(pieces, key=lambda count: _rms(errors[count]), default=None)
+    tried: list[tuple[Form, int]] = [("offset and scale", 1)]
+    tried += [("piecewise linear", best)] if best is not None else []
+    kept: tuple[Form, int] = ("none", 0)
+    held_out = [HeldOut("none", _rms(errors[0]), None)]
+    for form, count in tried:
+        gain = _gain(errors[kept[1]], errors[count], data.range_cm)
+        held_out.append(HeldOut(form, _rms(errors[count]), gain))
+        is_better = gain.low is not None and gain.low > 0.0
+        if is_better and by_run:
+            is_better = _rms(_left_out_errors(data, count, data.run)) < _rms(_left_out_errors(data, kept[1], data.run))
+        if is_better and _is_possible(_knots(data, count), sensor):
+            kept = form, count
+    reason = f"ranges left out are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
+    others = [f"{each.rms_cm:.2f} cm by {_named(each.form)}" for each in held_out if each.form != kept[0]]
+    reason += f", against {' and '.join(others)}; a more complex form is kept where its gain is sure"
+    reason += " and runs left out agree" if by_run else ""
+    return kept[0], _knots(data, kept[1]), reason, tuple(held_out)
+
+
+def _has_runs(data: _Points) -> bool:
+    """True where runs hold several ranges each: a whole one can then be left out."""
+    ranges = [np.unique(data.range_cm[data.run == run]).size for run in np.unique(data.run)]
+    return len(ranges) >= LEAST_RUNS and min(ranges) >= 2
+
+
+def _named(form: Form) -> str:
+    return {"none": "no calibration", "offset and scale": "a straight line", "piecewise linear": "straight pieces"}[
+        form
+    ]
+
+
+def _left_out_errors(data: _Points, pieces: int, group: _Array) -> _Array:
+    """Of each point, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
+    errors = np.empty_like(data.true_cm)
+    for each in np.unique(group):
+        out = group == each
+        knots = _fit_knots(data.select(~out), pieces)
+        predicted = data.true_cm[out] if knots is None else _extended(data.true_cm[out], *knots)
+        errors[out] = data.reading_cm[out] - predicted
+    return errors
+
+
+def _gain(simpler: _Array, complex_: _Array, group: _Array) -> Estimate:
+    """Mean square error taken off, ranges as the unit."""
+    saved = simpler**2 - complex_**2
+    return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
+
+
+def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
+    """Knots of a curve of straight pieces by least squares; None: no calibration."""
+    if pieces == 0:
+        return None
+    x, y = data.true_cm, data.reading_cm
+    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
+    # Hat functions; the outer ones go on beyond the ends as straight lines.
+    design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])
+    root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
+    values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
+    return places, values.astype(np.float64)
+
+
+def _extended(x: _Array, places: _Array, values: _Array) -> _Array:
+    """Linear interpolation whose outer pieces go on."""
+    piece = np.clip(np.searchsorted(places, x, side="right") - 1, 0, places.size - 2)
+    slope = np.diff(values) / np.diff(places)
+    extended: _Array = values[piece] + slope[piece] * (x - places[piece])
+    return extended
+
+
+def _knots(data: _Points, pieces: int) -> tuple[Knot, ...]:
+    found = _fit_knots(data, pieces)
+    if found is None:
+        return ()
+    return tuple(Knot(round(x, 2), round(y, 3)) for x, y in zip(*(each.tolist() for each in found), strict=True))
+
+
+def _is_possible(knots: Sequence[Knot], sensor: SensorModel) -> bool:
+    """True where the sensor model file takes these knots."""
+    if any(not b.reading_cm > a.reading_cm for a, b in pairwise(knots)):
+        return False
+    try:
+        curve = Curve(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
+    except ValueError:
+        return False
+    return curve.inverse(float(max(sensor.minimum_cm, 1))) > 0.0
+
+
+def _rms(errors: _Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))

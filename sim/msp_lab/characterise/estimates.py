@@ -1,0 +1,312 @@
+"""Intervals and tests that the analyses share: shares, means and spreads of whole centimetres, Holm, power.
+
+Counts and readings enter, `Estimate` values and p-values leave. Intervals are 95 % ones. A sensor that reports whole
+centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals are those of
+the likelihood of the rounded readings, and not of their average.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import brentq
+from scipy.special import log_ndtr, ndtri
+
+from msp_lab.characterise.findings import Estimate
+
+CONFIDENCE = 0.95
+Z = float(ndtri(0.5 + CONFIDENCE / 2))
+_LIKELIHOOD_DROP = Z**2 / 2
+DITHERED = 0.6
+"""Readings that scatter by more than this many of their steps lose nothing by rounding: the average's bias is then
+under exp(-2 pi^2 0.36) / pi = 0.0003 steps."""
+BATCH = 15
+"""Readings in a batch, at least: those a batch apart are taken to be independent."""
+_Array = NDArray[np.float64]
+
+
+def share(count: int, of: int) -> Estimate:
+    """A share with Wilson's interval.
+
+    Examples
+    --------
+    >>> found = share(3, 100)
+    >>> print(f"{found.value:.3f} {found.low:.3f} {found.high:.3f}")
+    0.030 0.010 0.085
+    """
+    p = count / of
+    middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
+    half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
+    return Estimate(p, max(middle - half, 0.0), min(middle + half, 1.0), "", of)
+
+
+def mean_of_points(values: Sequence[float] | _Array, unit: str) -> Estimate:
+    """Mean of values that are independent of each other, with Student's interval; no interval for one value alone.
+
+    Parameters
+    ----------
+    values
+        One a point.
+    unit
+        Theirs.
+    """
+    value = float(np.mean(values))
+    n = len(values)
+    if n < 2:
+        return Estimate(value, None, None, unit, n, "points")
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    return Estimate(value, value - half, value + half, unit, n, "points")
+
+
+class PointsFit(NamedTuple):
+    """Coefficients of a linear model of points, and the variance between them that their own do not explain."""
+
+    coefficients: _Array
+    covariance: _Array
+    between: float
+    freedom: int
+
+    def estimate(self, i: int, unit: str, extra_std: float = 0.0) -> Estimate:
+        """A coefficient with Student's interval, widened by the standard deviation of an error common to all."""
+        value, n = float(self.coefficients[i]), self.freedom + self.coefficients.size
+        if self.freedom < 1:
+            return Estimate(value, None, None, unit, n, "points")
+        half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, self.freedom)) * math.sqrt(float(self.covariance[i, i]))
+        half = math.hypot(half, Z * extra_std)
+        return Estimate(value, value - half, value + half, unit, n, "points")
+
+
+def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
+    """Weighted least squares with a variance between points, which is added until the residuals are as expected.
+
+    Parameters
+    ----------
+    design
+        Shape (points, coefficients), of full rank.
+    y, variance
+        A point each: its value, and the variance that is known of it.
+
+    Notes
+    -----
+    Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of squared
+    residuals equals its degrees of freedom, and 0 where it is below already.
+    """
+    freedom = y.size - design.shape[1]
+
+    def fit(between: float) -> tuple[_Array, _Array, float]:
+        weight = 1.0 / (variance + between + 1e-12)
+        covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
+        coefficients: _Array = covariance @ ((design * weight[:, None]).T @ y)
+        residual = y - design @ coefficients
+        return coefficients, covariance, float(weight @ residual**2)
+
+    low, high = 0.0, 1.0
+    if freedom > 0 and fit(0.0)[2] > freedom:
+        while fit(high)[2] > freedom:
+            high *= 4.0
+        for _ in range(40):
+            middle = (low + high) / 2
+            low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
+    coefficients, covariance, _ = fit(low)
+    return PointsFit(coefficients, covariance, low, freedom)
+
+
+def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> Estimate:
+    """Standard deviation between points beyond what chance and a known variance make of it [cm].
+
+    Parameters
+    ----------
+    residual, variance
+        A point each: its distance from what is expected, and the variance that its readings give it.
+    known
+        Variance between points that has another cause.
+
+    Notes
+    -----
+    The interval is that of the Q profile (Viechtbauer 2007, Statistics in Medicine 26, 37): the variances at which the
+    weighted sum of squared residuals is at the 2.5 and 97.5 % points of chi squared.
+
+    Examples
+    --------
+    >>> between_points(np.array([0.31, -0.28, 0.02, -0.4, 0.35]), np.full(5, 0.01)).low > 0.05
+    True
+    """
+    freedom = residual.size - 1
+
+    def beyond(wanted: float) -> float:
+        def less(between: float) -> float:
+            weight = 1.0 / (variance + known + between + 1e-12)
+            return float(weight @ (residual - weight @ residual / weight.sum()) ** 2) - wanted
+
+        if less(0.0) <= 0.0:
+            return 0.0
+        high = 1.0
+        while less(high) > 0.0:
+            high *= 4.0
+        return math.sqrt(float(brentq(less, 0.0, high)))
+
+    least, most = (float(stats.chi2.isf(each, freedom)) for each in (0.025, 0.975))
+    return Estimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
+
+
+def dependence_factor(series: Sequence[_Array]) -> float:
+    """By how much readings that depend on the ones before widen the variance of their mean; 1 where they do not.
+
+    Parameters
+    ----------
+    series
+        Of each point, its readings in order.
+
+    Notes
+    -----
+    Batch means: the variance of the means of consecutive batches, times their length, over that of single readings,
+    pooled over the points.
+    """
+    means, singles, freedom = 0.0, 0.0, 0
+    for values in series:
+        batches = min(10, values.size // BATCH)
+        if batches < 2:
+            continue
+        length = values.size // batches
+        cut = values[: batches * length].reshape(batches, length)
+        means += length * float(cut.mean(axis=1).var(ddof=1)) * (batches - 1)
+        singles += float(cut.var(ddof=1)) * (batches - 1)
+        freedom += batches - 1
+    # By chance the ratio is above 1 in half of all cases: it counts from where it is sure.
+    if singles == 0.0 or means / singles < float(stats.chi2.isf(0.01, freedom)) / freedom:
+        return 1.0
+    return means / singles
+
+
+class MeanAndSpread(NamedTuple):
+    """Mean and standard deviation before rounding, each with its interval."""
+
+    mean: Estimate
+    spread: Estimate
+
+
+def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpread:
+    """Mean and standard deviation that a normal variable had before it was rounded.
+
+    Parameters
+    ----------
+    values
+        Rounded to `step`, or continuous (`step` 0); at least one.
+    step
+        Of the rounding, in the values' unit.
+    unit
+        For the estimates.
+
+    Returns
+    -------
+    MeanAndSpread
+        Where the values scatter little, by the likelihood of the rounded values; its interval ends where the profile
+        log likelihood is 1.92 below its top. Otherwise by average and variance, less step^2 / 12.
+
+    Examples
+    --------
+    Ten equal readings do not say that there is no noise, nor where in their centimetre the mean is:
+
+    >>> found = mean_and_spread(np.full(10, 100.0), step=1.0)
+    >>> print(f"{found.mean.low:.1f} to {found.mean.high:.1f}, spread up to {found.spread.high:.1f}")
+    99.5 to 100.5, spread up to 0.4
+    """
+    n = values.size
+    average, std = float(values.mean()), float(values.std(ddof=1)) if n > 1 else 0.0
+    if step > 0.0 and std < DITHERED * step:
+        return _of_rounded(values, step, unit)
+    if n < 2:
+        return MeanAndSpread(Estimate(average, None, None, unit, n), Estimate(0.0, None, None, unit, n))
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
+    ends = (n - 1) * std**2 / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
+    low, value, high = (math.sqrt(max(each - step**2 / 12, 0.0)) for each in (ends[0], std**2, ends[1]))
+    return MeanAndSpread(
+        Estimate(average, average - half, average + half, unit, n), Estimate(value, low, high, unit, n)
+    )
+
+
+def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:
+    steps, counts = np.unique(np.rint(values / step), return_counts=True)
+    average = float(steps @ counts) / values.size
+    mean_ends, spread_ends = (average - 1.0, average + 1.0), (0.02, 2.0)
+    # Three looks, each at what the one before found likely.
+    for _ in range(3):
+        means = np.linspace(*mean_ends, 41)
+        spreads = np.geomspace(*spread_ends, 41)
+        log_likelihood = _log_likelihood(steps, counts, means, spreads)
+        by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
+        top = float(log_likelihood.max())
+        mean_low, mean_high = _where_likely(means, by_mean, top)
+        spread_low, spread_high = _where_likely(spreads, by_spread, top)
+        mean_ends, spread_ends = _widened(means, mean_low, mean_high), _widened(spreads, spread_low, spread_high)
+    # Where the likelihood is flat, its middle.
+    flat = means[by_mean > top - 1e-6]
+    mean = float(flat.mean())
+    spread = float(spreads[by_spread.argmax()])
+    # All in one step: any smaller spread is as likely.
+    only_one = steps.size == 1
+    spread, spread_low = (0.0, 0.0) if only_one else (spread, spread_low)
+    n = values.size
+    return MeanAndSpread(
+        Estimate(step * mean, step * mean_low, step * mean_high, unit, n),
+        Estimate(step * spread, step * spread_low, step * spread_high, unit, n),
+    )
+
+
+def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spreads: _Array) -> _Array:
+    """Of rounded values, shape (means, spreads)."""
+    total = np.zeros((means.size, spreads.size))
+    for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
+        a = (step - 0.5 - means[:, None]) / spreads
+        b = a + 1.0 / spreads
+        right = a > 0.0
+        upper, lower = log_ndtr(np.where(right, -a, b)), log_ndtr(np.where(right, -b, a))
+        with np.errstate(divide="ignore"):
+            total += count * (upper + np.log(-np.expm1(lower - upper)))
+    return total
+
+
+def _where_likely(grid: _Array, profile: _Array, top: float) -> tuple[float, float]:
+    likely = np.flatnonzero(profile > top - _LIKELIHOOD_DROP)
+    return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
+
+
+def _widened(grid: _Array, low: float, high: float) -> tuple[float, float]:
+    return max(low, float(grid[0])), min(high, float(grid[-1]))
+
+
+def standard_error(estimate: Estimate) -> float:
+    """Of an estimate whose interval is roughly symmetric."""
+    if estimate.low is None or estimate.high is None:
+        return math.inf
+    return (estimate.high - estimate.low) / (2 * Z)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p-values corrected for their number, Holm 1979: none of all that are true is refused in 95 % of cases.
+
+    Examples
+    --------
+    >>> print([round(p, 3) for p in holm([0.01, 0.04, 0.03])])
+    [0.03, 0.06, 0.06]
+    """
+    order = sorted(range(len(p_values)), key=lambda i: p_values[i])
+    adjusted, so_far = [0.0] * len(p_values), 0.0
+    for rank, i in enumerate(order):
+        so_far = max(so_far, min((len(p_values) - rank) * p_values[i], 1.0))
+        adjusted[i] = so_far
+    return adjusted
+
+
+def detectable(standard_error: float, freedom: float, level: float, power: float = 0.8) -> float:
+    """Smallest effect that a two-sided t-test at `level` finds with probability `power`.
+
+    Examples
+    --------
+    >>> print(f"{detectable(standard_error=0.1, freedom=11, level=0.05):.2f}")
+    0.31
+    """
+    return standard_error * float(stats.t.ppf(1 - level / 2, freedom) + stats.t.ppf(power, freedom))

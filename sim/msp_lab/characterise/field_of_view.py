@@ -1,0 +1,258 @@
+"""Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles (report 4.3.3).
+
+Points at signed angles to a wall enter, `FieldOfView` and `SonarFit` leave. An angle is reliable by a stated share of
+readings that are of the wall; the breakaway lies between the last reliable angle and the next that was tried.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import xlogy
+
+from msp_lab.characterise.estimates import CONFIDENCE, share
+from msp_lab.characterise.findings import (
+    AnglePoint,
+    BreakawayAngle,
+    Estimate,
+    FieldOfView,
+    Oblique,
+    SonarFit,
+    SonarRow,
+)
+from msp_lab.characterise.points import GATE_CM, PointReadings
+from msp_range.acoustics.beam import BreakawayTable
+from msp_range.acoustics.slant import slant_range
+from msp_range.acoustics.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
+from msp_range.correction.calibration import Calibration
+from msp_range.reading_model.sensor_model import SensorModel
+
+RELIABLE_SHARE = 0.8
+"""Share of readings of the wall from which on an angle is reliable. The report gives no criterion; echoes end within
+about one step of its motor, so that any between a half and nine tenths gives the same angle or its neighbour."""
+REPORT_DEG = {50.0: 23.4, 100.0: 18.0, 150.0: 14.4, 200.0: 12.6}
+"""Range [cm] -> the report's largest angle with a reliable range (4.3.3) [deg]."""
+CRITERION = (
+    f"at least {RELIABLE_SHARE:.0%} of the readings are of the wall: from {GATE_CM:g} cm before the perpendicular "
+    f"distance to {GATE_CM:g} cm behind the slant range; and so at all smaller angles to that side"
+)
+BEYOND_CM = (250.0, 300.0, 400.0, 500.0, 600.0, 765.0)
+LEAST_TELLING_CM = 1.0
+"""Slant and perpendicular that differ by less than this at every angle cannot be told apart by whole centimetres."""
+
+
+def field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
+    """Breakaway angles of each range.
+
+    Parameters
+    ----------
+    points
+        Of the field-of-view experiment, incidence known.
+    calibration
+        Of the sensor: what it reads at a range.
+
+    Returns
+    -------
+    FieldOfView or None
+        None where no range was tried at more than one angle.
+    """
+    found = sorted(
+        (_angle_point(point, calibration) for point in points if not math.isnan(point.incidence_deg)),
+        key=lambda each: (each.range_cm, each.incidence_deg),
+    )
+    ranges = sorted({each.range_cm for each in found})
+    angles = []
+    for range_cm in ranges:
+        here = [each for each in found if each.range_cm == range_cm]
+        if len({abs(each.incidence_deg) for each in here}) > 1:
+            angle = _breakaway(range_cm, here)
+            if angle is not None:
+                angles.append(angle)
+    if not found or not angles:
+        return None
+    return FieldOfView(CRITERION, tuple(found), tuple(angles), _oblique(found))
+
+
+def breakaway_rows(angles: Sequence[BreakawayAngle]) -> list[tuple[float, float]]:
+    """Range [cm] and half angle [deg] for the model file: where there is an angle, and never wider with range."""
+    rows: list[tuple[float, float]] = []
+    for angle in angles:
+        half_deg = angle.half_angle.value
+        if half_deg > 0.0:
+            rows.append((angle.range_cm, min([half_deg] + [each for _, each in rows])))
+    return rows
+
+
+def sonar_through(
+    rows: Sequence[tuple[float, float]], sensor: SensorModel, on_axis_cm: float | None
+) -> SonarFit | None:
+    """The sonar equation through breakaway angles, and each angle as the others predict it.
+
+    Parameters
+    ----------
+    rows
+        Range [cm] and half angle [deg].
+    sensor
+        Frequency and longest range.
+    on_axis_cm
+        Range at which a wall is heard on the axis at least [cm].
+
+    Returns
+    -------
+    SonarFit or None
+        None with fewer rows than the equation has parameters.
+    """
+    if len(rows) < PARAMETERS:
+        return None
+    table = BreakawayTable(tuple(r / 100.0 for r, _ in rows), tuple(angle for _, angle in rows))
+    on_axis_m = None if on_axis_cm is None else on_axis_cm / 100.0
+    sonar = fit_sonar(table, sensor.frequency_hz, on_axis_m)
+    left_out: Sequence[float | None] = [None] * len(rows)
+    if len(rows) > PARAMETERS:
+        left_out = leave_one_out(table, sensor.frequency_hz, on_axis_m)
+    fitted = [_degrees(sonar.half_angle_rad(range_m)) for range_m in table.ranges_m]
+    beam = extended_beam(table, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
+    within = all(
+        angle is not None and abs(angle - measured) <= STEP_DEG
+        for angle, (_, measured) in zip(fitted, rows, strict=True)
+    )
+    return SonarFit(
+        source_level_db=sonar.source_level_db,
+        piston_diameter_m=sonar.piston_diameter_m,
+        gain_db_per_m=sonar.gain_db_per_m,
+        rows=tuple(
+            SonarRow(r, measured, angle, other)
+            for (r, measured), angle, other in zip(rows, fitted, left_out, strict=True)
+        ),
+        beyond=tuple(
+            (r, math.degrees(beam.half_angle_rad(r / 100.0)))
+            for r in BEYOND_CM
+            if rows[-1][0] < r <= min(sensor.maximum_cm, 100.0 * beam.known_to_m)
+        ),
+        within_a_step=within,
+        note=(
+            f"{PARAMETERS} parameters for {len(rows)} angles: that the equation passes near them is hardly evidence; "
+            "what the other rows predict is, and beyond the table its shape is assumed"
+        ),
+    )
+
+
+def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
+    incidence_rad = math.radians(abs(point.incidence_deg))
+    # Ranges as the sensor sees them through this air.
+    perpendicular_cm = float(point.apparent_cm.mean())
+    nearest_cm = calibration.forward(perpendicular_cm)
+    slant_cm = calibration.forward(slant_range(perpendicular_cm, incidence_rad))
+    of_wall = point.reading_cm[
+        point.is_heard & (point.reading_cm >= nearest_cm - GATE_CM) & (point.reading_cm <= slant_cm + GATE_CM)
+    ]
+    reliable = share(of_wall.size, point.reading_cm.size)
+    reading = None
+    if of_wall.size > 1:
+        half = 1.96 * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
+        mean = float(of_wall.mean())
+        reading = Estimate(mean, mean - half, mean + half, "cm", of_wall.size)
+    return AnglePoint(
+        range_cm=round(point.range_cm, 3),
+        incidence_deg=round(point.incidence_deg, 3),
+        readings=point.reading_cm.size,
+        reliable=reliable,
+        is_reliable=reliable.value >= RELIABLE_SHARE,
+        reading=reading,
+        slant_cm=slant_cm,
+        nearest_cm=nearest_cm,
+    )
+
+
+def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle | None:
+    negative = _side([each for each in points if each.incidence_deg <= 0.0])
+    positive = _side([each for each in points if each.incidence_deg >= 0.0])
+    sides = [each for each in (negative, positive) if each is not None]
+    if not sides:
+        return None
+    return BreakawayAngle(
+        range_cm, negative, positive, min(sides, key=lambda each: each.value), REPORT_DEG.get(round(range_cm, 1))
+    )
+
+
+def _side(points: Sequence[AnglePoint]) -> Estimate | None:
+    """Last reliable angle of one side; between the ends of its interval echoes stop coming."""
+    by_angle: dict[float, list[AnglePoint]] = {}
+    for point in points:
+        by_angle.setdefault(abs(point.incidence_deg), []).append(point)
+    if len(by_angle) < 2:
+        return None
+    angles = sorted(by_angle)
+    readings = np.array([sum(each.readings for each in by_angle[angle]) for angle in angles])
+    of_wall = np.array([sum(each.reliable.value * each.readings for each in by_angle[angle]) for angle in angles])
+    is_reliable = of_wall / readings >= RELIABLE_SHARE
+    last = len(angles) if is_reliable.all() else int(is_reliable.argmin())
+    steps = _likely_steps(np.rint(of_wall), readings)
+    first, after = min(last, steps[0]), max(last, steps[-1])
+    return Estimate(
+        angles[last - 1] if last else 0.0,
+        angles[first - 1] if first else 0.0,
+        angles[after] if after < len(angles) else None,
+        "deg",
+        int(readings.sum()),
+    )
+
+
+def _likely_steps(of_wall: NDArray[np.float64], readings: NDArray[np.int64]) -> list[int]:
+    """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
+
+    Those whose binomial likelihood, with one share before and one behind, is not surely below the best: 1.92 of its
+    logarithm.
+    """
+    log_likelihood = []
+    for count in range(readings.size + 1):
+        total = 0.0
+        for part, least, most in ((slice(None, count), RELIABLE_SHARE, 1.0), (slice(count, None), 0.0, RELIABLE_SHARE)):
+            share = min(max(of_wall[part].sum() / max(readings[part].sum(), 1), least), most)
+            total += float((xlogy(of_wall[part], share) + xlogy(readings[part] - of_wall[part], 1.0 - share)).sum())
+        log_likelihood.append(total)
+    return [count for count, each in enumerate(log_likelihood) if each >= max(log_likelihood) - 1.92]
+
+
+def _oblique(points: Sequence[AnglePoint]) -> Oblique:
+    """Slope of what the reading grows by over what the slant range does, each range with its own start."""
+    used = [each for each in points if each.is_reliable and each.reading is not None]
+    rows = [
+        (each.range_cm, each.slant_cm - each.nearest_cm, each.reading.value - each.nearest_cm)
+        for each in used
+        if each.reading is not None
+    ]
+    growth = np.array([row[1] for row in rows])
+    if len(rows) < 4 or growth.max() - growth.min() < LEAST_TELLING_CM:
+        reason = f"slant and perpendicular differ by less than {LEAST_TELLING_CM:g} cm at the reliable angles"
+        return Oblique("unknown", None, None, None, reason)
+    excess = np.array([row[2] for row in rows])
+    start = np.array([row[0] for row in rows])
+    # Within each range: how well its distance was set drops out.
+    x, y = growth.copy(), excess.copy()
+    for range_cm in np.unique(start):
+        here = start == range_cm
+        x[here] -= x[here].mean()
+        y[here] -= y[here].mean()
+    freedom = len(rows) - np.unique(start).size - 1
+    if freedom < 1 or not float(x @ x) > 0.0:
+        return Oblique("unknown", None, None, None, "too few reliable angles")
+    slope = float(x @ y / (x @ x))
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * math.sqrt(
+        float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)
+    )
+    estimate = Estimate(slope, slope - half, slope + half, "", len(rows), "points")
+    slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
+    low, high = slope - half, slope + half
+    reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
+    if low <= 0.5 <= high:
+        return Oblique("unknown", estimate, slant_rms, nearest_rms, reason + ", which may be nearer to either")
+    verdict: Literal["slant", "nearest"] = "slant" if low > 0.5 else "nearest"
+    return Oblique(verdict, estimate, slant_rms, nearest_rms, reason)
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else math.degrees(angle_rad)

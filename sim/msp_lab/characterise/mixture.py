@@ -1,0 +1,162 @@
+"""The mixture of Thrun fitted to the undisturbed readings, and how well it fits (report 5.2.1).
+
+Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
+is `msp_range.reading_model.fit`. Each set-up is fitted about where its own readings show that it stood: how far a tape
+was off is not the sensor's noise, and how far set-ups are from the calibration is the calibration's to say.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.characterise.findings import Estimate, Mixture, MixtureParameter, SetUpError
+from msp_lab.characterise.points import PointReadings
+from msp_range.correction.calibration import Calibration
+from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit_result import FitError, FitResult
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.mixture import ReadingModel
+from msp_range.reading_model.pit import goodness_of_fit
+from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
+
+ENOUGH_HITS = 50
+"""Set-ups with fewer stay where the reference puts them: their own mean would take 2 % and more off the variance."""
+
+UNIT = {
+    "sigma_cm": "cm",
+    "unexpected_rate_per_m": "1/m",
+    "sigma_growth_cm_per_m": "cm/m",
+    "max_growth_per_m": "1/m",
+}
+
+
+class Fitted(NamedTuple):
+    """What was found, and what goes into the file."""
+
+    found: Mixture
+    parameters: MixtureParameters
+
+
+def fit_mixture(
+    points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
+) -> Fitted | str:
+    """Fit the mixture to readings at known ranges.
+
+    Parameters
+    ----------
+    points
+        Undisturbed, on the axis.
+    calibration
+        Of the sensor.
+    sensor
+        Limits and codes, and the parameters to compare with.
+    rng
+        For the randomised goodness of fit.
+
+    Returns
+    -------
+    Fitted or str
+        The reason where it cannot be fitted.
+    """
+    set_ups = [_set_up_error(point, calibration) for point in points]
+    reading_cm = np.concatenate([point.reading_cm for point in points] or [np.empty(0)])
+    expected_cm = np.concatenate(
+        [
+            calibration.forward(point.apparent_cm) + (0.0 if set_up is None else set_up.error_cm)
+            for point, set_up in zip(points, set_ups, strict=True)
+        ]
+        or [np.empty(0)]
+    )
+    answered = ~np.isnan(reading_cm)
+    reading_cm, expected_cm = reading_cm[answered], expected_cm[answered]
+    grid = ReadingGrid.of(sensor)
+    if sensor.reading_model.saturated_fraction == 0.0:
+        grid = replace(grid, second_no_echo_cm=None)
+    whole = grid.nearest(reading_cm)
+    notes = []
+    if not np.array_equal(whole, reading_cm):
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
+    try:
+        result = fit(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
+        good = goodness_of_fit(result, whole, expected_cm, rng)
+    except (FitError, ValueError) as error:
+        return str(error)
+    notes.append(good.note)
+    moved = tuple(each for each in set_ups if each is not None)
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        notes.append(
+            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
+            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
+            "reference was off by"
+        )
+    notes += [_of_bound(name) for name in result.at_bound]
+    notes += [f"{name}: these readings do not say what it is; the one before is kept" for name in result.not_identified]
+    found = Mixture(
+        parameters=tuple(_parameter(name, result, sensor.reading_model) for name in result.names),
+        readings=result.readings,
+        log_likelihood=result.log_likelihood,
+        pit_counts=good.pit_histogram,
+        pit_p_value=good.chi_square_p_value,
+        conditional=_conditional(result, expected_cm),
+        notes=tuple(notes),
+        set_ups=moved,
+    )
+    unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
+    return Fitted(found, result.parameters.model_copy(update=unknown))
+
+
+def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError | None:
+    """None where it is unknown: too few hits, or a moving range, which has no set-up."""
+    mean = point.found.error
+    if mean is None or point.hits < ENOUGH_HITS or np.ptp(point.true_range_cm) > 0.0:
+        return None
+    expected_cm = float(np.mean(calibration.forward(point.apparent_cm[point.is_hit])))
+    error_cm = point.range_cm + mean.value - expected_cm
+    return SetUpError(point.condition, point.run, point.range_cm, error_cm)
+
+
+def _of_bound(name: str) -> str:
+    return f"{name}: at the end of what it can be; a kind of reading that was not seen here may still come in flight"
+
+
+def _parameter(name: str, result: FitResult, before: MixtureParameters) -> MixtureParameter:
+    low, high = result.interval(name)
+    value = result.estimates[name]
+    estimate = Estimate(
+        value,
+        low if math.isfinite(low) else None,
+        high if math.isfinite(high) else None,
+        UNIT.get(name, ""),
+        result.readings,
+    )
+    is_weight = name in ("hit", "unexpected", "max", "random")
+    started = getattr(before.weights if is_weight else before, name, None)
+    return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started)
+
+
+def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
+    grown = [
+        text
+        for name, text in (("sigma_growth_cm_per_m", "the spread"), ("max_growth_per_m", "the odds of a missed echo"))
+        if result.estimates.get(name, 0.0) != 0.0
+    ]
+    if not result.growth_trials:
+        return "not tried: all readings are of one range"
+    if not grown:
+        return "nothing depends on range (by BIC)"
+    told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
+    if "max_growth_per_m" not in result.estimates:
+        return told
+    weights = result.parameters.weights
+    model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
+    missed = float(np.mean(model.max_weight(expected_cm)))
+    shares = {
+        name: getattr(weights, name) * (1.0 - missed) / (1.0 - weights.max) for name in ("hit", "unexpected", "random")
+    }
+    shown = ", ".join(f"{name} {share:.4f}" for name, share in (shares | {"max": missed}).items())
+    return f"{told}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

@@ -1,0 +1,372 @@
+"""Readings sorted into points: one set-up of the bench each, which is what is independent, and not the reading.
+
+Measured data enters, `PointReadings` leave: which readings are codes, which are of the surface and which of something
+else, and their mean error and spread. A second reading of a point repeats how well its range was set up; analyses that
+ask about more than chance in the readings take points as their unit.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread
+from msp_lab.characterise.findings import Estimate, Point
+from msp_range.acoustics.air import ZERO_CELSIUS_K
+from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
+from msp_range.recording.csv_form import MeasuredData
+
+GATE_CM = 8.0
+"""A reading this near to the middle of its point's hits is one: four times the noise of the report's filters [cm]."""
+GATE_DEVIATIONS = 4.5
+GATE_SHARE = 0.05
+"""Where hits scatter more, the gate is so many of their (robust) standard deviations, up to this share of the range."""
+FARTHEST_CM, FARTHEST_SHARE = 25.0, 0.15
+"""Readings whose middle is off by more than this, or this share of the range, are not of the surface: four times what
+46 deg C do to 260 cm, and more than a neighbour's ping 1 ms early [cm]."""
+LEAST_HITS = 3
+"""Fewer readings of the surface give a point no mean error."""
+LEVEL_GAP_C = 4.0
+"""Air temperatures that differ by more belong to different levels of the temperature experiment [deg C]."""
+BIN_CM = 20.0
+"""Width of the points that a range which changes from row to row is cut into [cm]."""
+LEAST_READINGS = 5
+"""Ranges with fewer readings each are not set-ups of a bench: the range changed while it was read."""
+
+BASELINE = "baseline"
+VARIED = {
+    "incidence_deg": "field_of_view",
+    "vibration_hz": "vibration",
+    "external_level_db": "external_interference",
+}
+"""What a reading's experiment is where no column `condition` says it: a column that is known and not zero."""
+
+SETTINGS = (
+    "target_size_cm",
+    "vibration_hz",
+    "external_level_db",
+    "external_duty",
+    "external_distance_cm",
+    "external_frequency_khz",
+)
+"""Columns of which every value is a set-up of its own."""
+SOURCE_DISTANCE_CM = 30.0
+"""Where the level of an external source is given [cm]."""
+CLASS_DB = 20.0
+"""Width of the classes of sound level at the sensor that external sources are sorted into [dB]."""
+NEAR_KHZ = 1.0
+"""A source within this of the ping's frequency is on it."""
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PointReadings:
+    """The readings of one point.
+
+    Parameters
+    ----------
+    condition, sensor, run, level
+        As in `findings.Point`.
+    reading_cm, true_range_cm, air_temperature_c
+        A row each; NaN where there was no answer, or where the temperature is unknown.
+    incidence_deg, target_temperature_c
+        NaN where unknown.
+    sensor_model
+        Limits, codes and calibration temperature.
+    step_cm
+        Of the readings.
+    rows
+        Their row numbers in the data.
+    """
+
+    condition: str
+    sensor: str
+    run: str
+    level: str
+    reading_cm: _Array
+    true_range_cm: _Array
+    air_temperature_c: _Array
+    incidence_deg: float
+    target_temperature_c: float
+    sensor_model: SensorModel
+    step_cm: float
+    rows: NDArray[np.int64]
+
+    @cached_property
+    def range_cm(self) -> float:
+        """True range, the mean over the point [cm]."""
+        return float(self.true_range_cm.mean())
+
+    @cached_property
+    def is_code(self) -> NDArray[np.bool_]:
+        """Readings of no echo: the maximum, and 255 where the others are not within the gate of it."""
+        missed: NDArray[np.bool_] = self.reading_cm == self.sensor_model.maximum_cm
+        if self.sensor_model.reading_model.saturated_fraction == 0.0:
+            return missed
+        saturated = self.reading_cm == SATURATED_CM
+        others = self.reading_cm[~np.isnan(self.reading_cm) & ~missed & ~saturated]
+        expected_cm = float(np.median(others)) if 2 * others.size >= self.reading_cm.size else self.range_cm
+        return missed | saturated if abs(expected_cm - SATURATED_CM) > GATE_CM else missed
+
+    @cached_property
+    def is_heard(self) -> NDArray[np.bool_]:
+        """Answers that are no code."""
+        heard: NDArray[np.bool_] = ~np.isnan(self.reading_cm) & ~self.is_code
+        return heard
+
+    @cached_property
+    def error_cm(self) -> _Array:
+        """Reading minus truth of all rows [cm]."""
+        return self.reading_cm - self.true_range_cm
+
+    @cached_property
+    def gate_cm(self) -> tuple[float, float]:
+        """Errors between which a reading is of the surface [cm].
+
+        About the middle of the fullest window of twice `GATE_CM`: a median would lie between two clusters. Both ends
+        are the same where that window is too far off to be of the surface; NaN where nothing is heard.
+        """
+        heard = np.sort(self.error_cm[self.is_heard])
+        if not heard.size:
+            return math.nan, math.nan
+        counts = np.searchsorted(heard, heard + 2.0 * GATE_CM, side="right") - np.arange(heard.size)
+        fullest = np.flatnonzero(counts == counts.max())
+        # Of equally full ones the nearest to the truth.
+        first = int(fullest[np.abs(heard[fullest] + GATE_CM).argmin()])
+        window = heard[first : first + int(counts[first])]
+        middle = float(np.median(window))
+        if abs(middle) > max(FARTHEST_CM, FARTHEST_SHARE * self.range_cm):
+            return 0.0, 0.0
+        deviation = 1.4826 * float(np.median(np.abs(window - middle)))
+        half = max(GATE_CM, min(GATE_DEVIATIONS * deviation, GATE_SHARE * self.range_cm))
+        return middle - half, middle + half
+
+    @cached_property
+    def is_hit(self) -> NDArray[np.bool_]:
+        """Readings of the surface."""
+        low, high = self.gate_cm
+        return self.is_heard & (self.error_cm >= low) & (self.error_cm <= high) & (low < high)
+
+    @cached_property
+    def compensation(self) -> _Array:
+        """sqrt(T_T / T_C) of eq 7 for each row; NaN where the air's temperature is unknown."""
+        calibration_k = self.sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
+        return np.sqrt((self.air_temperature_c + ZERO_CELSIUS_K) / calibration_k)
+
+    @cached_property
+    def apparent_cm(self) -> _Array:
+        """Range that a perfect sensor reads, which takes the air to be as in its calibration [cm]; else the truth."""
+        factor = np.where(np.isnan(self.compensation), 1.0, self.compensation)
+        return self.true_range_cm / factor
+
+    @cached_property
+    def _statistics(self) -> MeanAndSpread | None:
+        if self.hits < LEAST_HITS:
+            return None
+        # Readings are whole steps, and errors too where the truth is one number.
+        truth = float(self.true_range_cm[0])
+        is_fixed = bool((self.true_range_cm == truth).all())
+        found = self.reading_cm[self.is_hit] - (0.0 if is_fixed else self.true_range_cm[self.is_hit])
+        mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0)
+        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), spread)
+
+    @property
+    def hits(self) -> int:
+        """How many readings are of the surface."""
+        return int(self.is_hit.sum())
+
+    @cached_property
+    def found(self) -> Point:
+        """What was found at this point."""
+        heard_error = self.error_cm[self.is_heard]
+        hit, middle = self.is_hit[self.is_heard], sum(self.gate_cm) / 2.0
+        statistics = self._statistics
+        codes = self.reading_cm[self.is_code]
+        no_echo = int((codes == self.sensor_model.maximum_cm).sum())
+        compensated = None
+        if statistics is not None and not np.isnan(self.air_temperature_c).all():
+            # Each row by its own air; the interval is that of the mean, moved and stretched alike.
+            change = np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit])
+            compensated = _shifted(statistics.mean, float(change))
+        return Point(
+            condition=self.condition,
+            sensor=self.sensor,
+            run=self.run,
+            level=self.level,
+            true_range_cm=self.range_cm,
+            incidence_deg=_known(self.incidence_deg),
+            air_temperature_c=_known(_mean(self.air_temperature_c)),
+            target_temperature_c=_known(self.target_temperature_c),
+            readings=self.reading_cm.size,
+            hits=self.hits,
+            short=int((~hit & (heard_error < middle)).sum()),
+            long=int((~hit & (heard_error >= middle)).sum()),
+            no_echo=no_echo,
+            saturated=int(codes.size) - no_echo,
+            no_answer=int(np.isnan(self.reading_cm).sum()),
+            error=None if statistics is None else statistics.mean,
+            spread=None if statistics is None else statistics.spread,
+            compensated_error=compensated,
+            worst_error_cm=float(heard_error[np.abs(heard_error).argmax()]) if heard_error.size else None,
+        )
+
+
+def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[PointReadings]:
+    """The points of measured data, in the order of their first readings.
+
+    Rows without a true range are left out: nothing can be said of their error.
+
+    Parameters
+    ----------
+    data
+        In the CSV form.
+    sensor_model
+        Limits, codes and calibration temperature of the sensor that read.
+    """
+    rows = np.flatnonzero(~np.isnan(data["true_range_cm"]))
+    known = data.select(rows)
+    if not len(known):
+        return []
+    size = len(known)
+    numbers = {name: _numbers(known, name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
+    condition = conditions(known)
+    words = {name: known[name] if name in known else np.full(size, "") for name in ("sensor", "run", "target")}
+    level = _levels(known, condition, words["target"], numbers["air_temperature_c"], sensor_model.frequency_hz)
+    truth = known["true_range_cm"]
+    place = _places(truth)
+    incidence = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
+    settings = [np.nan_to_num(_numbers(known, name), nan=-1.0) for name in SETTINGS]
+    different = (condition, words["sensor"], words["run"], words["target"], level, place, incidence, *settings)
+    keys = np.column_stack([_codes(each) for each in different])
+    _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    step_cm = step_of(known["reading_cm"])
+    members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
+    return [
+        PointReadings(
+            condition=str(condition[first[i]]),
+            sensor=str(words["sensor"][first[i]]),
+            run=str(words["run"][first[i]]),
+            level=str(level[first[i]]),
+            reading_cm=known["reading_cm"][member],
+            true_range_cm=truth[member],
+            air_temperature_c=numbers["air_temperature_c"][member],
+            incidence_deg=_mean(numbers["incidence_deg"][member]),
+            target_temperature_c=_mean(numbers["target_temperature_c"][member]),
+            sensor_model=sensor_model,
+            step_cm=step_cm,
+            rows=rows[member],
+        )
+        for i, member in sorted(enumerate(members), key=lambda each: first[each[0]])
+    ]
+
+
+def conditions(data: MeasuredData) -> NDArray[np.str_]:
+    """The experiment of each row: as its column says, or by what is varied."""
+    found = np.full(len(data), BASELINE, dtype="U32")
+    for name, word in VARIED.items():
+        column = _numbers(data, name)
+        found[~np.isnan(column) & (column != 0.0)] = word
+    if "incidence_deg" in data:
+        # The rows straight ahead belong to the same experiment.
+        incidence = _numbers(data, "incidence_deg")
+        if (found == "field_of_view").any():
+            found[(incidence == 0.0) & (found == BASELINE)] = "field_of_view"
+    if "condition" not in data:
+        return found
+    said = data["condition"]
+    return np.where(said == "", found, said)
+
+
+def step_of(reading_cm: _Array) -> float:
+    """Largest step of which all readings are whole multiples [cm]: 1, 0.5, 0.1, 0.01; 0 where none is.
+
+    Examples
+    --------
+    >>> print(step_of(np.array([120.0, 121.0, np.nan])), step_of(np.array([120.0, 120.37])))
+    1.0 0.01
+    """
+    known = reading_cm[~np.isnan(reading_cm)]
+    for step in (5.0, 2.54, 1.0, 0.5, 0.1, 0.01):
+        steps = known / step
+        if np.abs(steps - np.rint(steps)).max(initial=0.0) < 1e-6:
+            return step
+    return 0.0
+
+
+def _levels(
+    data: MeasuredData, condition: NDArray[np.str_], target: NDArray[np.str_], air_c: _Array, frequency_hz: float
+) -> NDArray[np.str_]:
+    """What the experiment varies, as a word for each row."""
+    level = np.full(len(data), "", dtype="U48")
+    rows = condition == "material"
+    level[rows] = target[rows]
+    rows = condition == "temperature"
+    level[rows] = _temperature_words(air_c[rows])
+    rows = condition == "vibration"
+    level[rows] = [_word(each, "Hz") for each in _numbers(data, "vibration_hz")[rows]]
+    rows = condition == "external_interference"
+    level[rows] = _external_words(data.select(rows), frequency_hz)
+    return level
+
+
+def _temperature_words(air_c: _Array) -> list[str]:
+    """Clusters of temperatures, each by its mean."""
+    order = np.argsort(air_c)
+    group = np.zeros(air_c.size, dtype=int)
+    group[order[1:]] = np.cumsum(np.diff(air_c[order]) > LEVEL_GAP_C)
+    means = [_mean(air_c[group == i]) for i in range(int(group.max(initial=0)) + 1)]
+    return [_word(float(np.round(means[i])), "C") for i in group]
+
+
+def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
+    """Class of the sound level at the sensor: the source's, less 20 dB for each ten times its distance."""
+    source_db, duty = _numbers(data, "external_level_db"), _numbers(data, "external_duty")
+    distance_cm = np.nan_to_num(_numbers(data, "external_distance_cm"), nan=SOURCE_DISTANCE_CM)
+    level_db = source_db - 20.0 * np.log10(np.maximum(distance_cm, 1.0) / SOURCE_DISTANCE_CM)
+    lowest_db = CLASS_DB * np.floor((level_db + CLASS_DB / 2) / CLASS_DB) - CLASS_DB / 2
+    off_khz = np.abs(np.nan_to_num(_numbers(data, "external_frequency_khz") - frequency_hz / 1e3))
+    return [
+        "quiet"
+        if math.isnan(low) or share == 0.0
+        else f"{low:.0f} to {low + CLASS_DB:.0f} dB at the sensor" + (", another frequency" if off > NEAR_KHZ else "")
+        for low, share, off in zip(lowest_db.tolist(), duty.tolist(), off_khz.tolist(), strict=True)
+    ]
+
+
+def _places(truth_cm: _Array) -> _Array:
+    """True range of each row's point: itself at a bench, the middle of a bin where it changes all the time."""
+    _, which, counts = np.unique(truth_cm, return_inverse=True, return_counts=True)
+    if np.median(counts[which.ravel()]) >= LEAST_READINGS:
+        return truth_cm
+    return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
+
+
+def _codes(column: NDArray[np.str_] | _Array) -> NDArray[np.int64]:
+    """A whole number for each different value."""
+    return np.unique(column, return_inverse=True)[1].ravel().astype(np.int64)
+
+
+def _numbers(data: MeasuredData, name: str) -> _Array:
+    return data[name] if name in data else np.full(len(data), math.nan)
+
+
+def _mean(values: _Array) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _word(value: float, unit: str) -> str:
+    return "" if math.isnan(value) else f"{value:g} {unit}"
+
+
+def _shifted(estimate: Estimate, by: float) -> Estimate:
+    low = None if estimate.low is None else estimate.low + by
+    high = None if estimate.high is None else estimate.high + by
+    return replace(estimate, value=estimate.value + by, low=low, high=high)

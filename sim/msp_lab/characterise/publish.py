@@ -1,0 +1,55 @@
+"""What a characterisation leaves on disk beside the sensor model: all its numbers, and the page.
+
+Findings enter, files leave; none is overwritten.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from msp_lab.characterise.findings import Findings, as_json
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.csv_form import MeasuredData
+from msp_range.yaml_file import ConfigError
+
+NUMBERS = "findings.json"
+PAGE = "report.html"
+
+
+def check_free(out: Path, folder: Path | None) -> None:
+    """Refuse before the work what could not be written after it.
+
+    Raises
+    ------
+    ConfigError
+        There is a file already, or what draws the report is not installed.
+    """
+    taken = [out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])]
+    for path in taken:
+        if path.exists():
+            there = "folder" if path.is_dir() else "file"
+            raise ConfigError(f"{path}: there is a {there} already, and none is overwritten")
+        for parent in path.parents:
+            if parent.exists() and not parent.is_dir():
+                raise ConfigError(f"{path}: {parent} is a file, expected a folder")
+    missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
+    if folder is not None and missing:
+        raise ConfigError(f"--report needs {' and '.join(missing)}: pip install 'msp-range[lab]'; or leave it out")
+
+
+def publish(findings: Findings, data: MeasuredData, model: SensorModel, folder: Path) -> Path:
+    """Write the numbers and the page, and return the page.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / NUMBERS).open("x", encoding="utf-8") as file:
+            file.write(as_json(findings))
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+    from msp_lab.characterise.report.write import write_report
+
+    return write_report(findings, data, model, folder)

@@ -1,0 +1,363 @@
+"""Does it matter? The report's question for material, temperature, vibration, crosstalk and external ultrasound.
+
+Points of an experiment and points to compare them with enter, `Question`s leave: four effects each, with an interval,
+a p-value corrected for all that was asked (Holm), a verdict that may be 'cannot tell', and the smallest effect that
+these data would have shown. Readings of a point share its set-up, so the bias and the spread are compared from point to
+point at equal ranges; shares of readings get the variance between points where that is more than chance.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import brentq
+
+from msp_lab.characterise.estimates import CONFIDENCE, Z, detectable, holm
+from msp_lab.characterise.findings import Effect, Estimate, Metric, Point, Question, Verdict
+
+LEVEL = 0.05
+BIAS_BOUND_CM = 1.0
+"""A mean error that moves by less does not matter: the sensor's own step, and the report's largest error."""
+SPREAD_BOUND = 1.5
+"""Nor a spread that grows or shrinks by less than this factor."""
+ODDS_BOUND = 2.0
+"""Nor odds of a missed or foreign reading that change by less than this factor ..."""
+SHARE_BOUND = 0.01
+"""... or by less than one reading in a hundred."""
+STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
+"""Spread that whole centimetres have of themselves; a smaller one is as good as this."""
+FEW_RANGES = 4
+MORE_THAN_CHANCE = 1.5
+"""Variance between points, over that of chance, from which on points and not readings are counted in a share's test."""
+MOST_CM, MOST_RATIO = 100.0, 1000.0
+"""Data that would show nothing smaller than this show nothing."""
+LEAST_SCATTER_CM = 0.05
+"""Equal readings at two points are no proof that set-ups never differ: the scatter is taken to be at least so much."""
+CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
+"""Experiments with two sensors, each of which has its own question; what their level is called."""
+METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Topic:
+    question: str
+    report: str
+    matters: str
+
+
+TOPICS = {
+    "material": _Topic(
+        "Does the material of the target matter?",
+        "4.3.4: plywood, asphalt and concrete are indistinguishable at these ranges",
+        "the material",
+    ),
+    "temperature": _Topic(
+        "Does hot or cold air at the sensor matter?",
+        "4.3.5: errors of 1 to 2 cm, because only the air near the sensor was hot or cold",
+        "the air at the sensor",
+    ),
+    "vibration": _Topic(
+        "Does vibration of the housing matter?", "4.3.6: effectively the same as the baseline", "the vibration"
+    ),
+    "crosstalk_simultaneous": _Topic(
+        "Does a second sensor that pings at the same time matter?",
+        "4.3.7: the second sensor reads short, because it hears the first one's ping",
+        "the other sensor's ping",
+    ),
+    "crosstalk_sequential": _Topic(
+        "Does a second sensor matter that waits for the first?",
+        "4.3.7: the errors are reduced when the sensors ping one after the other",
+        "the sensor that waits",
+    ),
+    "external_interference": _Topic("Does external ultrasound matter?", "4.3.8: inconclusive", "the external source"),
+}
+"""Condition -> what is asked, and what the report answers."""
+
+
+class _Raw(NamedTuple):
+    """An effect on the scale where it is roughly normal: centimetres, or the logarithm of a ratio."""
+
+    value: float
+    error: float
+    freedom: float
+    n: int
+    of: str
+    p_value: float
+    bound: float
+    small_share: bool
+    detectable: Callable[[float], float] | None = None
+
+
+def questions(points: Sequence[Point]) -> tuple[Question, ...]:
+    """All questions that the points allow, with p-values corrected for all of them together.
+
+    Parameters
+    ----------
+    points
+        Every set-up of the data.
+    """
+    asked = [
+        each
+        for name, topic in TOPICS.items()
+        for each in _compared(name, topic, [p for p in points if p.condition == name], points)
+    ]
+    raw = {(i, metric): _effect(metric, each) for i, each in enumerate(asked) for metric in METRICS}
+    told = [key for key, each in raw.items() if each is not None]
+    tests = [raw[key] for key in told]
+    different = dict(zip(told, holm([each.p_value for each in tests if each]), strict=True))
+    alike = dict(zip(told, holm([_p_alike(each) for each in tests if each]), strict=True))
+    answered = []
+    for i, each in enumerate(asked):
+        effects = tuple(
+            _told(metric, raw[i, metric], different.get((i, metric)), alike.get((i, metric)), len(told))
+            for metric in METRICS
+        )
+        answered.append(_answered(replace(each, effects=effects)))
+    return tuple(answered)
+
+
+def _compared(name: str, topic: _Topic, points: Sequence[Point], everything: Sequence[Point]) -> Iterable[Question]:
+    """One question for each level of an experiment, and for each sensor where two are at work."""
+    by_sensor = name in CROSSTALK
+    for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
+        here = [p for p in points if not by_sensor or p.sensor == sensor]
+        reference_level = _reference_level(name, here)
+        if reference_level is not None:
+            reference_name, reference = reference_level, [p for p in here if p.level == reference_level]
+        else:
+            reference_name, reference = _baseline(name, sensor, everything)
+        for level in dict.fromkeys(p.level for p in here if p.level != reference_level):
+            varied = [p for p in here if p.level == level]
+            ranges = {round(p.true_range_cm, 1) for p in varied} & {round(p.true_range_cm, 1) for p in reference}
+            yield Question(
+                name=name,
+                question=topic.question,
+                level=level or CROSSTALK.get(name, name),
+                reference=reference_name,
+                sensor=sensor,
+                pairs=len(ranges),
+                effects=(),
+                verdict="cannot tell",
+                answer="",
+                report=topic.report,
+                points=tuple(varied),
+                reference_points=tuple(p for p in reference if round(p.true_range_cm, 1) in ranges),
+            )
+
+
+def _baseline(name: str, sensor: str, everything: Sequence[Point]) -> tuple[str, list[Point]]:
+    """What an experiment without a level of reference is compared with: the same sensor's points, where it has some."""
+    baseline = [p for p in everything if p.condition == "baseline"]
+    own = [p for p in baseline if p.sensor == sensor]
+    if own or not sensor:
+        return "baseline", own or baseline
+    if name == "crosstalk_simultaneous":
+        waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
+        if waiting:
+            return "sequential", waiting
+    return "the baseline of another sensor", baseline
+
+
+def _reference_level(name: str, points: Sequence[Point]) -> str | None:
+    """The level of the experiment itself that the others are compared with; None: the baseline."""
+    levels = list(dict.fromkeys(p.level for p in points))
+    if name == "material":
+        return next((each for each in levels if "plywood" in each.lower() or "wood" in each.lower()), None)
+    if name == "temperature":
+        known = [(abs((p.air_temperature_c or 0.0) - 21.0), p.level) for p in points if p.air_temperature_c is not None]
+        return min(known)[1] if known and min(known)[0] < 5.0 else None
+    if name == "external_interference":
+        return "quiet" if "quiet" in levels else None
+    if name == "vibration":
+        return next((each for each in levels if each in ("0 Hz", "")), None) if len(levels) > 1 else None
+    return None
+
+
+def _effect(metric: Metric, question: Question) -> _Raw | None:
+    if metric == "bias":
+        return _paired(question, lambda p: None if p.error is None else p.error.value, BIAS_BOUND_CM)
+    if metric == "spread":
+        return _paired(question, _log_spread, math.log(SPREAD_BOUND))
+    if metric == "missed":
+        return _odds(question, lambda p: p.no_echo + p.saturated + p.no_answer, lambda p: p.readings)
+    return _odds(question, lambda p: p.short + p.long, lambda p: p.readings - p.no_echo - p.saturated - p.no_answer)
+
+
+def _log_spread(point: Point) -> float | None:
+    return None if point.spread is None else math.log(math.hypot(point.spread.value, STEP_SPREAD_CM))
+
+
+def _paired(question: Question, value: Callable[[Point], float | None], bound: float) -> _Raw | None:
+    """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, from set-up
+    to set-up."""
+    varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
+    common = sorted(varied.keys() & reference.keys())
+    differences = np.array([np.mean(varied[each]) - np.mean(reference[each]) for each in common])
+    if len(common) < FEW_RANGES:
+        of_points = np.array([one - np.mean(reference[each]) for each in common for one in varied[each]])
+        differences = of_points if of_points.size > differences.size else differences
+    if differences.size < 2:
+        return None
+    error = math.hypot(float(differences.std(ddof=1)), LEAST_SCATTER_CM) / math.sqrt(differences.size)
+    mean, freedom = float(differences.mean()), differences.size - 1
+    p_value = 2.0 * float(stats.t.sf(abs(mean) / error, freedom))
+    return _Raw(mean, error, freedom, differences.size, "points", p_value, bound, False)
+
+
+def _by_range(points: Sequence[Point], value: Callable[[Point], float | None]) -> dict[float, list[float]]:
+    found: dict[float, list[float]] = {}
+    for point in points:
+        one = value(point)
+        if one is not None:
+            found.setdefault(round(point.true_range_cm, 1), []).append(one)
+    return found
+
+
+def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point], int]) -> _Raw | None:
+    """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
+    ranges = {round(p.true_range_cm, 1) for p in question.reference_points}
+    varied = [p for p in question.points if round(p.true_range_cm, 1) in ranges and of(p)]
+    reference = [p for p in question.reference_points if of(p)]
+    if not varied or not reference:
+        return None
+    a, n = sum(map(count, varied)), sum(map(of, varied))
+    c, m = sum(map(count, reference)), sum(map(of, reference))
+    b, d = n - a, m - c
+    value = math.log((a + 0.5) * (d + 0.5) / ((b + 0.5) * (c + 0.5)))
+    over, over_reference = _overdispersion(varied, count, of), _overdispersion(reference, count, of)
+    if question.name == "external_interference":
+        # Its points differ by their dose, which is the effect itself and no reason to doubt it.
+        over = over_reference
+    error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
+    freedom = len(varied) + len(reference) - 2.0
+    if max(over, over_reference) > MORE_THAN_CHANCE and freedom >= 1.0:
+        # By ranks: one point that is unlike all others is no evidence.
+        shares = [[count(p) / of(p) for p in each] for each in (varied, reference)]
+        p_value = float(stats.mannwhitneyu(*shares, method="asymptotic").pvalue)
+    else:
+        freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
+    difference = a / n - c / m
+    width = 1.645 * math.sqrt(over * (a + 0.5) * (b + 0.5) / n**3 + over_reference * (c + 0.5) * (d + 0.5) / m**3)
+    small = abs(difference) + width < SHARE_BOUND
+    shown = partial(_detectable_odds, (c + 0.5) / (m + 1.0), n / over, m / over_reference)
+    return _Raw(value, error, freedom, n + m, "readings", p_value, math.log(ODDS_BOUND), small, shown)
+
+
+def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
+    """Logarithm of the smallest odds ratio above 1 that these many readings show with 80 % probability."""
+    z = float(stats.norm.ppf(1.0 - level / 2.0) + stats.norm.ppf(0.8))
+
+    def excess(other: float) -> float:
+        return other - share - z * math.sqrt(other * (1.0 - other) / n + share * (1.0 - share) / m)
+
+    if excess(1.0) <= 0.0:
+        return math.inf
+    other = min(float(brentq(excess, share, 1.0)), 1.0 - 1e-9)
+    return math.log(other / (1.0 - other)) - math.log(share / (1.0 - share))
+
+
+def _overdispersion(points: Sequence[Point], count: Callable[[Point], int], of: Callable[[Point], int]) -> float:
+    """Variance of the points' counts over that of chance, at least 1."""
+    share = sum(map(count, points)) / sum(map(of, points))
+    if len(points) < 2 or not 0.0 < share < 1.0:
+        return 1.0
+    squares = sum((count(p) - share * of(p)) ** 2 / (share * (1.0 - share) * of(p)) for p in points)
+    return max(squares / (len(points) - 1), 1.0)
+
+
+def _p_alike(raw: _Raw) -> float:
+    """Of an effect that is as large as the bound or larger: the greater of two one-sided tests."""
+    by_value = float(stats.t.sf((raw.bound - abs(raw.value)) / raw.error, raw.freedom))
+    # A share that may change by a hundredth at most is small by itself; its interval is a 90 % one as well.
+    return min(by_value, LEVEL / 1e3) if raw.small_share else by_value
+
+
+def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int) -> Effect:
+    is_ratio = metric != "bias"
+    bound = {"bias": BIAS_BOUND_CM, "spread": SPREAD_BOUND}.get(metric, ODDS_BOUND)
+    if raw is None or different is None or alike is None:
+        return Effect(metric, None, None, None, bound, "cannot tell", None)
+    half = (float(stats.t.ppf(0.5 + CONFIDENCE / 2, raw.freedom)) if math.isfinite(raw.freedom) else Z) * raw.error
+    ends = (raw.value, raw.value - half, raw.value + half)
+    # e^500 is a number still, and 'anything' enough.
+    value, low, high = (math.exp(min(max(each, -500.0), 500.0)) for each in ends) if is_ratio else ends
+    verdict: Verdict = "does not matter" if alike < LEVEL else "matters" if different < LEVEL else "cannot tell"
+    level = LEVEL / tests
+    shown = detectable(raw.error, raw.freedom, level) if raw.detectable is None else raw.detectable(level)
+    return Effect(
+        metric=metric,
+        estimate=Estimate(value, low, high, "" if is_ratio else "cm", raw.n, raw.of),
+        p_value=raw.p_value,
+        p_adjusted=different,
+        bound=bound,
+        verdict=verdict,
+        smallest_detectable=_known_size(shown, is_ratio),
+    )
+
+
+def _known_size(shown: float, is_ratio: bool) -> float | None:
+    """None where it is so large that the data show nothing."""
+    if is_ratio:
+        return math.exp(shown) if shown < math.log(MOST_RATIO) else None
+    return shown if shown < MOST_CM else None
+
+
+def _answered(question: Question) -> Question:
+    verdicts = [each.verdict for each in question.effects]
+    verdict: Verdict = (
+        "matters"
+        if "matters" in verdicts
+        else "does not matter"
+        if all(each == "does not matter" for each in verdicts)
+        else "cannot tell"
+    )
+    who = f" for {question.sensor}" if question.sensor else ""
+    subject = f"{question.level} against {question.reference}{who}"
+    if verdict == "matters":
+        sizes = "; ".join(_size(each) for each in question.effects if each.verdict == "matters")
+        answer = f"{subject}: matters: {sizes}"
+    elif verdict == "does not matter":
+        answer = (
+            f"{subject}: does not matter beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and "
+            f"{ODDS_BOUND:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and foreign readings"
+        )
+        seen = [_size(each) for each in question.effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
+        answer += f"; within that there is {'; '.join(seen)}" if seen else ""
+    else:
+        open_ = [each for each in question.effects if each.verdict == "cannot tell"]
+        answer = f"{subject}: cannot tell: " + "; ".join(_doubt(each) for each in open_)
+        settled = [each.metric for each in question.effects if each.verdict == "does not matter"]
+        answer += f"; {', '.join(settled)}: does not matter" if settled else ""
+    return replace(question, verdict=verdict, answer=answer)
+
+
+def _size(effect: Effect) -> str:
+    estimate = effect.estimate
+    assert estimate is not None
+    low, high = estimate.low, estimate.high
+    if effect.metric == "bias":
+        return f"bias {estimate.value:+.2f} cm ({low:+.2f} to {high:+.2f})"
+    name = {"spread": "spread", "missed": "odds of a missed echo"}.get(effect.metric, "odds of a foreign reading")
+    return f"{name} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
+
+
+def _doubt(effect: Effect) -> str:
+    if effect.estimate is None:
+        return f"{effect.metric}: no two points to compare"
+    if effect.smallest_detectable is None:
+        return f"{_size(effect)}; these data could show nothing"
+    return f"{_size(effect)}; these data would have shown {_amount(effect)} or more"
+
+
+def _amount(effect: Effect) -> str:
+    assert effect.smallest_detectable is not None
+    return (
+        f"{effect.smallest_detectable:.2g} cm" if effect.metric == "bias" else f"{effect.smallest_detectable:.2g} times"
+    )

@@ -1,0 +1,293 @@
+"""The field of view at one range (report figures 4.9-4.12), and the sonar equation through the breakaway angles."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+
+from msp_sim.page.style import (
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    OURS,
+    PALE,
+    REFERENCE,
+    edges_between,
+    legend_below,
+    new_figure,
+)
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Readings of a wall at one perpendicular distance, over the sensor's angle.
+
+    Parameters
+    ----------
+    range_cm
+        Perpendicular distance r_0 [cm].
+    incidence_deg, reading_cm
+        Of each reading, shape (n,); NaN for a reading: no answer.
+    missed
+        Which readings are codes for no echo, shape (n,).
+    angle_deg, reliable
+        Angles tried and the share of reliable readings at each, shape (m,).
+    negative_deg, positive_deg
+        Last reliable angle to either side, negative and positive [deg]; None: not known.
+    negative_end_deg, positive_end_deg
+        Next angle that was tried, where it is not reliable any more; None: none was tried.
+    report_deg
+        The report's half angle at this range; None: it has none.
+    nearest_half_angle_deg
+        Half angle of the beam in which the nearest point of the wall is taken.
+    stretch
+        Reading for each true centimetre, by the calibration and the air's temperature; 1 leaves the curves as they are.
+    """
+
+    range_cm: float
+    incidence_deg: _Array
+    reading_cm: _Array
+    missed: NDArray[np.bool_]
+    angle_deg: _Array
+    reliable: _Array
+    negative_deg: float | None
+    positive_deg: float | None
+    negative_end_deg: float | None
+    positive_end_deg: float | None
+    report_deg: float | None
+    nearest_half_angle_deg: float
+    stretch: float = 1.0
+
+
+def draw_sweep(sweep: Sweep) -> Figure:
+    """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
+    figure = new_figure(4.5)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
+    widest = float(np.max(np.abs(sweep.angle_deg)))
+    theta = np.radians(np.linspace(-widest, widest, 241))
+    base_cm = sweep.range_cm * sweep.stretch
+    slant_cm = base_cm / np.cos(theta)
+    beyond = np.maximum(np.abs(theta) - np.radians(sweep.nearest_half_angle_deg), 0.0)
+    nearest_cm = base_cm / np.cos(beyond)
+    low, high = min(base_cm, sweep.range_cm) - 4.0, max(float(np.max(slant_cm)), sweep.range_cm) + 5.0
+
+    _shares(top, sweep, low, high)
+    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="eq 8: along the axis, r₀ / cos θ", zorder=4)
+    if sweep.nearest_half_angle_deg > 0.0:
+        label = f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°"
+        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4, label=label)
+    top.set_ylim(low, high)
+    top.set_ylabel("reading [cm]")
+    top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+
+    edges = edges_between(sweep.angle_deg.tolist())
+    width = 0.86 * float(np.min(np.diff(edges)))
+    bottom.bar(sweep.angle_deg, 100.0 * sweep.reliable, width=width, color=OURS, alpha=0.75, zorder=2)
+    bottom.bar(
+        sweep.angle_deg,
+        100.0 * (1.0 - sweep.reliable),
+        width=width,
+        bottom=100.0 * sweep.reliable,
+        color=PALE,
+        zorder=2,
+    )
+    bottom.set_ylim(0.0, 100.0)
+    bottom.set_yticks([0, 50, 100])
+    bottom.set_ylabel("reliable [%]")
+    bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
+    _breakaway(top, bottom, sweep)
+    ticks = sweep.angle_deg
+    if ticks.size > 15:
+        ticks = ticks[np.abs(np.rint(ticks / 3.6) * 3.6 - ticks) < 0.05] if np.any(ticks % 1.0) else ticks[::2]
+    bottom.set_xticks(ticks if ticks.size else sweep.angle_deg)
+    bottom.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
+    bottom.set_xlim(edges[0], edges[-1])
+    top.grid(axis="x", visible=False)
+    bottom.grid(axis="x", visible=False)
+    legend_below(figure)
+    return figure
+
+
+def _shares(top: Axes, sweep: Sweep, low: float, high: float) -> None:
+    """Each angle's readings as a histogram on its side, whole centimetres."""
+    edges = edges_between(sweep.angle_deg.tolist())
+    room = 0.86 * float(np.min(np.diff(edges)))
+    lefts, bottoms, widths = [], [], []
+    for angle in sweep.angle_deg.tolist():
+        here = np.isclose(sweep.incidence_deg, angle, atol=1e-6)
+        readings = sweep.reading_cm[here & ~sweep.missed & np.isfinite(sweep.reading_cm)]
+        values, counts = np.unique(readings[(readings > low) & (readings < high)], return_counts=True)
+        shares = counts / max(int(np.count_nonzero(here)), 1)
+        lefts.extend((angle - shares * room / 2.0).tolist())
+        widths.extend((shares * room).tolist())
+        bottoms.extend((values - 0.44).tolist())
+    top.bar(
+        lefts,
+        0.88,
+        widths,
+        bottom=bottoms,
+        align="edge",
+        color=OURS,
+        alpha=0.6,
+        linewidth=0,
+        zorder=2,
+        label="readings: width is the share",
+    )
+
+
+def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
+    labelled = False
+    for last, end in (
+        (sweep.negative_deg, sweep.negative_end_deg),
+        (sweep.positive_deg, sweep.positive_end_deg),
+    ):
+        if last is None:
+            continue
+        for axes in (top, bottom):
+            if end is not None:
+                axes.axvspan(min(last, end), max(last, end), color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
+            axes.axvline(last, color=INK, linewidth=1.3, zorder=5)
+        top.text(
+            last,
+            0.985,
+            f" {abs(last):.1f}°",
+            transform=top.get_xaxis_transform(),
+            fontsize=8.5,
+            weight="bold",
+            ha="left" if last < 0 else "right",
+            va="top",
+            color=INK,
+            zorder=6,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )
+        labelled = True
+    if labelled:
+        top.plot([], [], "-", color=INK, linewidth=1.3, label="breakaway: last reliable angle")
+    if any(each is not None for each in (sweep.negative_end_deg, sweep.positive_end_deg)):
+        top.fill_between([], [], [], color=ORANGE, alpha=0.22, linewidth=0, label="up to the next angle tried")
+    if sweep.report_deg is not None:
+        for sign in (-1, 1):
+            for axes in (top, bottom):
+                axes.axvline(sign * sweep.report_deg, color=REFERENCE, linestyle=":", linewidth=2.0, zorder=5)
+        top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"the report's ±{sweep.report_deg:g}°")
+
+
+@dataclass(frozen=True)
+class BeamRow:
+    """A half angle at a range [deg]: measured with its interval, the report's, and predicted without it."""
+
+    range_cm: float
+    measured_deg: float
+    low_deg: float | None
+    high_deg: float | None
+    report_deg: float | None
+    left_out_deg: float | None
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Measured half angles and the sonar equation through them.
+
+    Parameters
+    ----------
+    rows
+        Measured.
+    equation_cm, equation_deg
+        The fitted equation over range, shape (k,); NaN where no echo is predicted.
+    used_cm, used_deg
+        What the bridge uses over range, shape (m,).
+    step_deg
+        Step of the motor: what an angle is known to.
+    """
+
+    rows: tuple[BeamRow, ...]
+    equation_cm: _Array
+    equation_deg: _Array
+    used_cm: _Array
+    used_deg: _Array
+    step_deg: float
+
+
+def draw_beam(beam: Beam) -> Figure:
+    """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
+    figure = new_figure(4.0)
+    axes = figure.subplots()
+    axes.fill_between(
+        beam.equation_cm,
+        beam.equation_deg - beam.step_deg,
+        beam.equation_deg + beam.step_deg,
+        color=PALE,
+        alpha=0.6,
+        linewidth=0,
+        label=f"± one step of the motor, {beam.step_deg:g}°",
+        zorder=1,
+    )
+    axes.plot(beam.equation_cm, beam.equation_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
+    axes.plot(beam.used_cm, beam.used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
+    x = [row.range_cm for row in beam.rows]
+    y = [row.measured_deg for row in beam.rows]
+    low = [row.measured_deg - (row.measured_deg if row.low_deg is None else row.low_deg) for row in beam.rows]
+    high = [(row.measured_deg if row.high_deg is None else row.high_deg) - row.measured_deg for row in beam.rows]
+    axes.errorbar(
+        x,
+        y,
+        yerr=[low, high],
+        linestyle="none",
+        marker="o",
+        markersize=9,
+        color=OURS,
+        capsize=4,
+        zorder=6,
+        label="measured, up to the next angle tried",
+    )
+    pairs = [(row.range_cm, row.report_deg) for row in beam.rows if row.report_deg is not None]
+    if pairs:
+        axes.plot(
+            [range_cm for range_cm, _ in pairs],
+            [angle for _, angle in pairs],
+            linestyle="none",
+            marker="X",
+            markersize=7,
+            color=REFERENCE,
+            markeredgecolor="white",
+            label="the report's",
+            zorder=7,
+        )
+    left_out = [(row.range_cm, row.left_out_deg) for row in beam.rows if row.left_out_deg is not None]
+    if left_out:
+        axes.plot(
+            [range_cm for range_cm, _ in left_out],
+            [angle for _, angle in left_out],
+            linestyle="none",
+            marker="D",
+            markersize=9,
+            markerfacecolor="none",
+            markeredgewidth=1.6,
+            color=ORANGE,
+            zorder=8,
+            label="predicted from the others",
+        )
+    silent = [row.range_cm for row in beam.rows if row.left_out_deg is None]
+    for range_cm in silent if left_out else ():
+        axes.annotate(
+            "the others predict\nno echo here",
+            (range_cm, 0.0),
+            xytext=(0, 6),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
+            color=GREY,
+        )
+    top = max([*y, *(angle for _, angle in pairs), *(angle for _, angle in left_out)])
+    axes.set_ylim(0.0, 1.2 * top)
+    axes.set_xlim(0.0, float(np.max(beam.used_cm)) if beam.used_cm.size else max(x) * 1.2)
+    axes.set_xlabel("perpendicular range [cm]")
+    axes.set_ylabel("half angle of the beam [deg]")
+    legend_below(figure)
+    return figure

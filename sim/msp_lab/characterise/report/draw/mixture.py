@@ -1,0 +1,338 @@
+"""The four densities of the mixture as fitted (report figures 5.3-5.6), all of them together, and how well they fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from msp_sim.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
+
+_Array = NDArray[np.float64]
+
+KINDS = ("hit", "unexpected", "max", "random")
+
+_LOOKS = {"hit": (OURS, "-"), "unexpected": (ORANGE, "--"), "max": (PURPLE, "-"), "random": (GREEN, "-.")}
+
+NO_WEIGHT = 1e-7
+"""A smaller weight is that of a kind that was not seen."""
+
+SINGLE_CM = 25.0
+"""This near to the expected reading each centimetre is shown by itself [cm]."""
+
+_READ: dict[str, Any] = {
+    "linestyle": "none",
+    "markersize": 4.5,
+    "color": INK,
+    "markerfacecolor": "white",
+    "elinewidth": 1.0,
+    "capsize": 2.5,
+    "zorder": 5,
+}
+"""Looks of what was read, beside what was fitted."""
+
+
+@dataclass(frozen=True)
+class Densities:
+    """Probabilities of each whole centimetre by each kind of reading, and what was read.
+
+    Parameters
+    ----------
+    true_range_cm
+        The true range that they are for, in the centimetres that the sensor reads: after calibration and air [cm].
+    reading_cm
+        Readings that the sensor can report, shape (k,).
+    density
+        By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1.
+    weight
+        By kind: share of the readings.
+    counts
+        How often each was read at this range, shape (k,); None: there are no readings at one range.
+    """
+
+    true_range_cm: float
+    reading_cm: _Array
+    density: dict[str, _Array]
+    weight: dict[str, float]
+    counts: _Array | None
+
+
+def draw_hit(densities: Densities) -> Figure:
+    """The measurement noise (5.3): the Gaussian's probability of each centimetre, beside the share that was read."""
+    figure, axes = _axes()
+    k, p = densities.reading_cm, densities.density["hit"]
+    shown = _bulk(p, 1e-5)
+    axes.bar(k[shown], p[shown], width=0.9, color=OURS, alpha=0.45, label="fitted: integral over each centimetre")
+    if densities.counts is not None:
+        near = densities.counts[shown]
+        total = float(np.sum(near))
+        _dots(axes, k[shown], near / max(total, 1.0), near, total, "share read, and its 95 % interval")
+    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return _finish(figure, axes, "probability of a centimetre")
+
+
+def draw_unexpected(densities: Densities) -> Figure:
+    """Unexpected obstacles (5.4): the exponential that ends at the expected range."""
+    figure, axes = _axes()
+    k, p = densities.reading_cm, densities.density["unexpected"]
+    inside = k <= densities.true_range_cm + 0.5
+    axes.fill_between(k[inside], 0.0, p[inside], step="mid", color=ORANGE, alpha=0.35, linewidth=0)
+    axes.step(k[inside], p[inside], where="mid", color=ORANGE, label="fitted, if a reading is of this kind")
+    # Where the hits begin nothing else can be told from them.
+    hits = _bulk(densities.density["hit"], 1e-7)
+    _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "unexpected")
+    if densities.weight["unexpected"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
+    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    axes.set_xlim(0.0, (0.5 + densities.true_range_cm) * 1.06)
+    return _finish(figure, axes, "probability of a centimetre")
+
+
+def draw_max(densities: Densities, codes: dict[float, float]) -> Figure:
+    """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one.
+
+    Parameters
+    ----------
+    densities
+        Of the fitted model.
+    codes
+        Code [cm] -> probability of reading it, by the fitted model, of all readings.
+    """
+    figure, axes = _axes()
+    k = densities.reading_cm
+    values = list(codes)
+    total = 0.0 if densities.counts is None else float(np.sum(densities.counts))
+    axes.bar(
+        values, [100.0 * codes[value] for value in values], width=14.0, color=PURPLE, alpha=0.5, label="fitted mass"
+    )
+    for value in values:
+        words = f"{value:g} cm\nfitted {100.0 * codes[value]:.2f} %"
+        if densities.counts is not None and total:
+            count = float(np.sum(densities.counts[k == value]))
+            low, high = _share_interval(count, total)
+            share = count / total
+            axes.errorbar(
+                [value],
+                [100.0 * share],
+                yerr=[[100.0 * (share - low)], [100.0 * (high - share)]],
+                marker="o",
+                label="read, and its 95 % interval" if value == values[0] else None,
+                **_READ,
+            )
+            words += f"\nread {100.0 * share:.2f} %"
+        side = -1 if value > 0.85 * k[-1] else 1
+        axes.annotate(
+            words,
+            (value, 100.0 * codes[value]),
+            xytext=(14 * side, 2),
+            textcoords="offset points",
+            fontsize=8,
+            va="bottom",
+            ha="right" if side < 0 else "left",
+        )
+    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    axes.set_xlim(0.0, float(k[-1]) * 1.06)
+    axes.margins(y=0.3)
+    return _finish(figure, axes, "share of all readings [%]")
+
+
+def draw_random(densities: Densities) -> Figure:
+    """Random readings (5.6): the same for each centimetre that the sensor can report, from its minimum and not 0."""
+    figure, axes = _axes()
+    k, p = densities.reading_cm, densities.density["random"]
+    axes.fill_between(k, 0.0, p, step="mid", color=GREEN, alpha=0.3, linewidth=0)
+    axes.step(k, p, where="mid", color=GREEN, label="fitted, if a reading is of this kind")
+    # Beyond the hits only random readings and codes are left.
+    hits = _bulk(densities.density["hit"], 1e-7)
+    _binned(axes, densities, (k > k[hits][-1]) & (k < k[-1]), "random")
+    if densities.weight["random"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
+    for edge, side in ((k[0], "right"), (k[-1], "left")):
+        axes.annotate(
+            f"{edge:g} cm",
+            (edge, 0.0),
+            xytext=(-4 if side == "right" else 4, 4),
+            textcoords="offset points",
+            ha=side,
+            fontsize=8,
+        )
+    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
+    axes.margins(y=0.25)
+    return _finish(figure, axes, "probability of a centimetre")
+
+
+def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) -> Figure:
+    """All four together on a logarithmic scale, with what was read.
+
+    Parameters
+    ----------
+    densities
+        Of the fitted model.
+    total
+        Probability of each reading by the whole model, codes in it, shape (k,).
+    codes
+        Readings that are codes for no echo [cm].
+    """
+    figure = new_figure(4.2)
+    axes = figure.subplots()
+    k = densities.reading_cm
+    is_code = np.isin(k, codes)
+    parts = {kind: densities.weight[kind] * densities.density[kind] for kind in KINDS}
+    plain = np.concatenate([p[~is_code & (p > 0.0)] for kind, p in parts.items() if kind in ("random", "unexpected")])
+    least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
+    if densities.counts is not None:
+        n = float(np.sum(densities.counts))
+        single = (np.abs(k - densities.true_range_cm) <= SINGLE_CM) | is_code
+        _dots(axes, k[single], densities.counts[single] / n, densities.counts[single], n, f"read ({n:,.0f} readings)")
+        # Rare readings in bins: a centimetre that was read once says less than it seems to.
+        for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
+            if single[stretch[0]]:
+                continue
+            for cells in np.array_split(stretch, max(stretch.size // 25, 1)):
+                count = float(np.sum(densities.counts[cells]))
+                _dots(
+                    axes,
+                    k[cells].mean(keepdims=True),
+                    np.array([count / n / cells.size]),
+                    np.array([count]),
+                    n,
+                    None,
+                    cells.size,
+                )
+    for kind, p in parts.items():
+        colour, dashes = _LOOKS[kind]
+        label = f"{kind}, weight {densities.weight[kind]:.3g}"
+        if kind == "max":
+            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=label, zorder=3)
+        else:
+            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=label, zorder=3)
+    axes.plot(k, np.where(is_code, np.nan, total), color=INK, linewidth=0.8, label="all together", zorder=4)
+    axes.set_yscale("log")
+    axes.set_ylim(least, 2.0)
+    axes.set_xlim(0.0, float(k[-1]) * 1.03)
+    axes.set_xlabel("reading [cm]")
+    axes.set_ylabel("probability of a centimetre")
+    legend_below(figure)
+    return figure
+
+
+def draw_pit(counts: _Array, p_value: float) -> Figure:
+    """Histogram of the randomised PIT: flat where the model fits.
+
+    Parameters
+    ----------
+    counts
+        Readings in equal bins of [0, 1].
+    p_value
+        Of uniformity.
+    """
+    figure = new_figure(3.2)
+    axes = figure.subplots()
+    bins, n = counts.size, float(np.sum(counts))
+    left = np.arange(bins) / bins
+    low, high = 100.0 * (binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins) - 1.0)
+    axes.axhspan(low, high, color=REFERENCE, alpha=0.15, linewidth=0, label="95 % of each bar if the model is right")
+    axes.axhline(0.0, color=REFERENCE, linewidth=1.0)
+    excess = 100.0 * (counts / (n / bins) - 1.0)
+    axes.bar(
+        left, excess, width=0.94 / bins, align="edge", color=OURS, alpha=0.75, label=f"{n:,.0f} readings", zorder=2
+    )
+    reach = max(float(np.max(np.abs(excess))), high) * 1.3
+    axes.set_ylim(-reach, reach)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xlabel("probability that the fitted model gives to a smaller reading (randomised within a centimetre)")
+    axes.set_ylabel("readings more than expected [%]")
+    axes.grid(axis="x", visible=False)
+    note(axes, f"p of uniform: {p_text(p_value)}")
+    legend_below(figure)
+    return figure
+
+
+def _axes() -> tuple[Figure, Axes]:
+    figure = new_figure(3.2)
+    return figure, figure.subplots()
+
+
+def _finish(figure: Figure, axes: Axes, label: str) -> Figure:
+    axes.set_xlabel("reading [cm]")
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:.3g}"))
+    axes.grid(axis="x", visible=False)
+    legend_below(figure)
+    return figure
+
+
+def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
+    """Readings whose probability is not next to nothing beside the peak's."""
+    return np.asarray(p > share_of_peak * np.max(p))
+
+
+def _dots(
+    axes: Axes, k: _Array, share: _Array, counts: _Array, total: float, label: str | None, cells: int = 1
+) -> None:
+    """Shares that were read, each with its interval, as one centimetre of `cells`."""
+    intervals = np.array([_share_interval(float(count), total) for count in counts]).reshape(-1, 2) / cells
+    shown = counts > 0
+    axes.errorbar(
+        k[shown],
+        share[shown],
+        yerr=[(share - intervals[:, 0])[shown], (intervals[:, 1] - share)[shown]],
+        marker="o",
+        label=label,
+        **_READ,
+    )
+
+
+def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: str) -> None:
+    """What was read in a stretch, in broad bins, as the density of one kind.
+
+    The readings of a kind cannot be told one by one: a bin's count is taken times the share that the kind has in it by
+    the fitted model, and the codes are left out.
+    """
+    if densities.counts is None:
+        return
+    parts = {each: densities.weight[each] * densities.density[each] for each in KINDS}
+    where = where & (parts["max"] == 0.0)
+    n, weight = float(np.sum(densities.counts)), densities.weight[kind]
+    places = np.flatnonzero(where)
+    if places.size < 2 or weight < NO_WEIGHT:
+        return
+    shown = False
+    for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
+        of_all = sum(float(np.sum(part[cells])) for part in parts.values())
+        if of_all <= 0.0:
+            continue
+        scale = float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size)
+        count = float(np.sum(densities.counts[cells]))
+        low, high = _share_interval(count, n)
+        value = scale * count / n
+        axes.errorbar(
+            [float(np.mean(densities.reading_cm[cells]))],
+            [value],
+            yerr=[[value - scale * low], [scale * high - value]],
+            marker="o",
+            label=None if shown else "read, in bins, times the model's share of this kind",
+            **_READ,
+        )
+        shown = True
+
+
+def _share_interval(count: float, total: float) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if total <= 0.0:
+        return 0.0, 1.0
+    z2 = 1.96**2
+    share = count / total
+    centre = (share + z2 / (2 * total)) / (1 + z2 / total)
+    half = np.sqrt(share * (1 - share) / total + z2 / (4 * total**2)) * 1.96 / (1 + z2 / total)
+    # Rounding may put an end on the wrong side of the share itself.
+    return max(min(float(centre - half), share), 0.0), min(max(float(centre + half), share), 1.0)

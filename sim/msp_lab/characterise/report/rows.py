@@ -1,0 +1,225 @@
+"""Which rows of the measured readings a picture is made of, and why there are none.
+
+Measured data and the sensor model enter; arrays for the drawing functions leave, or `Absent` with the reason that the
+page prints in the picture's place.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
+from msp_lab.characterise.report.draw.errors import Errors
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.csv_form import MeasuredData
+
+_Array = NDArray[np.float64]
+_Rows = NDArray[np.bool_]
+
+CONDITIONS = {
+    "baseline": "the baseline (nothing varied)",
+    "maximum_range": "the maximum range",
+    "field_of_view": "the field of view",
+    "material": "the target's material",
+    "temperature": "the temperature",
+    "vibration": "vibration",
+    "crosstalk_simultaneous": "two sensors that ping at once",
+    "crosstalk_sequential": "two sensors that ping in turn",
+    "external_interference": "external ultrasound",
+    "temperature_compensation": "temperature compensation",
+}
+"""Experiments of a campaign by their word in the column `condition`, and how a sentence calls them."""
+
+
+class Absent(Exception):
+    """The data do not allow this picture; the message says why and what would."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture before it is turned into bytes: figure, caption, and what it shows in a sentence."""
+
+    figure: Figure
+    caption: str
+    alternative: str
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Measured data with every column that the pictures need, NaN or "" where the file has none."""
+
+    data: MeasuredData
+    model: SensorModel
+
+    def number(self, name: str) -> _Array:
+        """A column of numbers; NaN where it is absent, unknown, or holds words."""
+        if name in self.data and self.data[name].dtype.kind in "fiub":
+            return np.asarray(self.data[name], dtype=np.float64)
+        return np.full(len(self.data), np.nan)
+
+    def word(self, name: str) -> NDArray[np.str_]:
+        """A column of words; "" where it is absent."""
+        if name in self.data:
+            return np.asarray(self.data[name]).astype(str)
+        return np.full(len(self.data), "", dtype="<U1")
+
+    @cached_property
+    def true_cm(self) -> _Array:
+        """True ranges [cm]."""
+        return self.number("true_range_cm")
+
+    @cached_property
+    def reading_cm(self) -> _Array:
+        """Readings [cm]."""
+        return self.number("reading_cm")
+
+    @cached_property
+    def sensor(self) -> NDArray[np.str_]:
+        """Names of the sensors."""
+        return self.word("sensor")
+
+    @cached_property
+    def _points(self) -> list[PointReadings]:
+        return sort_into_points(self.data, self.model)
+
+    @cached_property
+    def missed(self) -> _Rows:
+        """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
+        missed = np.ones(len(self.data), dtype=bool)
+        for point in self._points:
+            missed[point.rows] = ~point.is_heard
+        return missed
+
+    @cached_property
+    def level(self) -> NDArray[np.str_]:
+        """What each row's experiment varies, as a word."""
+        level = np.full(len(self.data), "", dtype="<U48")
+        for point in self._points:
+            level[point.rows] = point.level
+        return level
+
+    @cached_property
+    def apparent_cm(self) -> _Array:
+        """True ranges in the centimetres of a sensor that assumes its calibration temperature [cm].
+
+        Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
+        """
+        apparent_cm = self.true_cm.copy()
+        for point in self._points:
+            apparent_cm[point.rows] = point.apparent_cm
+        return apparent_cm
+
+    @cached_property
+    def _condition(self) -> NDArray[np.str_]:
+        return conditions(self.data)
+
+    def of(self, condition: str) -> _Rows:
+        """Rows of an experiment that have a true range.
+
+        Raises
+        ------
+        Absent
+            There are none.
+        """
+        known = np.isfinite(self.true_cm)
+        if not np.any(known):
+            raise Absent("No row has a true range (column true_range_cm).")
+        rows = known & (self._condition == condition)
+        if not np.any(rows):
+            what = CONDITIONS.get(condition, condition)
+            unsaid = "" if "condition" in self.data else " (no column condition says which experiment a reading is of)"
+            raise Absent(f"No readings of {what} are in the data{unsaid}.")
+        return np.asarray(rows)
+
+    def errors(self, rows: _Rows, label: str = "", reading_cm: _Array | None = None) -> Errors:
+        """Errors of some rows, for drawing.
+
+        Parameters
+        ----------
+        rows
+            Mask, with at least one row.
+        label
+            Whose they are.
+        reading_cm
+            In place of the readings as the sensor gave them [cm].
+        """
+        if not np.any(rows):
+            raise Absent("No such readings are in the data.")
+        reading_cm = self.reading_cm if reading_cm is None else reading_cm
+        missed = self.missed[rows]
+        error_cm = np.where(missed, np.nan, reading_cm[rows] - self.true_cm[rows])
+        return Errors(label, self.true_cm[rows], error_cm, missed)
+
+
+Maker = Callable[[Findings, Rows], Drawn]
+
+
+def summary(errors: Errors) -> str:
+    """Count, mean error of the bulk and missed readings of a picture, in a sentence."""
+    heard = errors.error_cm[~errors.missed]
+    n = errors.error_cm.size
+    missed = int(np.count_nonzero(errors.missed))
+    ranges = np.unique(errors.true_range_cm).size
+    text = f"{n:,} readings at {ranges} range{'s' if ranges != 1 else ''}; "
+    text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
+    if heard.size:
+        text += (
+            f"; {'of the rest ' if missed else ''}median error {plus(float(np.median(heard)))} cm, 95 % from "
+            f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
+        )
+    return text + "."
+
+
+def set_up_error_cm(findings: Findings, condition: str, true_range_cm: float) -> float:
+    """How far the set-ups of a condition at a range are from the calibration, their mean [cm]; 0 where unknown."""
+    set_ups = () if findings.mixture is None else findings.mixture.set_ups
+    found = [
+        each.error_cm
+        for each in set_ups
+        if each.condition == condition and math.isclose(each.true_range_cm, true_range_cm)
+    ]
+    return sum(found) / len(found) if found else 0.0
+
+
+def sentence(text: str) -> str:
+    """A text that begins with a capital and ends with a full stop, its minus signs as long as its plus signs.
+
+    Examples
+    --------
+    >>> sentence("nothing grows with range"), sentence("Said."), sentence("")
+    ('Nothing grows with range.', 'Said.', '')
+    """
+    text = minus(text.strip())
+    return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".?!" else ".")
+
+
+def minus(text: str) -> str:
+    """A text whose hyphens before numbers are minus signs.
+
+    Examples
+    --------
+    >>> minus("-1.39 cm (-1.57 to -1.20), 40-60 cm")
+    '−1.39 cm (−1.57 to −1.20), 40-60 cm'
+    """
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
+
+
+def plus(number: float, digits: int = 1) -> str:
+    """A signed number with a true minus sign; no sign for what rounds to 0.
+
+    Examples
+    --------
+    >>> plus(-1.26), plus(0.04), plus(3.0)
+    ('−1.3', '0.0', '+3.0')
+    """
+    text = f"{number:+.{digits}f}"
+    if float(text) == 0.0:
+        return text[1:]
+    return text.replace("-", "−")

@@ -1,0 +1,144 @@
+"""Monte-Carlo bands: what a filter's statistics may be, from many seeds.
+
+A setting (the filter, and what may differ about the readings and the error) and the seeds' runs enter; per scenario and
+statistic a middle and a spread to either side leave, and how far a table's row lies outside of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from msp_lab.filter_study.nine import Variant, apply
+from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, Array, Runs, report_readings, truth
+from msp_lab.filter_study.statistics import mirrored, statistics
+from msp_lab.filter_study.table import Row
+
+WIDTH = 4.0
+"""Half the width of a band in spreads; of a normal variable, one in 16 000 is outside, and a table has 135 values."""
+TAIL, TAIL_SPREADS = 1.0, 2.326
+"""The spread to one side is the distance of this percentile from the middle, over what it is for a normal variable."""
+FLOOR = 0.02
+"""A spread is at least this share of the median RMS, or of the value itself: the medians of whole numbers hardly
+spread."""
+SMALLEST_CM = 0.01
+"""Of a median RMS, for that [cm]."""
+SEARCH_SEED = 20_240
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A filter in a study.
+
+    Attributes
+    ----------
+    variant
+        The filter.
+    noise_factor
+        Of the variance of the readings' noise.
+    reversed
+        Whether the error is truth less estimate.
+    """
+
+    variant: Variant
+    noise_factor: float = 1.0
+    reversed: bool = False
+
+
+@dataclass(frozen=True)
+class Band:
+    """Of one setting in one scenario, arrays in the order of the statistics.
+
+    RMS and variance are positive and skewed: their spreads are those of their logarithms.
+
+    Attributes
+    ----------
+    middle
+        Median over the seeds.
+    below, above
+        Spread to either side.
+    """
+
+    middle: Array
+    below: Array
+    above: Array
+
+    def distance(self, row: Row) -> Array:
+        """How many spreads each value of a row is away from the middle; what its rounding explains is taken off."""
+        rounding = 0.5 * 10.0 ** -np.array(row.decimals, dtype=float)
+        values = np.array(row.values)
+        off = _scaled(values) - _scaled(self.middle)
+        explained = np.where(_POSITIVE, rounding / np.maximum(values, SMALLEST_CM), rounding)
+        off = np.sign(off) * np.maximum(np.abs(off) - explained, 0.0)
+        distance: Array = np.where(off < 0, off / self.below, off / self.above)
+        return distance
+
+    @property
+    def log_spread(self) -> float:
+        """Sum of the logarithms of the spreads: a band that is wide enough for everything explains nothing."""
+        return float(0.5 * np.log(self.below * self.above).sum())
+
+    @property
+    def low(self) -> Array:
+        """Lower end."""
+        return _unscaled(_scaled(self.middle) - WIDTH * self.below)
+
+    @property
+    def high(self) -> Array:
+        """Upper end."""
+        return _unscaled(_scaled(self.middle) + WIDTH * self.above)
+
+
+_POSITIVE = np.array([True, False, False, False, True])
+
+
+def _scaled(values: Array) -> Array:
+    """Logarithms of RMS and variance, and the other three as they are."""
+    positive = _POSITIVE if values.ndim == 1 else _POSITIVE[:, None]
+    return np.where(positive, np.log(np.maximum(values, SMALLEST_CM**2)), values)
+
+
+def _unscaled(values: Array) -> Array:
+    return np.where(_POSITIVE, np.exp(np.where(_POSITIVE, values, 0.0)), values)
+
+
+def bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
+    """Bands of one setting in all scenarios, from ``seeds`` runs of each; the same runs for every setting."""
+    return {name: band_in(setting, name, seeds) for name in NAMES}
+
+
+@lru_cache(maxsize=8192)
+def band_in(setting: Setting, name: str, seeds: int) -> Band:
+    """The band in one scenario."""
+    return band(_values(setting, name, seeds))
+
+
+def band(values: Array) -> Band:
+    """The band of statistics of shape (5, seeds)."""
+    low, middle, high = np.percentile(_scaled(values), (TAIL, 50.0, 100.0 - TAIL), axis=1)
+    middle_cm = _unscaled(middle)
+    floor = np.where(_POSITIVE, FLOOR, FLOOR * max(float(middle_cm[0]), SMALLEST_CM))
+    return Band(
+        middle_cm, np.maximum((middle - low) / TAIL_SPREADS, floor), np.maximum((high - middle) / TAIL_SPREADS, floor)
+    )
+
+
+def _values(setting: Setting, name: str, seeds: int) -> Array:
+    """Statistics of one setting in one scenario, shape (5, seeds)."""
+    runs = _runs(name, seeds, setting.noise_factor)
+    error_cm = apply(setting.variant, runs.reading_cm) - runs.true_cm
+    values = statistics(error_cm)
+    return mirrored(values, np.percentile(error_cm, 10, axis=1)) if setting.reversed else values
+
+
+@lru_cache(maxsize=64)
+def _runs(name: str, seeds: int, noise_factor: float) -> Runs:
+    """The same runs for every setting; the noise has the same random numbers for all of its variances."""
+    rng = np.random.default_rng([SEARCH_SEED, NAMES.index(name)])
+    return report_readings(_truth(name, seeds), rng, NOISE_CM2 * noise_factor)
+
+
+@lru_cache
+def _truth(name: str, seeds: int) -> Runs:
+    return truth(name, seeds, np.random.default_rng([SEARCH_SEED, NAMES.index(name), 1]))

@@ -1,0 +1,67 @@
+"""The report's figures 5.7-5.15: what each filter makes of a run, whole above and two seconds of it below."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from msp_lab.filter_study.candidates import changepoint
+from msp_lab.filter_study.nine import AS_REPORTED, Family, apply
+from msp_lab.filter_study.scenarios import INTERVAL_S, NAMES, Array, Runs, gaussian_parameters, report_readings, truth
+
+FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
+FIRST_FIGURE = 7
+"""Of chapter 5: three filters in the fixed scenario, then in the steps, then in the random ranges."""
+CLOSE_S = 2.0
+
+
+def draw_figures(folder: Path, seed: int) -> list[Path]:
+    """Draw the nine figures of one run each, and return their paths."""
+    paths = []
+    for scenario_index, name in enumerate(NAMES):
+        rng = np.random.default_rng([seed, scenario_index])
+        runs = report_readings(truth(name, 1, rng), rng)
+        newest_cm, _ = changepoint(runs.reading_cm, gaussian_parameters())
+        for family_index, family in enumerate(FAMILIES):
+            number = FIRST_FIGURE + len(FAMILIES) * scenario_index + family_index
+            estimates = {
+                each: apply(variant, runs.reading_cm)[0]
+                for each, variant in AS_REPORTED.items()
+                if variant.family == family
+            }
+            path = folder / f"figure_5_{number}.png"
+            _figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}").savefig(path, dpi=110)
+            paths.append(path)
+    return paths
+
+
+def _figure(runs: Runs, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    time_s = np.arange(runs.true_cm.shape[1]) * INTERVAL_S
+    whole, close = figure.subplots(2, 1)
+    for axes in (whole, close):
+        axes.plot(time_s, runs.reading_cm[0], ".", color="0.6", markersize=4, label="readings")
+        axes.plot(time_s, runs.true_cm[0], color="0.2", linewidth=1.0, label="true range")
+        for name, cm in estimates.items():
+            axes.plot(time_s, cm, linewidth=1.2, label=name)
+        axes.plot(time_s, newest_cm, "--", color="black", linewidth=1.0, label="changepoint")
+        axes.set_ylabel("range [cm]")
+    whole.set_title(title)
+    whole.legend(ncols=3, fontsize="small")
+    begin_s = _interesting_s(runs)
+    part = (time_s >= begin_s) & (time_s <= begin_s + CLOSE_S)
+    close.set_xlim(begin_s, begin_s + CLOSE_S)
+    close.set_ylim(runs.reading_cm[0][part].min() - 5.0, runs.reading_cm[0][part].max() + 5.0)
+    close.set_xlabel("time [s]")
+    return figure
+
+
+def _interesting_s(runs: Runs) -> float:
+    """Half a second before the largest change after the first; the middle where there is none."""
+    changes = np.abs(np.diff(runs.true_cm[0]))
+    middle = changes.size // 2
+    sample = middle if changes.max() == 0 else int(changes[middle - 40 :].argmax()) + middle - 40
+    return float(max(sample * INTERVAL_S - 0.5, 0.0))

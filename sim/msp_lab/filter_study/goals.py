@@ -1,0 +1,96 @@
+"""The figures that the changepoint filter is judged by, of a study, with their goals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from msp_lab.filter_study.scenarios import NAMES
+from msp_lab.filter_study.study import CHANGEPOINT, NEAR_CM, ORACLE, STEP_CM, WILD_CM, Study
+
+ORACLE_RATIO, WILD_RATIO = 1.25, 0.75
+ARRIVED = (0.78, 0.96, 0.99)
+MOVED_CM = 5.0
+INNOVATION_BOUNDS = (0.81, 1.21)
+"""Of the mean of 199 squared normal numbers, in 95 of 100 runs."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One figure: in words, as it is shown, what is wanted, and whether that is reached; None: nothing is wanted."""
+
+    name: str
+    shown: str
+    wanted: str
+    met: bool | None
+
+
+def goals(study: Study) -> Sequence[Goal]:
+    """All figures, in the order of the issue that set the goals."""
+    found: list[Goal] = []
+    for name in NAMES:
+        compared = study.report_noise[name]
+        here = compared.mean(CHANGEPOINT)
+        for centred, which in ((False, "causal nine"), (True, "nine, medians ahead")):
+            best, cm = compared.best(centred=centred)
+            found.append(
+                Goal(f"{name}: RMS, best of the {which} ({best})", f"{here:.3f} cm, {cm:.3f}", "lower", here < cm)
+            )
+        ratio = here / compared.mean(ORACLE)
+        found.append(
+            Goal(f"{name}: RMS over the oracle's", f"{ratio:.2f}", f"at most {ORACLE_RATIO}", ratio <= ORACLE_RATIO)
+        )
+    for name in NAMES:
+        wild = study.wild[name]
+        for in_time, which, wanted in ((True, "samples", True), (False, "readings", False)):
+            best, cm = wild.best(in_time=in_time)
+            best = best.removesuffix(" in time")
+            ratio = wild.mean(CHANGEPOINT) / cm
+            found.append(
+                Goal(
+                    f"{name}, wild readings: RMS over that of {best}, windows of {which}",
+                    f"{ratio:.2f}",
+                    f"at most {WILD_RATIO}" if wanted else "",
+                    ratio <= WILD_RATIO if wanted else None,
+                )
+            )
+    for count, (share, wanted_share) in enumerate(zip(study.response.arrived[1:], ARRIVED, strict=True), start=2):
+        found.append(
+            Goal(
+                f"step of {STEP_CM:g} cm: within {NEAR_CM:g} cm after {count} readings",
+                f"{share:.1%}",
+                f"{wanted_share:.0%}",
+                share >= wanted_share,
+            )
+        )
+    moved_cm = study.response.moved_cm
+    found.append(
+        Goal(
+            f"one reading {WILD_CM:g} cm off moves the output by at most",
+            f"{moved_cm:.2f} cm",
+            f"under {MOVED_CM:g} cm",
+            moved_cm < MOVED_CM,
+        )
+    )
+    low, high = INNOVATION_BOUNDS
+    for name in NAMES:
+        runs = study.innovations[name]
+        inside = float(((runs > low) & (runs < high)).mean())
+        found.append(
+            Goal(
+                f"{name}: squared normalised innovations, mean; runs within {low} to {high}",
+                f"{np.mean(runs):.2f}; {inside:.0%}",
+                f"mean within {low} to {high}",
+                bool(low < np.mean(runs) < high),
+            )
+        )
+        covered = study.report_noise[name].covered, study.wild[name].covered
+        found.append(
+            Goal(
+                f"{name}: true range within 1.96 stated standard deviations; wild",
+                "{:.0%}; {:.0%}".format(*covered),
+                "",
+                None,
+            )
+        )
+    return found

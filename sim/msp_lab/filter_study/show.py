@@ -1,0 +1,119 @@
+"""The study on a terminal: tables with bands and gaps, what explains the gaps, and the changepoint filter's figures."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table as Shown
+
+from msp_lab.filter_study.bands import WIDTH, Band
+from msp_lab.filter_study.explain import Verdict
+from msp_lab.filter_study.goals import Goal
+from msp_lab.filter_study.scenarios import NAMES
+from msp_lab.filter_study.statistics import STATISTICS
+from msp_lab.filter_study.table import Row
+
+HEADINGS = ("RMS", "90th %", "median", "mean", "variance")
+TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random ranges"}
+
+
+def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[str, Mapping[str, float]]) -> None:
+    """One table a scenario: the value, its band as the study is stated, and the gap before and after an explanation.
+
+    Parameters
+    ----------
+    console
+        Where to.
+    verdicts
+        One a filter.
+    delays
+        Delay [samples] by scenario and filter.
+    """
+    for scenario in NAMES:
+        rows = [verdict for verdict in verdicts if scenario in verdict.rows]
+        if not rows:
+            continue
+        table = Shown(title=f"{TITLES[scenario]}: value, and band as stated [cm]", box=box.SIMPLE_HEAD, padding=(0, 1))
+        table.add_column("filter", no_wrap=True)
+        for heading in (*HEADINGS, "delay", "gap", "after"):
+            table.add_column(heading, justify="right")
+        for verdict in rows:
+            row, before, after = verdict.rows[scenario], verdict.before[scenario], verdict.after[scenario]
+            delay = delays[scenario].get(verdict.filter, float("nan"))
+            cells = [_cell(row, before, index) for index in range(len(STATISTICS))]
+            table.add_row(
+                verdict.filter,
+                *cells,
+                "-" if np.isnan(delay) else f"{delay:.0f}",
+                _gap(before, row),
+                "" if verdict.changes == () else _gap(after, row),
+            )
+        console.print(table)
+    console.print(
+        f"gap: the value farthest from the middle of its band, in spreads; a band is {WIDTH:g} spreads to either side. "
+        "! is outside.\ndelay: samples, of the filter as stated; the medians look ahead by half a window.\n",
+        highlight=False,
+    )
+
+
+def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Verdict]) -> None:
+    """What was found about columns and signs, and filter by filter what explains its rows."""
+    swapped = [f"{row.filter} ({row.scenario})" for verdict in verdicts for row in verdict.rows.values() if row.swapped]
+    if swapped:
+        console.print(
+            f"The columns median and mean are swapped in {len(swapped)} of {sum(len(each.rows) for each in verdicts)} "
+            "rows: RMS^2 = mean^2 + (N - 1)/N variance holds with the other one. They are in order above.",
+            highlight=False,
+        )
+    console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n", highlight=False)
+    for verdict in verdicts:
+        for line in _explanation(verdict):
+            console.print(line, highlight=False)
+
+
+def _explanation(verdict: Verdict) -> Iterable[str]:
+    if verdict.changes == ():
+        yield f"{verdict.filter}: in the bands as stated"
+        return
+    if verdict.changes is not None:
+        yield f"{verdict.filter}: {_words(verdict.changes)} (of {verdict.tried} settings tried)"
+    else:
+        yield f"{verdict.filter}: unexplained; {verdict.tried} settings tried, with one change and with two"
+        yield f"    nearest with one change: {_words(verdict.nearest or ())}"
+        for scenario, changes in verdict.alone.items():
+            words = "nothing that was tried" if changes is None else _words(changes) or "as stated"
+            yield f"    {scenario} alone: {words}"
+    for scenario, row in verdict.rows.items():
+        predicted = ", ".join(
+            f"{name} {middle:.{digits}f} ({value:.{digits}f})"
+            for name, middle, value, digits in zip(
+                HEADINGS, verdict.after[scenario].middle, row.values, row.decimals, strict=True
+            )
+        )
+        yield f"    {scenario:6} predicts (table): {predicted}"
+
+
+def print_goals(console: Console, goals: Sequence[Goal]) -> None:
+    """What the changepoint filter reaches."""
+    table = Shown(title="the changepoint filter", box=box.SIMPLE_HEAD)
+    for heading in ("figure", "value", "goal", "met"):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for goal in goals:
+        table.add_row(goal.name, goal.shown, goal.wanted, {True: "yes", False: "NO", None: ""}[goal.met])
+    console.print(table)
+
+
+def _words(changes: Iterable[object]) -> str:
+    return " and ".join(getattr(change, "text", "") for change in changes)
+
+
+def _cell(row: Row, band: Band, index: int) -> str:
+    digits = 1 if band.high[index] >= 100 else 2
+    value, low, high = row.values[index], band.low[index], band.high[index]
+    mark = "!" if abs(band.distance(row)[index]) > WIDTH else ""
+    return f"{mark}{value:.{digits}f}\n{low:.{digits}f}..{high:.{digits}f}"
+
+
+def _gap(band: Band, row: Row) -> str:
+    return f"{np.abs(band.distance(row)).max():.1f}"

@@ -1,0 +1,192 @@
+"""The study: every filter in every scenario on the same readings, and how the changepoint filter compares.
+
+A number of seeds enters; RMS errors and delays of all filters, and the figures that the changepoint filter is judged
+by, leave. All filters of a scenario get the same readings. Where readings are missing, estimates hold, and a sample
+counts once every filter has an estimate.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from msp_lab.filter_study.candidates import changepoint, oracle
+from msp_lab.filter_study.nine import CAUSAL, CENTRED, apply, behind_the_gate, over_samples
+from msp_lab.filter_study.scenarios import (
+    INTERVAL_S,
+    NAMES,
+    Array,
+    Runs,
+    gaussian_parameters,
+    report_readings,
+    truth,
+    wild_parameters,
+    wild_readings,
+)
+from msp_lab.filter_study.statistics import delay_samples, statistics
+from msp_range.filters.runs import Likelihood
+from msp_range.filters.runs import Runs as Hypotheses
+
+CHANGEPOINT, ORACLE = "changepoint", "oracle"
+STEP_CM, NEAR_CM, WILD_CM = 50.0, 10.0, 100.0
+STEPS_A_SEED = 10
+"""Steps up and as many down a seed of the study, for the time that a step takes."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One scenario with one kind of readings.
+
+    Attributes
+    ----------
+    rms_cm
+        RMS error of each run, by filter: the nine, those that look ahead as 'centred ...', 'changepoint', 'oracle';
+        with wild readings also windows counted in samples instead of readings, as '... in time'.
+    delay
+        Mean delay [samples] by filter; NaN where the truth does not change.
+    squared
+        Mean over all samples of the changepoint filter's squared error over the variance that it states.
+    covered
+        Share of samples where its error is within 1.96 of its standard deviations.
+    """
+
+    rms_cm: Mapping[str, Array]
+    delay: dict[str, float]
+    squared: float
+    covered: float
+
+    def mean(self, name: str) -> float:
+        """Mean RMS of one filter [cm]."""
+        return float(self.rms_cm[name].mean())
+
+    def best(self, *, centred: bool = False, in_time: bool = False) -> tuple[str, float]:
+        """The best of the nine and its mean RMS [cm]; centred: with the medians that look ahead in place of theirs."""
+        names = [each for each in CAUSAL if not (centred and each.startswith("median"))]
+        if centred:
+            names += [f"centred {each}" for each in CENTRED if each.startswith("median")]
+        if in_time:
+            names = [f"{each} in time" if f"{each} in time" in self.rms_cm else each for each in names]
+        return min(((each, self.mean(each)) for each in names), key=lambda each: each[1])
+
+
+def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Compared:
+    """Noise as in the report, Gaussian, of which the changepoint filter knows."""
+    runs = report_readings(truth(name, seeds, rng), rng)
+    estimates = {each: apply(variant, runs.reading_cm) for each, variant in CAUSAL.items()}
+    estimates |= {f"centred {each}": apply(variant, runs.reading_cm) for each, variant in CENTRED.items()}
+    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, gaussian_parameters())
+    estimates[ORACLE] = oracle(runs)
+    return _compared(runs, estimates, variance_cm2)
+
+
+def compare_wild(name: str, seeds: int, rng: np.random.Generator) -> Compared:
+    """Some readings missing, short or random, all filters behind the same status gate."""
+    runs = wild_readings(truth(name, seeds, rng), rng)
+    estimates = {each: behind_the_gate(partial(apply, variant), runs.reading_cm) for each, variant in CAUSAL.items()}
+    estimates |= {
+        f"{each} in time": over_samples(variant, runs.reading_cm)
+        for each, variant in CAUSAL.items()
+        if variant.family != "kalman"
+    }
+    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, wild_parameters())
+    return _compared(runs, estimates, variance_cm2)
+
+
+def _compared(runs: Runs, estimates: Mapping[str, Array], variance_cm2: Array) -> Compared:
+    counts = np.all([~np.isnan(each) for each in estimates.values()], axis=0)
+    errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
+    put_out = counts & ~np.isnan(variance_cm2)
+    normalised = errors[CHANGEPOINT][put_out] ** 2 / variance_cm2[put_out]
+    return Compared(
+        {each: statistics(error)[0] for each, error in errors.items()},
+        {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
+        float(normalised.mean()),
+        float((normalised < 1.96**2).mean()),
+    )
+
+
+@dataclass(frozen=True)
+class Response:
+    """How the changepoint filter takes steps and single wild readings, with the wild mixture as its likelihood.
+
+    Attributes
+    ----------
+    arrived
+        Share of steps of `STEP_CM` after which the output is within `NEAR_CM` of the new level, after 1 to 4 readings
+        of which some are missing or wild.
+    moved_cm
+        Largest movement of the output by one reading that is `WILD_CM` off [cm].
+    """
+
+    arrived: tuple[float, ...]
+    moved_cm: float
+
+
+def responses(rng: np.random.Generator, steps: int) -> Response:
+    """Steps and wild readings, up and down, after 4 s at one level."""
+    before, after = 40, 4
+    arrived, moved = [], []
+    for sign in (1.0, -1.0):
+        runs = truth("fixed", steps, rng)
+        true_cm = runs.true_cm[:, : before + after].copy()
+        quiet_cm = np.rint(true_cm + rng.normal(0.0, gaussian_parameters().sigma_cm, true_cm.shape))
+        quiet_cm[:, before] += sign * WILD_CM
+        estimate_cm, _ = changepoint(quiet_cm, wild_parameters())
+        moved.append(np.abs(estimate_cm[:, before] - estimate_cm[:, before - 1]).max())
+        true_cm[:, before:] += sign * STEP_CM
+        stepping = Runs("step", true_cm, runs.segment, runs.ramp, true_cm)
+        estimate_cm, _ = changepoint(wild_readings(stepping, rng).reading_cm, wild_parameters())
+        arrived.append((np.abs(estimate_cm - true_cm)[:, before:] < NEAR_CM).mean(axis=0))
+    return Response(tuple(float(each) for each in np.mean(arrived, axis=0)), float(max(moved)))
+
+
+def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
+    """Mean of the squared normalised innovations of each run, noise as in the report; 1 where the filter is honest.
+
+    The predictive distribution is a mixture, so an innovation is normalised by what it is under that mixture: the
+    normal deviate of its cumulative probability. A run's 199 have a mean within 0.81 and 1.21 in 95 of 100 runs.
+    """
+    runs = report_readings(truth(name, seeds, rng), rng)
+    likelihood = Likelihood.of(gaussian_parameters(), 20, 765, 1)
+    hypotheses = Hypotheses(likelihood, seeds)
+    noise_m2 = np.full(seeds, likelihood.variance_m2)
+    total = np.zeros(seeds)
+    for sample in range(runs.reading_cm.shape[1]):
+        reading_m = runs.reading_cm[:, sample] / 100.0
+        elapsed_s = np.full(seeds, INTERVAL_S if sample else 0.0)
+        if sample:
+            total += hypotheses.innovation(elapsed_s, reading_m, noise_m2) ** 2
+        hypotheses.update(elapsed_s, reading_m, noise_m2)
+    mean: Array = total / (runs.reading_cm.shape[1] - 1)
+    return mean
+
+
+@dataclass(frozen=True)
+class Study:
+    """All of it, by scenario."""
+
+    report_noise: Mapping[str, Compared]
+    wild: Mapping[str, Compared]
+    innovations: Mapping[str, Array]
+    response: Response
+
+
+def study(seeds: int, seed: int) -> Study:
+    """Run the study; every part has random numbers of its own."""
+    parts = [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
+    return Study(
+        {name: compare_report_noise(name, seeds, parts[index]) for index, name in enumerate(NAMES)},
+        {name: compare_wild(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},
+        {name: innovations(name, seeds, parts[6 + index]) for index, name in enumerate(NAMES)},
+        responses(parts[9], STEPS_A_SEED * seeds),
+    )
+
+
+def delays(results: Study) -> Mapping[str, Mapping[str, float]]:
+    """Delay [samples] by scenario and filter, of the filters as the report states them: its medians look ahead."""
+    return {
+        name: compared.delay
+        | {each: compared.delay[f"centred {each}"] for each in CENTRED if each.startswith("median")}
+        for name, compared in results.report_noise.items()
+    }

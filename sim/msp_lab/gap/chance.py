@@ -1,0 +1,99 @@
+"""What chance shows where readings of a run depend on each other: score sums of whole runs, their signs drawn again.
+
+Scores with their cells and units enter; sums by unit, and the totals of a multiplier bootstrap over units, leave
+(Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Twins that a model draws know nothing of dependence.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap.cells import Stack
+
+_Array = NDArray[np.float64]
+
+FEWEST_UNITS = 4
+"""In a cell; of what fewer share nothing is known, and they are taken to be as all others are."""
+MOST_UNITS = 256
+"""More units are put together, each of neighbours, which loses nothing that matters."""
+
+
+def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Array, _Array, NDArray[np.intp]]:
+    """Sums of the scores of each cell's units (K, U, m); the same about their mean; units that are in a cell (K,).
+
+    Parameters
+    ----------
+    scores
+        Cell by cell, (N, m).
+    unit
+        Readings of the same number depend on each other, (n,).
+    stack
+        The cells.
+    """
+    unit = _pooled(unit)
+    cells, units = len(stack), int(unit.max()) + 1
+    key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
+    sums = [np.bincount(key, column, cells * units) for column in scores.T]
+    per_cell: _Array = np.stack(sums, axis=1, dtype=np.float64).reshape(cells, units, scores.shape[1])
+    size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
+    there = (size > 0.0).sum(axis=1).astype(np.intp)
+    mean = per_cell.sum(axis=1) / np.maximum(stack.counts, 1)[:, None]
+    # A gap must not look like scatter.
+    return per_cell, per_cell - size[:, :, None] * mean[:, None, :], there
+
+
+def unit_variance(scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _Array) -> _Array:
+    """Variance of each cell's sum of scores by units, (K, m, m).
+
+    Parameters
+    ----------
+    scores, unit, stack
+        As for `unit_sums`.
+    given
+        Scores of each reading at the model as it is, (n, m), for where all cells have few units. What few units share
+        is taken to be as in the other cells.
+    """
+    _, about_mean, there = unit_sums(scores, unit, stack)
+    found = np.einsum("kui,kuj->kij", about_mean, about_mean, optimize=True)
+    found *= (there / np.maximum(there - 1, 1))[:, None, None]
+    few = there < FEWEST_UNITS
+    if few.all():
+        number = np.unique(unit, return_inverse=True)[1]
+        units = int(number.max()) + 1
+        sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
+        usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
+    else:
+        # Of scores at the free fit: at the model as it is, the gap itself would look like scatter.
+        usual = found[~few].sum(axis=0) / stack.counts[~few].sum()
+    found[few] = stack.counts[few, None, None] * usual
+    return np.asarray(found, dtype=np.float64)
+
+
+def drawn_sums(
+    about_mean: _Array, there: NDArray[np.intp], draws: int, rng: np.random.Generator
+) -> tuple[_Array, _Array]:
+    """Totals of the scores as they might be with nothing missing (draws, K, m); their variance by units, as it is seen.
+
+    Parameters
+    ----------
+    about_mean, there
+        From `unit_sums`. Cells with few units show nothing.
+    draws, rng
+        How many, and the source of their chance.
+    """
+    cells, units, numbers = about_mean.shape
+    correction = np.where(there < FEWEST_UNITS, 0.0, there / np.maximum(there - 1, 1))
+    about_mean = about_mean * np.sqrt(correction)[:, None, None]
+    by_unit = np.moveaxis(about_mean, 1, 0)
+    weight = rng.standard_normal((draws, units))
+    totals = weight @ by_unit.reshape(units, -1)
+    # Of normal numbers the mean says nothing of the scatter.
+    weight = rng.standard_normal((draws, units))
+    weight -= weight.mean(axis=1, keepdims=True)
+    squares = weight**2 @ (by_unit[:, :, :, None] * by_unit[:, :, None, :]).reshape(units, -1)
+    return totals.reshape(draws, cells, numbers), squares.reshape(draws, cells, numbers, numbers)
+
+
+def _pooled(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+    index = np.unique(unit, return_inverse=True)[1].astype(np.intp)
+    count = int(index.max()) + 1
+    return index if count <= MOST_UNITS else index * MOST_UNITS // count

@@ -1,0 +1,297 @@
+"""The free model of a gap: in each cell of context the model gets five numbers of its own.
+
+The distribution of readings, the readings and cells enter; for each cell a shift of the hits, a factor of their spread
+and odds of short, missed and random readings leave, fitted by maximum likelihood, with what they gain and how much of
+that is chance. The errors know of the units: the runs or blocks of readings that depend on each other.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap.cells import Stack
+from msp_lab.gap.chance import unit_variance
+from msp_sim.model.rows import Rows
+from msp_sim.model.slopes import slopes
+
+_Array = NDArray[np.float64]
+
+CHANNELS = ("bias", "spread", "short", "missed", "random")
+PRIOR = np.diag(1.0 / np.square((50.0, 2.0, 2.5, 2.5, 2.5)))
+"""Weak, of the bias in standard deviations of a hit: what a cell says nothing of stays where it is."""
+ROUNDS = 12
+SHORTER = (1.0, 0.3, 0.05)
+"""Of a step that makes it worse."""
+ENOUGH_NATS = 0.005
+"""A cell that gains less in a round is fitted."""
+MOST_BIAS_CM, MOST_BIAS_SHARE = 10.0, 0.2
+"""Of the range: what is farther off is another echo, and no bias of this one."""
+LEAST_HITS = 10
+LARGEST_VARIANCE = 0.3
+"""Of the logarithm of a class's odds in a cell, for the cell to count: about three such outliers."""
+PAIRS = tuple(combinations_with_replacement(range(len(CHANNELS)), 2))
+
+
+@dataclass(frozen=True)
+class FreeFit:
+    """The five numbers of each of K cells, and what they gain.
+
+    Attributes
+    ----------
+    counts
+        Readings a cell, (K,).
+    values, errors
+        (K, 5): bias [cm], logarithms of spread and odds; standard errors that know of the units.
+    gain_nats, chance_nats
+        In log-likelihood, and how much of it is chance, both sums over a cell, (K,).
+    """
+
+    counts: NDArray[np.intp]
+    values: _Array
+    errors: _Array
+    gain_nats: _Array
+    chance_nats: _Array
+
+    @property
+    def nats(self) -> float:
+        """Gain a reading without what is chance."""
+        return float((self.gain_nats - self.chance_nats).sum() / max(self.counts.sum(), 1))
+
+    @property
+    def nats_error(self) -> float:
+        """Its standard error, were the gain a sum of squares of normal numbers."""
+        excess = np.maximum(self.gain_nats - self.chance_nats, 0.0)
+        per_number = self.chance_nats / len(CHANNELS) * 2.0
+        variance = (len(CHANNELS) / 2.0) * per_number**2 + 2.0 * per_number * excess
+        return float(np.sqrt(variance.sum()) / max(self.counts.sum(), 1))
+
+    def mean_square(self, channel: str) -> tuple[float, float]:
+        """Mean over the cells of a number's square, without what is chance; and its standard error."""
+        i = CHANNELS.index(channel)
+        values, variance = self.values[:, i], self.errors[:, i] ** 2
+        known = np.isfinite(values) & (variance > 0.0)
+        if channel not in ("bias", "spread"):
+            known &= variance < LARGEST_VARIANCE
+        if known.sum() < 0.7 * values.size:
+            return 0.0, np.inf
+        values, variance = values[known], variance[known]
+        # Odds of rare outliers are known much better in some cells than in others.
+        weight = self.counts[known].astype(float) if channel in ("bias", "spread") else 1.0 / variance
+        weight = weight / weight.sum()
+        square = float((weight * (values**2 - variance)).sum())
+        error = float(np.sqrt((weight**2 * (2.0 * variance**2 + 4.0 * variance * values**2)).sum()))
+        return square, error
+
+    def take(self, cells: slice) -> "FreeFit":
+        """Of some of the cells."""
+        return FreeFit(
+            self.counts[cells], self.values[cells], self.errors[cells], self.gain_nats[cells], self.chance_nats[cells]
+        )
+
+
+def scores_of(rows: Rows, reading_cm: _Array, numbers: _Array | None = None) -> tuple[_Array, _Array]:
+    """Log probability of each reading (n,), and its derivatives by the five numbers (n, 5).
+
+    Parameters
+    ----------
+    rows, reading_cm
+        All readings are ones that the model can give.
+    numbers
+        The five numbers of each reading (n, 5), the bias in standard deviations; None: nothing.
+    """
+    log_p, by = slopes(rows if numbers is None else _moved(rows, numbers), reading_cm)
+    scores = by[:, : len(CHANNELS)]
+    scores[:, 0] *= rows.sigma_cm
+    return log_p, scores
+
+
+def _moved(rows: Rows, numbers: _Array) -> Rows:
+    shift, spread, short, missed, random = numbers.T
+    logs = rows.log_weights
+    return replace(
+        rows.wider(np.exp(spread)),
+        centre_cm=rows.centre_cm + shift * rows.sigma_cm,
+        log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
+    )
+
+
+def products(scores: _Array) -> _Array:
+    """Scores, and their products two by two: (n, 5 + 15)."""
+    left, right = np.array(PAIRS).T
+    return np.concatenate([scores, scores[:, left] * scores[:, right]], axis=1)
+
+
+def apart(sums: _Array) -> tuple[_Array, _Array]:
+    """Of sums of `products` (K, 20) those of the scores (K, 5), and those of their outer products (K, 5, 5)."""
+    size = len(CHANNELS)
+    left, right = np.array(PAIRS).T
+    outer = np.empty((sums.shape[0], size, size))
+    outer[:, left, right] = outer[:, right, left] = sums[:, size:]
+    return sums[:, :size], outer
+
+
+def one_step(
+    total: _Array, information: _Array, stack: Stack, sigma_cm: _Array, by_unit: _Array | None = None
+) -> FreeFit:
+    """The free fit by one step of Fisher's scoring from the model: right where the gap is small, and quick.
+
+    Parameters
+    ----------
+    total
+        Sums of the scores, (K, 5).
+    information
+        Of each cell (K, 5, 5), from twins: of outliers that are few the readings say little.
+    stack, sigma_cm
+        Cells, and the standard deviation of each reading's hit [cm], (n,).
+    by_unit
+        Variance of the sums over units, (K, 5, 5); None: readings are independent.
+    """
+    inverse = np.asarray(np.linalg.inv(information + PRIOR), dtype=np.float64)
+    step = np.einsum("kij,kj->ki", inverse, total)
+    variance, speaks = _of_units(inverse, information, by_unit)
+    scale = _scale(stack, sigma_cm)
+    gain = 0.5 * np.einsum("ki,ki->k", step, total)
+    return FreeFit(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
+
+
+def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> tuple[_Array, _Array]:
+    """Variances of the five numbers (K, 5), and of how many numbers the data speak (K,)."""
+    variance = np.diagonal(inverse, axis1=1, axis2=2)
+    speaks = np.einsum("kij,kji->k", inverse, information)
+    if by_unit is None:
+        return variance, speaks
+    # At least what independent readings would have.
+    variance = np.maximum(np.diagonal(inverse @ by_unit @ inverse, axis1=1, axis2=2), variance)
+    return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), speaks)
+
+
+def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> FreeFit:
+    """The free fit by as many steps as each cell needs, from a robust beginning.
+
+    Parameters
+    ----------
+    rows, reading_cm
+        Readings that the model can give.
+    unit
+        Readings of the same number depend on each other, (n,).
+    stack
+        The cells.
+    """
+    cells = _Cells(rows.take(stack.readings), reading_cm[stack.readings], stack.counts)
+    nothing = np.zeros((len(stack), len(CHANNELS)))
+    base = cells.at(nothing).posterior
+    numbers = _beginning(cells)
+    numbers[cells.at(numbers).posterior < base] = 0.0
+    best = cells.at(numbers)
+    active = np.arange(len(stack))
+    for _ in range(ROUNDS):
+        before = best.posterior[active]
+        step = np.linalg.solve(best.information[active], best.slope[active][..., None])[..., 0]
+        step *= np.minimum(1.0, 2.0 / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+        left, todo = active, np.arange(active.size)
+        for shorter in SHORTER:
+            tried = numbers[left] + shorter * step[todo]
+            value = cells.some(left).at(tried)
+            better = value.posterior > best.posterior[left]
+            numbers[left[better]] = tried[better]
+            best.put(left[better], value, better)
+            left, todo = left[~better], todo[~better]
+            if not left.size:
+                break
+        active = active[best.posterior[active] - before >= ENOUGH_NATS]
+        if not active.size:
+            break
+    _, scores = scores_of(cells.rows, cells.reading_cm, np.repeat(numbers, stack.counts, axis=0))
+    prior = 0.5 * np.einsum("ki,ij,kj->k", numbers, PRIOR, numbers)
+    inverse = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
+    _, given = scores_of(rows, reading_cm)
+    by_unit = unit_variance(scores, unit, stack, given)
+    variance, speaks = _of_units(inverse, best.information - PRIOR, by_unit)
+    scale = _scale(stack, rows.sigma_cm)
+    gain = best.posterior + prior - base
+    return FreeFit(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """Of each cell the logarithm of its posterior, and its first and second derivatives by the five numbers."""
+
+    posterior: _Array
+    slope: _Array
+    information: _Array
+
+    def put(self, cells: NDArray[np.intp], other: "_Posterior", rows: NDArray[np.bool_]) -> None:
+        self.posterior[cells] = other.posterior[rows]
+        self.slope[cells] = other.slope[rows]
+        self.information[cells] = other.information[rows]
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Readings cell by cell, with how many there are of each."""
+
+    rows: Rows
+    reading_cm: _Array
+    counts: NDArray[np.intp]
+
+    def some(self, cells: NDArray[np.intp]) -> "_Cells":
+        """Some of the cells; they are in their order."""
+        if cells.size == self.counts.size:
+            return self
+        wanted = np.zeros(self.counts.size, dtype=bool)
+        wanted[cells] = True
+        rows = np.flatnonzero(np.repeat(wanted, self.counts))
+        return _Cells(self.rows.take(rows), self.reading_cm[rows], self.counts[cells])
+
+    def at(self, numbers: _Array) -> _Posterior:
+        """With these numbers, (K, 5)."""
+        log_p, scores = scores_of(self.rows, self.reading_cm, np.repeat(numbers, self.counts, axis=0))
+        log_sum, sums = self._sums(log_p), self._sums(products(scores))
+        total, information = apart(sums)
+        prior = numbers @ PRIOR
+        return _Posterior(log_sum - 0.5 * np.einsum("ki,ki->k", numbers, prior), total - prior, information + PRIOR)
+
+    def _sums(self, values: _Array) -> _Array:
+        found = np.zeros((self.counts.size, *values.shape[1:]))
+        there = self.counts > 0
+        if there.any():
+            found[there] = np.add.reduceat(values, (np.cumsum(self.counts) - self.counts)[there])
+        return found
+
+
+def _beginning(cells: _Cells) -> _Array:
+    """Median and spread of what looks like hits, cell by cell: a gap of many sigma has no slope to follow."""
+    rows = cells.rows
+    usual = (cells.reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
+    off = (cells.reading_cm - rows.centre_cm)[usual] / rows.sigma_cm[usual]
+    cell = np.repeat(np.arange(cells.counts.size), cells.counts)
+    low, middle, high = _quantiles(off, cell[usual], cells.counts.size, (0.25, 0.5, 0.75))
+    (usual_cm,) = _quantiles(rows.centre_cm[usual], cell[usual], cells.counts.size, (0.5,))
+    sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
+    known = np.bincount(cell[usual], minlength=cells.counts.size) >= LEAST_HITS
+    known &= np.abs(middle) * sigma_cm <= MOST_BIAS_CM + MOST_BIAS_SHARE * usual_cm
+    numbers = np.zeros((cells.counts.size, len(CHANNELS)))
+    numbers[known, 0] = middle[known]
+    spread = np.maximum((high[known] - low[known]) / 1.349, 0.05)
+    numbers[known, 1] = np.clip(np.log(spread), -2.0, 3.0)
+    return numbers
+
+
+def _quantiles(values: _Array, cell: NDArray[np.intp], cells: int, shares: tuple[float, ...]) -> _Array:
+    """Of the values in each cell; 0 in a cell without any, (len(shares), cells)."""
+    ordered = np.append(values[np.lexsort((values, cell))], 0.0)
+    counts = np.bincount(cell, minlength=cells)
+    place = np.multiply.outer(shares, np.maximum(counts - 1, 0))
+    below = np.floor(place).astype(np.intp)
+    first = np.cumsum(counts) - counts + below
+    found = ordered[first] + (place - below) * (ordered[np.minimum(first + 1, values.size)] - ordered[first])
+    return np.where(counts > 0, found, 0.0)
+
+
+def _scale(stack: Stack, sigma_cm: _Array) -> _Array:
+    """From standard deviations of a hit to centimetres, (K, 5)."""
+    scale = np.ones((len(stack), len(CHANNELS)))
+    scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
+    return scale

@@ -1,0 +1,171 @@
+"""The model file that the gap workflow writes: the given model, what was added to it, and the evidence for that.
+
+An extended model and findings enter, YAML leaves. The text is read back as a model before it is written, so what is on
+disk loads, and flies.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from msp_lab.gap.findings import FoundEffect, Gap, GapFindings, Measure, Unknown
+from msp_lab.gap.refit import to_sensor
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.yaml_file import ConfigError
+from msp_range.yaml_loader import load_yaml
+from msp_sim.model.model import Model
+
+MODEL = "model.yaml"
+PROVED = "model_as_proved.yaml"
+_DIGITS = 6
+
+
+def model_text(model: Model, findings: GapFindings, heading: str) -> str:
+    """The file's text.
+
+    Parameters
+    ----------
+    model
+        The extended model; its first effects are those of the given one.
+    findings
+        What was added, and why.
+    heading
+        First line of the file, as a comment.
+
+    Raises
+    ------
+    ConfigError
+        What was added does not go with the rest of the model.
+    """
+    content = to_sensor(model).model_dump(mode="json")
+    content["effects"] = _with_evidence(content["effects"], findings)
+    content["evidence"] = [*content["evidence"], _calibrated(findings)]
+    content = _rounded(content)
+    lines = [f"# {line}" for line in (heading, findings.sentence) if line]
+    text = "\n".join(_wrapped(lines)) + "\n"
+    text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=118, default_flow_style=None)
+    try:
+        Model.of(SensorModel.model_validate(load_yaml(text)))
+    except (ValidationError, ConfigError) as error:
+        raise ConfigError(f"what was added does not make a model file: {error}") from None
+    return text
+
+
+def write_model(path: Path, model: Model, findings: GapFindings, heading: str) -> None:
+    """Write the model file; an older one of this name is replaced.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be written, or what was added does not go with the rest.
+    """
+    text = model_text(model, findings, heading)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
+    """The entries of the added effects with intervals and evidence; those that were there stay."""
+    effects = {(each.name, each.of): each for each in findings.effects}
+    curves = {(each.channel, each.variables): each for each in findings.unknown}
+    told = []
+    for entry in entries:
+        effect = effects.get((entry["name"], entry.get("of")))
+        curve = curves.get((entry.get("channel", ""), tuple(entry.get("variables", ()))))
+        if effect is not None and "evidence" not in entry:
+            values = {name: _value(name, value, effect) for name, value in entry.get("parameters", {}).items()}
+            entry = {**entry, "parameters": values, "evidence": _of_effect(effect, findings)}
+        elif curve is not None and "evidence" not in entry:
+            entry = {**entry, "evidence": _of_curve(curve, findings)}
+        told.append(entry)
+    return told
+
+
+def _value(name: str, value: float, effect: FoundEffect) -> Any:
+    found = effect.parameters.get(name)
+    if found is None or found.low is None or found.high is None:
+        return value
+    return {"value": value, "low": found.low, "high": found.high, "unit": found.unit}
+
+
+def _of_effect(effect: FoundEffect, findings: GapFindings) -> dict[str, Any]:
+    return {
+        **_provenance(findings),
+        "verdict": effect.verdict,
+        "gain_nats_per_reading": effect.gain_nats,
+        "z": effect.z,
+        "alternatives": [rival.name if rival.of is None else f"{rival.name} of {rival.of}" for rival in effect.rivals],
+        "experiment": effect.experiment,
+    }
+
+
+def _of_curve(curve: Unknown, findings: GapFindings) -> dict[str, Any]:
+    return {
+        **_provenance(findings),
+        "verdict": "unknown",
+        "formula": curve.formula,
+        "gain_nats_per_reading": curve.gain_nats,
+        "alternatives": [],
+    }
+
+
+def _provenance(findings: GapFindings) -> dict[str, Any]:
+    """Data, date, and the gap before and after."""
+    found: dict[str, Any] = {
+        "date": findings.date,
+        "data": [{"name": Path(each.path).name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources],
+    }
+    if findings.gap is not None:
+        found["gap_before"] = _side(findings.gap, "before")
+        found["gap_after"] = _side(findings.gap, "after")
+    return found
+
+
+def _side(gap: Gap, side: str) -> dict[str, float | None]:
+    measures: Mapping[str, Measure] = {
+        "nats_per_reading": gap.nats_per_reading,
+        "bias_cm": gap.bias_cm,
+        "spread_ratio": gap.spread_ratio,
+        "odds_short": gap.odds.short,
+        "odds_missed": gap.odds.missed,
+        "odds_random": gap.odds.random,
+    }
+    return {name: getattr(measure, side) for name, measure in measures.items()}
+
+
+def _calibrated(findings: GapFindings) -> dict[str, Any]:
+    """For the model's own list: what this file was made from, and which of its base numbers were fitted again."""
+    return {
+        "made_by": "msp-sim gap",
+        "from": Path(findings.settings.model).name,
+        **_provenance(findings),
+        "verdict": findings.verdict,
+        "calibration": [each.finding for each in findings.calibration],
+    }
+
+
+def _wrapped(lines: list[str], width: int = 118) -> list[str]:
+    out = []
+    for line in lines:
+        words, row = line.split(), ""
+        for word in words:
+            if row and len(row) + 1 + len(word) > width:
+                out.append(row)
+                row = "#"
+            row = f"{row} {word}".strip()
+        out.append(row)
+    return out
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to six significant digits: more than any of them is known to."""
+    if isinstance(value, dict):
+        return {name: _rounded(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(each) for each in value]
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value

@@ -1,0 +1,189 @@
+"""The tables of a gap's page: measures, steps, slices, parameters and the model's own numbers.
+
+Findings and models enter, rows of words leave. Nothing is computed or judged here.
+"""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice
+from msp_lab.gap.judge import bounds
+from msp_lab.gap.words import plain, step_name
+from msp_range.descriptions import descriptions
+from msp_range.reading_model.sensor_model import MixtureParameters, Weights
+from msp_sim.effects.base import Effect
+from msp_sim.model.model import Model
+from msp_sim.page.page import Table
+
+SURE = 0.05
+"""p-value below which a slice is shown."""
+MOST_SLICES = 14
+
+
+def measures_table(findings: GapFindings, given: Model) -> Table | None:
+    """The gap in its measures, before and after, with chance and the bound; None where it was not measured."""
+    gap = findings.gap
+    if gap is None:
+        return None
+    bound = bounds(findings, given)
+    lines = [
+        ("gap [nats a reading]", gap.nats_per_reading, bound["nats_per_reading"]),
+        ("bias [cm]", gap.bias_cm, bound["bias_cm"]),
+        ("spread, by which factor off", gap.spread_ratio, bound["spread_ratio"]),
+        ("odds of short readings, by which factor off", gap.odds.short, None),
+        ("odds of missed echoes, by which factor off", gap.odds.missed, None),
+        ("odds of random readings, by which factor off", gap.odds.random, None),
+    ]
+    if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
+        lines.append(("readings that the model cannot give, by which factor off", gap.odds.code, None))
+    return Table(
+        "measures",
+        "The gap in its measures",
+        ("measure", "before", "after", "95 % interval", "chance (twins)", "counts as closed up to"),
+        tuple((name, *_row(measure, limit)) for name, measure, limit in lines),
+        "On the confirming runs. Root mean squares over the slices of the context in which it is surest, less what "
+        "chance adds. A factor of 1 is right. The interval is that of the last value, by a bootstrap over runs, or of "
+        "blocks of readings where runs are few. Chance is what 95 of 100 simulated twins stay below.",
+    )
+
+
+def steps_table(findings: GapFindings) -> Table | None:
+    """The way of the gap in numbers; None where nothing was added."""
+    if len(findings.path) < 2:
+        return None
+    rows = []
+    for before, step in itertools.pairwise((None, *findings.path)):
+        assert step is not None
+        gained = None if before is None else _less(step.log_score, before.log_score)
+        rows.append(
+            (step_name(step.added), short(step.nats_per_reading), _signed(step.log_score, 4), _signed(gained, 4))
+        )
+    return Table(
+        "steps",
+        "Each step in numbers",
+        ("model", "gap [nats]", "mean log score [nats]", "gain [nats]"),
+        tuple(rows),
+        "A reading of the confirming runs; the log score is that of a whole centimetre or a code.",
+    )
+
+
+def slices_table(findings: GapFindings) -> Table:
+    """The slices that differ for sure, in all channels."""
+    return Table(
+        "slices-table",
+        "Slices in numbers",
+        ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
+        tuple(row for each in shown_slices(findings) for row in _slice_rows(each)),
+        "Against the model as given, with standard errors; below it, what is left with what was added. Spread and odds "
+        "are ratios to the model; few: too few such readings to tell. p-values are corrected for the number of slices "
+        "and measures.",
+    )
+
+
+def parameters_table(found: FoundEffect, effect: Effect | None) -> Table:
+    """Of an effect that was found: each number with its interval, and what it means."""
+    meanings = {each.name: each.meaning for each in effect.parameters} if effect is not None else {}
+    rows = tuple(
+        (
+            name,
+            meanings.get(name, ""),
+            f"{value.value:.4g}" + ("" if value.unit in ("1", "") else f" {value.unit}"),
+            "" if value.low is None or value.high is None else f"{value.low:.4g} to {value.high:.4g}",
+        )
+        for name, value in found.parameters.items()
+    )
+    anchor = "-".join(("parameters", found.name, *([found.of] if found.of else [])))
+    return Table(anchor, "", ("parameter", "meaning", "value", "95 % interval"), rows, words=2)
+
+
+def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
+    """The numbers of the base mixture, as given and as they are in the extended model."""
+    before, after = given.sensor.reading_model, extended.sensor.reading_model
+    judged = {each.name: each for each in findings.calibration}
+    rows = []
+    for part, one, other, section in (
+        ("weights.", before.weights, after.weights, Weights),
+        ("", before, after, MixtureParameters),
+    ):
+        for name, description in descriptions(section).items():
+            old, new = getattr(one, name), getattr(other, name)
+            if not isinstance(old, float | int):
+                continue
+            found = judged.get(part + name)
+            known = found is not None and found.low is not None and found.high is not None
+            interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
+            meaning = description.split("\n")[0].rstrip(".").replace("`", "")
+            rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", interval))
+    return Table(
+        "model-numbers",
+        "The model's own numbers",
+        ("number", "meaning", "as given", "in model.yaml", "95 % interval"),
+        tuple(rows),
+        "All are fitted again with whatever is added. An interval stands where the confirming runs show that the given "
+        "value is not right: that is calibration.",
+        words=2,
+    )
+
+
+def shown_slices(findings: GapFindings) -> list[Slice]:
+    """Those slices that differ for sure, the surest first, and the whole."""
+    sure = [each for each in findings.slices if each.p_value is not None and each.p_value < SURE and each.variables]
+    # A pair repeats what one of its variables says, unless it says more.
+    single = [each for each in sure if len(each.variables) == 1]
+    seen = {name for each in single for name in each.variables}
+    pairs = [each for each in sure if len(each.variables) > 1 and not set(each.variables) & seen]
+    whole = [each for each in findings.slices if not each.variables]
+    return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
+
+
+def slice_words(each: Slice) -> str:
+    """A slice's name as people write it, and how many readings it has."""
+    return f"{plain(each.where)} ({each.readings:,})"
+
+
+def short(value: float | None) -> str:
+    """A number to the digits that a person reads; nothing where it is not known."""
+    if value is None:
+        return ""
+    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
+
+
+def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
+    low, high = short(measure.low), short(measure.high)
+    interval = f"{low} to {high}" if low and high else ""
+    return (short(measure.before), short(measure.after), interval, short(measure.floor), short(limit))
+
+
+def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
+    """A row before, and one after where there is an after."""
+    cells = [slice_words(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
+    later = ["after", _signed(each.after.get("bias_cm"), 2)]
+    for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
+        value, error, left = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)
+        if value is None or error is None or error > 1.0:
+            cells.append("few")
+            later.append("")
+            continue
+        ratio = float(np.exp(value))
+        cells.append(f"{ratio:.2f} ± {ratio * error:.2f}")
+        later.append("" if left is None else f"{np.exp(left):.2f}")
+    cells.append(short(max(each.nats or 0.0, 0.0)))
+    cells.append("" if each.p_value is None else "≤ 0.001" if each.p_value <= 0.001 else f"{each.p_value:.3f}")
+    yield tuple(cells)
+    if each.after:
+        nats = each.after.get("nats")
+        yield (*later, "" if nats is None else short(max(nats, 0.0)), "")
+
+
+def _plus_minus(value: float | None, error: float | None) -> str:
+    return "?" if value is None or error is None else f"{value:+z.2f} ± {error:.2f}"
+
+
+def _signed(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:+z.{digits}f}"
+
+
+def _less(one: float | None, other: float | None) -> float | None:
+    return None if one is None or other is None else one - other

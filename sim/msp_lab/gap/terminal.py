@@ -1,0 +1,102 @@
+"""The gap workflow on the terminal: its progress, and the verdict in a few lines."""
+
+from pathlib import Path
+
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from msp_lab.gap.findings import GapFindings, Measure
+from msp_lab.gap.model_file import MODEL
+from msp_lab.gap.words import capitalised, plain
+from msp_range.clock import Clock, SystemClock
+from msp_range.terminal import PlainConsole, console
+from msp_sim.terminal import Bar
+
+COLOURS = {"nothing missing": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
+SLICES = 5
+
+
+class Progressing(Bar):
+    """A bar on a terminal, and elsewhere a line for each thing that is begun."""
+
+    def __init__(self) -> None:
+        self.clock: Clock = SystemClock()
+        self._console = PlainConsole(stderr=True)
+        self._last = ""
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+        )
+        super().__init__(*columns, total=1.0, on=self._console)
+
+    def say(self, what: str, share: float) -> None:
+        """Tell what is being done, and which share of the whole is behind it."""
+        if self.is_shown:
+            self.show(what, share)
+        elif what != self._last:
+            self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False)
+        self._last = what
+
+
+def print_findings(findings: GapFindings, folder: Path) -> None:
+    """The verdict first, then the gap, what was found, and where the rest is."""
+    out = console()
+    out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
+    if findings.gap is not None:
+        out.print(_gap_table(findings))
+    for each in findings.effects:
+        if each.rivals and each.experiment:
+            out.print(capitalised(each.experiment), highlight=False)
+    if findings.verdict is None and not findings.effects:
+        for piece in [each for each in findings.slices if each.variables][:SLICES]:
+            p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
+            out.print(f"  {plain(piece.where)}: {piece.channel}{p}", highlight=False)
+    if findings.could_have_seen and not findings.effects and not findings.unknown:
+        out.print(f"These data would have shown: {findings.could_have_seen}", highlight=False)
+    for message in findings.messages:
+        out.print(f"note: {message}", style="dim", highlight=False)
+    columns = sorted({name for each in findings.not_testable for name in each.columns})
+    if columns:
+        out.print(
+            f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
+            style="dim",
+            highlight=False,
+        )
+    runs = f"{findings.runs} run{'s' if findings.runs != 1 else ''}"
+    files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
+    out.print(
+        f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _gap_table(findings: GapFindings) -> Table:
+    gap = findings.gap
+    assert gap is not None
+    table = Table(show_edge=False, pad_edge=False)
+    table.add_column("on the confirming runs")
+    for heading in ("before", "after", "95 %", "chance"):
+        table.add_column(heading, justify="right")
+    for label, measure in (
+        ("gap [nats a reading]", gap.nats_per_reading),
+        ("bias [cm]", gap.bias_cm),
+        ("spread, factor", gap.spread_ratio),
+        ("odds of short, factor", gap.odds.short),
+        ("odds of missed, factor", gap.odds.missed),
+        ("odds of random, factor", gap.odds.random),
+    ):
+        table.add_row(Text(label), *_cells(measure))
+    return table
+
+
+def _cells(measure: Measure) -> tuple[str, ...]:
+    interval = "" if measure.low is None or measure.high is None else f"{measure.low:.3g} to {measure.high:.3g}"
+    return (_number(measure.before), _number(measure.after), interval, _number(measure.floor))
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

@@ -1,0 +1,143 @@
+"""Context columns, effects and runs as people write them, for pictures and sentences."""
+
+import re
+from collections.abc import Sequence
+
+from msp_lab.gap.findings import GapFindings
+
+_UNITS = {
+    "_cm_s": "cm/s",
+    "_cm": "cm",
+    "_c": "°C",
+    "_deg": "°",
+    "_pct": "%",
+    "_hz": "Hz",
+    "_khz": "kHz",
+    "_ms": "ms",
+    "_s": "s",
+    "_db": "dB",
+}
+_SPECIAL = {"range_rate_cm_s": "rate of the range", "uptime_s": "time since power-up", "incidence_deg": "incidence"}
+
+
+def unit_of(column: str) -> str:
+    """The unit that a column's name ends with; empty where there is none."""
+    for ending in sorted(_UNITS, key=len, reverse=True):
+        if column.endswith(ending):
+            return _UNITS[ending]
+    return ""
+
+
+def name_of(column: str) -> str:
+    """A column's name without its unit.
+
+    Examples
+    --------
+    >>> name_of("air_temperature_c"), name_of("throttle"), name_of("true_range_cm")
+    ('air temperature', 'throttle', 'true range')
+    """
+    if column in _SPECIAL:
+        return _SPECIAL[column]
+    for ending in sorted(_UNITS, key=len, reverse=True):
+        if column.endswith(ending):
+            return column.removesuffix(ending).replace("_", " ")
+    return column.replace("_", " ")
+
+
+def column_words(column: str) -> str:
+    """For an axis.
+
+    Examples
+    --------
+    >>> column_words("air_temperature_c"), column_words("throttle")
+    ('air temperature [°C]', 'throttle')
+    """
+    unit = unit_of(column)
+    return f"{name_of(column)} [{unit}]" if unit else name_of(column)
+
+
+def plain(where: str) -> str:
+    """A slice's name, its units behind its numbers.
+
+    Examples
+    --------
+    >>> plain("throttle 0.7 to 1, air_temperature_c 20 to 25")
+    'throttle 0.7 to 1, air temperature 20 to 25 °C'
+    """
+    return ", ".join(_plain_one(each) for each in where.split(", "))
+
+
+def headline(findings: GapFindings) -> str:
+    """The verdict and the names, in a few words."""
+    told = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
+        findings.verdict, f"The gap is {findings.verdict}"
+    )
+    named = [
+        " or ".join([_called(each.name, each.of), *(_called(rival.name, rival.of) for rival in each.rivals)])
+        for each in findings.effects
+    ]
+    named += [
+        f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
+        for each in findings.unknown
+    ]
+    return f"{told}: {', '.join(named)}" if named else told
+
+
+def _called(name: str, of: str | None) -> str:
+    return name.replace("_", " ") + (f" of {of}" if of else "")
+
+
+def added_words(findings: GapFindings) -> str:
+    """What the later model has that the given one had not."""
+    if findings.effects or findings.unknown:
+        return "with what was added"
+    return "nothing was added yet" if findings.verdict is None else "its numbers fitted again"
+
+
+def step_name(added: str) -> str:
+    """A step of the way, by what was added in it.
+
+    Examples
+    --------
+    >>> step_name(""), step_name("mounting_offset"), step_name("bias over air_temperature_c")
+    ('the model as given', '+ mounting offset', '+ bias over air temperature')
+    """
+    if not added:
+        return "the model as given"
+    if added == "calibration":
+        return "its numbers fitted again"
+    channel, over, columns = added.partition(" over ")
+    if not over:
+        return f"+ {added.replace('_', ' ')}"
+    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
+
+
+def capitalised(sentence: str) -> str:
+    """With a capital first, and all else as it is.
+
+    Examples
+    --------
+    >>> capitalised("to tell A from b")
+    'To tell A from b'
+    """
+    return sentence[:1].upper() + sentence[1:]
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """The first of many names, and how many more there are.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(["a", "b", "c"], most=2)
+    ('a, b, c', 'a, b and 1 more')
+    """
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def _plain_one(where: str) -> str:
+    column, _, rest = where.partition(" ")
+    unit = unit_of(column)
+    if not re.match(r"-?\d", rest):
+        return f"{name_of(column)} {rest}" if "_" in column or rest else where
+    return f"{name_of(column)} {rest}" + ("" if not unit else unit if unit == "°" else f" {unit}")
