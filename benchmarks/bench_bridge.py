@@ -23,8 +23,8 @@ from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_range.recording.writer import Recorder
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242, Timing
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242, Timing
 
 AIRFRAME = Path(__file__).parents[1] / "configs" / "quad_pallet.yaml"
 ROUNDS = 15

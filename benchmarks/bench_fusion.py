@@ -12,9 +12,9 @@ import numpy as np
 
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe, Fused, Send
-from msp_sim.flight import Simulation
-from msp_sim.flight_log import Flight, Track
-from msp_sim.scenario import PlannedFault, Scenario, load_scenario
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
 from tests.loop.test_objects_below import NAMES, SLOT_S, Hover
 
 SCENARIOS = Path(__file__).parents[1] / "configs" / "scenarios"

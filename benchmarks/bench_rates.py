@@ -6,8 +6,8 @@ from benchmarks.bench_bridge import AIRFRAME
 from msp_range.bridge import Bridge
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242
 
 FLOWN_S = 60.0
 LOOPBACK = AIRFRAME.with_name("loopback.yaml")

@@ -8,8 +8,8 @@ from typing import Any
 
 from msp_range.clock import VirtualClock
 from msp_range.recording.writer import Recorder
-from msp_sim.flight import Simulation
-from msp_sim.scenario import load_scenario
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import load_scenario
 
 SCENARIO = Path(__file__).parents[1] / "configs" / "scenarios" / "demo.yaml"
 FLIGHTS = 5

@@ -47,7 +47,7 @@ def fly(
     In --out: summary.json (what the table shows), flight.mcap (every stage of every reading, for Foxglove or
     'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
     """
-    from msp_sim.flying import fly_scenario
+    from msp_sim.flight.flying import fly_scenario
 
     if realtime and speed is not None:
         raise ConfigError("--realtime and --speed: give one of them")
@@ -92,7 +92,7 @@ def sitl(
     vehicle is disarmed and stands on the ground: that is where the heights begin. docs/sitl.md has the commands and
     parameters.
     """
-    from msp_sim.flying import fly_sitl
+    from msp_sim.flight.flying import fly_sitl
 
     fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)
 

@@ -16,10 +16,10 @@ from typing import Any
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.recording.writer import Recorder
-from msp_sim.autopilot import BOOTED_BEFORE_S, REBOOT_S
-from msp_sim.flight import Simulation
-from msp_sim.scenario import Scenario, load_scenario
-from msp_sim.summary import summarise
+from msp_sim.flight.autopilot import BOOTED_BEFORE_S, REBOOT_S
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import Scenario, load_scenario
+from msp_sim.flight.summary import summarise
 from tests.faults.judge import Conditions, Received, judge
 from tests.faults.plans import Plan, draw_plan, group_of, row_of
 from tests.faults.truth import Truth

@@ -6,7 +6,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from msp_sim.device import FAULT_KINDS
+from msp_sim.device.device import FAULT_KINDS
 from tests.faults.dice import Dice
 
 Content = dict[str, Any]

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from msp_range.yaml_file import read_yaml
-from msp_sim.autopilot import BAROMETER_WARMER_C
+from msp_sim.flight.autopilot import BAROMETER_WARMER_C
 from tests.faults.dice import Dice
 from tests.faults.faults import ADD, ATTITUDE_KINDS, COMMON_KINDS, SENSOR_KINDS
 from tests.faults.profiles import draw_flight

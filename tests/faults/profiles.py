@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_sim.surfaces import Ground
-from msp_sim.vehicle import Flight, Vehicle
-from msp_sim.world import Air, World
+from msp_sim.world.surfaces import Ground
+from msp_sim.world.vehicle import Flight, Vehicle
+from msp_sim.world.world import Air, World
 from tests.faults.dice import Dice
 
 Segments = list[dict[str, Any]]

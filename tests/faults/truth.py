@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 from msp_range.config import Airframe
 from msp_range.geometry import Vector, dot, rotation_matrix
-from msp_sim.scenario import Scenario
-from msp_sim.vehicle import Vehicle
-from msp_sim.world import Beam, World
+from msp_sim.flight.scenario import Scenario
+from msp_sim.world.vehicle import Vehicle
+from msp_sim.world.world import Beam, World
 
 GRID_S = 0.05
 """Time between two looks at grounds that change under way [s]; at 1.5 m/s the vehicle moves 7 cm."""

@@ -33,8 +33,8 @@ from msp_range.recording.recover import recover
 from msp_range.recording.writer import Recorder
 from msp_range.tuning import recorded_tracks
 from msp_range.yaml_file import ConfigError
-from msp_sim.flight import Simulation
-from msp_sim.scenario import load_scenario
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import load_scenario
 from tests.fuzz import base, mutate, played
 from tests.support.campaigns import Collected, campaign
 

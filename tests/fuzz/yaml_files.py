@@ -19,8 +19,8 @@ from msp_range import cli
 from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError, load
+from msp_sim.flight.scenario import load_scenario
 from msp_sim.model.model import load_model
-from msp_sim.scenario import load_scenario
 from tests.fuzz import base, mutate
 
 CONFIGS = Path("configs")

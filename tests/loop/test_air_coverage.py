@@ -17,10 +17,10 @@ from msp_range.clock import Clock, VirtualClock
 from msp_range.correction.temperature import TemperatureParameters
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import TransportStats
-from msp_sim.autopilot import Tee
-from msp_sim.flight import Simulation
-from msp_sim.scenario import Scenario, Thermometer
-from msp_sim.world import Air, WarmLayer
+from msp_sim.flight.autopilot import Tee
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import Scenario, Thermometer
+from msp_sim.world.world import Air, WarmLayer
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FUSED_ID = 10

@@ -26,7 +26,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, Told, campaign, condition, written
 
 ALWAYS_S = 1e9

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from msp_lab.campaigns.terminal import Terminal
 from msp_range.cli import app
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, campaign, condition, written
 
 

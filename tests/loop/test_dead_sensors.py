@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from msp_range.clock import VirtualClock
-from msp_sim.flight import Simulation
-from msp_sim.flight_log import Flight
-from msp_sim.scenario import load_scenario
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.scenario import load_scenario
 
 AIRFRAME = Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"
 NAMES = ("front_left", "front_right", "rear_left", "rear_right")

@@ -19,11 +19,11 @@ from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
-from msp_sim.flight import Simulation
-from msp_sim.flight_log import Flight
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
-from msp_sim.scenario import load_scenario
-from msp_sim.summary import summarise
 
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 

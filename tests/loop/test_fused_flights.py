@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from msp_range.clock import VirtualClock
-from msp_sim.flight import Simulation
-from msp_sim.flight_log import Flight, Track
-from msp_sim.scenario import PlannedFault, Scenario, load_scenario
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 

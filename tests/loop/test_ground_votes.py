@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.mavlink.inertial import SCALE_HEIGHT_M
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.bench import FUSED_ID, Bench, airframe, sensor
 
 NAMES = "abcd"

@@ -10,7 +10,7 @@ from msp_range.reading import Reading
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.sensors.mb1242 import MB1242, decode, encode
 from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
-from msp_sim.bus import EmulatedBus
+from msp_sim.device.bus import EmulatedBus
 from tests.support.bench import CONFIGS
 
 AIRFRAME = load_airframe(CONFIGS / "quad_pallet.yaml")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_range.recording.csv_form import read_csv
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.campaigns import condition, written
 from tests.support.kernel_bus import Sonar, kernel_bus
 

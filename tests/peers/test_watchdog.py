@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.kernel_bus import Sonar, kernel_bus
 from tests.support.service import FUSED_ID, LinkEnd, running_service
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import pytest
 
 from msp_range.reading import Status
-from msp_sim.device import Fault, PlainDevice
+from msp_sim.device.device import Fault, PlainDevice
 from tests.support.bench import CONFIGS, FUSED_ID, Bench, airframe, one_down, sensor
 from tests.support.kernel_bus import Sonar, kernel_bus
 

@@ -9,7 +9,7 @@ import textwrap
 
 import pytest
 
-from msp_sim.device import PART_INFO, Fault, Timing
+from msp_sim.device.device import PART_INFO, Fault, Timing
 from tests.support.kernel_bus import HWMON_FILE, IIO_FILE, KernelTestbed, Other, Sonar, kernel_bus
 
 FRONT, REAR = 0x70, 0x71

@@ -11,8 +11,8 @@ from msp_range.bridge import Bridge, Step
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.mavlink.transport.base import TransportStats
-from msp_sim.bus import Device, EmulatedBus
-from msp_sim.device import MB1242, Fault
+from msp_sim.device.bus import Device, EmulatedBus
+from msp_sim.device.device import MB1242, Fault
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_C = 22.5

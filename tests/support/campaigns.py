@@ -13,7 +13,7 @@ from msp_lab.campaigns.simulated_bench import Draw, Nobody, SimulatedBench, read
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.reading import Reading
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODEL = str(CONFIGS / "sensors/mb1242.yaml")

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import pytest
 
-from msp_sim.device import DEFAULT_ADDRESS, Fault, Timing
+from msp_sim.device.device import DEFAULT_ADDRESS, Fault, Timing
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 WRAPPER = "umockdev-wrapper"

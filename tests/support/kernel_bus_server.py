@@ -16,8 +16,8 @@ import time
 import traceback
 from collections import deque
 
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242, Fault, PlainDevice, Timing
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242, Fault, PlainDevice, Timing
 
 # linux/i2c-dev.h and linux/i2c.h
 I2C_RETRIES, I2C_TIMEOUT, I2C_SLAVE, I2C_FUNCS = 0x0701, 0x0702, 0x0703, 0x0705

@@ -8,8 +8,8 @@ import pytest
 from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
 from msp_range.sensors.addressing import AddressError, Found, change_address, check_new_address, scan
-from msp_sim.bus import Device, EmulatedBus
-from msp_sim.device import MB1242, Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.bus import Device, EmulatedBus
+from msp_sim.device.device import MB1242, Fault, NotAcknowledged, PlainDevice
 
 NACK_ERRNOS = [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV]
 Making = Callable[[VirtualClock], Device]

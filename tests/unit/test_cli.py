@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from msp_range.cli import app
 from msp_range.config import Airframe
 from msp_range.mistakes import tell_mistakes
-from msp_sim.bus import EmulatedBus
 from msp_sim.cli import app as sim_app
-from msp_sim.device import MB1242
-from msp_sim.scenario import Scenario
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242
+from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export", "collect"]

@@ -14,7 +14,7 @@ from msp_range.config import Airframe, RotationDeg, load_airframe
 from msp_range.mavlink.orientation import CUSTOM, DOWN
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, Section
-from msp_sim.scenario import load_scenario
+from msp_sim.flight.scenario import load_scenario
 from tests.support.bench import CONFIGS
 
 AIRFRAMES = sorted(CONFIGS.glob("*.yaml"))

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-import msp_sim.device
+import msp_sim.device.device
 from msp_range.bus.base import Bus, BusError
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242, PART_INFO, RANGE_COMMAND, Fault, NotAcknowledged, PlainDevice, Timing
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242, PART_INFO, RANGE_COMMAND, Fault, NotAcknowledged, PlainDevice, Timing
 
 AFTER_ANY_RANGING_S = 0.07
 FOR_EVER = float("inf")
@@ -304,8 +304,8 @@ def test_a_world_that_returns_no_reading_is_refused(reading_cm: int) -> None:
 
 def test_standard_library_only() -> None:
     """The device runs without this environment's packages and without msp_range."""
-    folder = Path(msp_sim.device.__file__).parents[1]
-    code = "import sys, msp_sim.device; print(*sorted(m for m in sys.modules if m.startswith('msp_')))"
+    folder = Path(msp_sim.device.device.__file__).parents[2]
+    code = "import sys, msp_sim.device.device; print(*sorted(m for m in sys.modules if m.startswith('msp_')))"
     done = subprocess.run(
         [sys.executable, "-S", "-c", code],
         env={**os.environ, "PYTHONPATH": str(folder)},
@@ -313,7 +313,7 @@ def test_standard_library_only() -> None:
         text=True,
         check=True,
     )
-    assert done.stdout.split() == ["msp_sim", "msp_sim.device"]
+    assert done.stdout.split() == ["msp_sim", "msp_sim.device", "msp_sim.device.device"]
 
 
 class Wires:

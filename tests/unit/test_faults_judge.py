@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from msp_sim.scenario import Scenario
+from msp_sim.flight.scenario import Scenario
 from tests.faults.judge import Conditions, Received, Verdict, judge
 from tests.faults.plans import CONFIGS, SHARES, draw_plan, group_of, row_of
 from tests.faults.truth import Truth

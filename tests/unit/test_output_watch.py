@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.health import Health, OutputWatch, Severity
 from msp_range.health.output import FUSED
-from msp_sim.device import Fault
+from msp_sim.device.device import Fault
 from tests.support.bench import FUSED_ID, Bench, airframe, sensor
 
 NAMES = "abcd"

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from msp_sim.profiles import (
+from msp_sim.world.profiles import (
     Climb,
     Course,
     FollowTerrain,
@@ -23,7 +23,7 @@ from msp_sim.profiles import (
     Track,
     altitude,
 )
-from msp_sim.vehicle import AttitudeSection, Flight, Sway, Vehicle
+from msp_sim.world.vehicle import AttitudeSection, Flight, Sway, Vehicle
 
 FINE_S = 0.001
 

@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from msp_range.yaml_file import ConfigError
-from msp_sim.device import FAULT_KINDS
-from msp_sim.scenario import LoopbackAutopilot, PlannedFault, Scenario, Thermometer, load_scenario
-from msp_sim.vehicle import Pose
-from msp_sim.world import Beam, Ping
+from msp_sim.device.device import FAULT_KINDS
+from msp_sim.flight.scenario import LoopbackAutopilot, PlannedFault, Scenario, Thermometer, load_scenario
+from msp_sim.world.vehicle import Pose
+from msp_sim.world.world import Beam, Ping
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SCENARIOS = sorted((CONFIGS / "scenarios").glob("*.yaml"))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msp_sim.surfaces import Box, Ground, Roughness, Step
-from msp_sim.vehicle import Pose
-from msp_sim.world import Air, Beam, WarmLayer, World
+from msp_sim.world.surfaces import Box, Ground, Roughness, Step
+from msp_sim.world.vehicle import Pose
+from msp_sim.world.world import Air, Beam, WarmLayer, World
 
 DOWN = (0.0, 0.0, 1.0)
 FORWARD = (1.0, 0.0, 0.0)

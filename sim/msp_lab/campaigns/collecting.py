@@ -15,9 +15,9 @@ from msp_range.clock import SystemClock, VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
-from msp_sim.flight import Simulation
-from msp_sim.scenario import load_scenario
-from msp_sim.show import Collecting
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.show import Collecting
 
 
 def collect_campaign(

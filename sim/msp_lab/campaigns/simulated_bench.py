@@ -21,8 +21,8 @@ from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.bus import Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242, Fault, Timing
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import Streams
 

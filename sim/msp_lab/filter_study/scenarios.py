@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters
-from msp_sim.profiles import SAMPLES_OF_A_STRETCH
+from msp_sim.world.profiles import SAMPLES_OF_A_STRETCH
 
 SAMPLES = 200
 INTERVAL_S = 0.1

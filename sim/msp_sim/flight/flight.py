@@ -19,11 +19,11 @@ from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import LoopReader
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.autopilot import LoopbackAutopilot
-from msp_sim.emulated import emulated_bus
-from msp_sim.flight_log import FlightLog
-from msp_sim.scenario import Scenario
-from msp_sim.vehicle import Pose
+from msp_sim.device.emulated import emulated_bus
+from msp_sim.flight.autopilot import LoopbackAutopilot
+from msp_sim.flight.flight_log import FlightLog
+from msp_sim.flight.scenario import Scenario
+from msp_sim.world.vehicle import Pose
 
 
 class _Keeping:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_sim.flight_log import Flight, Track
+from msp_sim.flight.flight_log import Flight, Track
 
 
 def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:

@@ -31,11 +31,11 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.device import Fault, NotAcknowledged
-from msp_sim.emulated import emulated_bus
-from msp_sim.flight_log import Flight, FlightLog
-from msp_sim.vehicle import Angles, Pose
-from msp_sim.world import World
+from msp_sim.device.device import Fault, NotAcknowledged
+from msp_sim.device.emulated import emulated_bus
+from msp_sim.flight.flight_log import Flight, FlightLog
+from msp_sim.world.vehicle import Angles, Pose
+from msp_sim.world.world import World
 
 POSE_STALE_S = 1.0
 """A pose that is older than this says nothing about where the vehicle is [s]."""

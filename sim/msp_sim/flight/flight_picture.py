@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from msp_sim.flight_log import Flight
+from msp_sim.flight.flight_log import Flight
 from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
 
 SHOWN_CM = 40.0

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from msp_range.geometry import Vector
 from msp_range.yaml_file import Section
-from msp_sim.profiles import Positive, Segment, Track, altitude
+from msp_sim.world.profiles import Positive, Segment, Track, altitude
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.5

@@ -1,8 +1,8 @@
 """What a sensor's ping meets: the ground, the objects on it, and the air between.
 
 A pose and a beam enter, the truth of one ping leaves: `World.ping`. World frame NED with its origin on the ground;
-heights are over the origin, up positive. What is heard of a surface is told in `msp_sim.surfaces`; of several echoes
-the nearest counts.
+heights are over the origin, up positive. What is heard of a surface is told in `msp_sim.world.surfaces`; of several
+echoes the nearest counts.
 """
 
 import math
@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 
 from msp_range.geometry import Matrix, Vector, dot, rotation_matrix
 from msp_range.yaml_file import Section
-from msp_sim.surfaces import Block, Echo, Ground, HalfAngle, Terrain
-from msp_sim.vehicle import Pose
+from msp_sim.world.surfaces import Block, Echo, Ground, HalfAngle, Terrain
+from msp_sim.world.vehicle import Pose
 
 
 class WarmLayer(Section):

@@ -13,8 +13,8 @@ from msp_range.config import Airframe
 from msp_range.health import Severity
 from msp_range.reading import Status
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.vehicle import Pose
-from msp_sim.world import Ping, World
+from msp_sim.world.vehicle import Pose
+from msp_sim.world.world import Ping, World
 
 LEVEL_M = 0.15
 """Where the ground below the sensors differs by more than this, one fused distance has no truth to compare with [m]."""

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from msp_lab.campaigns.plan import Point
 from msp_range.bridge import Step
-from msp_sim.flight import Simulation
+from msp_sim.flight.flight import Simulation
 from msp_sim.terminal import Bar
 
 BAR_CELLS = 44

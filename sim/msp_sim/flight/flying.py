@@ -20,16 +20,16 @@ from msp_range.recording.writer import Recorder
 from msp_range.service import flight_recorder, stop_signals
 from msp_range.terminal import console
 from msp_range.yaml_file import ConfigError
-from msp_sim import show
-from msp_sim.autopilot import Tee
-from msp_sim.flight import Simulation
-from msp_sim.flight_log import Flight
-from msp_sim.scenario import load_scenario
-from msp_sim.sitl import Sitl, start_line, status_line
-from msp_sim.summary import summarise
-from msp_sim.surfaces import Ground
+from msp_sim.flight import show
+from msp_sim.flight.autopilot import Tee
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.summary import summarise
+from msp_sim.sitl.sitl import Sitl, start_line, status_line
 from msp_sim.terminal import make_folder
-from msp_sim.world import Air, World
+from msp_sim.world.surfaces import Ground
+from msp_sim.world.world import Air, World
 
 SHOWN_EACH_S = 0.1
 """Wall time between two looks at a flight [s]."""
@@ -225,7 +225,7 @@ def _write(folder: Path, summary: dict[str, Any], flight: Flight, title: str) ->
     print(f"  numbers: {folder / NUMBERS}")
     if _can_draw():
         # Imported late: matplotlib comes with the extra 'lab', which a flight does not need.
-        from msp_sim.flight_picture import draw
+        from msp_sim.flight.flight_picture import draw
 
         draw(flight, folder / PICTURE, title)
         print(f"  picture: {folder / PICTURE}")

@@ -16,7 +16,7 @@ from msp_range.geometry import Vector, dot, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.transport import Transport, TransportStats
-from msp_sim.vehicle import GRAVITY_M_S2, Pose
+from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
 
 BOOTED_BEFORE_S = 42.5
 """How long before the flight the autopilot was switched on [s]: its clock is not the bridge's."""

@@ -170,7 +170,7 @@ class MB1242:
     >>> sonar.read(2)
     Traceback (most recent call last):
         ...
-    msp_sim.device.NotAcknowledged
+    msp_sim.device.device.NotAcknowledged
     >>> time_s = 0.1
     >>> sonar.read(2).hex()
     '0102'

@@ -12,12 +12,12 @@ from numpy.random import Generator, SeedSequence, default_rng
 from msp_range.bus import Bus
 from msp_range.config import Airframe, Sensor
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.bus import EmulatedBus
-from msp_sim.device import MB1242, Fault, Timing
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.device import MB1242, Fault, Timing
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
-from msp_sim.vehicle import Pose
-from msp_sim.world import Beam, Ping, World
+from msp_sim.world.vehicle import Pose
+from msp_sim.world.world import Beam, Ping, World
 
 RUN = "flight"
 """Run of the readings of a simulated flight: one session."""

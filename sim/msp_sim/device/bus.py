@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from msp_range.bus.base import BusError
-from msp_sim.device import Fault, NotAcknowledged
+from msp_sim.device.device import Fault, NotAcknowledged
 
 
 class Device(Protocol):

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from msp_range.geometry import Vector, dot
 from msp_range.yaml_file import Section
-from msp_sim.profiles import Positive
+from msp_sim.world.profiles import Positive
 
 EDGE_REACH_M = 50.0
 """How far to either side the edge of a step is looked at; it has no ends [m]."""

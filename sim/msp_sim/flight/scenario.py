@@ -16,11 +16,11 @@ from pydantic import Field, model_validator
 from msp_range.config import NamedAirframe
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, load
-from msp_sim import device
-from msp_sim.profiles import Positive
-from msp_sim.surfaces import Ground
-from msp_sim.vehicle import Flight, Pose, Vehicle
-from msp_sim.world import Air, World
+from msp_sim.device import device
+from msp_sim.world.profiles import Positive
+from msp_sim.world.surfaces import Ground
+from msp_sim.world.vehicle import Flight, Pose, Vehicle
+from msp_sim.world.world import Air, World
 
 CHECK_EVERY_S = 0.1
 """Time between two looks at the vehicle's height above the ground when a scenario is loaded [s]."""
@@ -40,7 +40,7 @@ _VALUE_OF_KIND = {"word": "impossible", "spread_cm": "noisy", "offset_cm": "offs
 
 
 class PlannedFault(Section):
-    """Something that goes wrong with a sensor or the bus for a while; the kinds are those of `msp_sim.device`."""
+    """Something that goes wrong with a sensor or the bus for a while; kinds: `msp_sim.device.device`."""
 
     sensor: str
     """name of the sensor in the airframe; one that holds the bus (locked_up) stops all of them"""

@@ -1,0 +1,1 @@
+"""The real bridge with an autopilot's own simulator."""

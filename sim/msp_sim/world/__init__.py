@@ -1,0 +1,1 @@
+"""Where the vehicle flies and how: surfaces, air, motion, profiles over time."""
