@@ -1,4 +1,4 @@
-"""The gap workflow on many readings: the whole of `msp-sim gap`, its screen alone, and how its cost grows.
+"""The gap workflow on many readings: the whole of `msp-lab gap`, its screen alone, and how its cost grows.
 
 Contexts are those of the flights of the blind tables (`tests/blind`) and every further column that an effect can ask
 for, so that the complete catalogue is tested; no two readings are alike. Two effects are hidden, to be named and
@@ -28,7 +28,7 @@ FEWER = 10_000
 GROWTH = 11.0
 """Times the time for ten times the readings: linear, and a tenth for what was not measured."""
 SENSOR = Path(__file__).parents[1] / "configs" / "sensors" / "mb1242.yaml"
-MSP_SIM = Path(sys.executable).parent / "msp-sim"
+MSP_LAB = Path(sys.executable).parent / "msp-lab"
 AT_ONCE = 250_000
 """Rows that are drawn and written at a time."""
 
@@ -45,7 +45,7 @@ def run() -> list[dict[str, Any]]:
         {
             "key": "gap_1e5",
             "value": round(wall_s, 1),
-            "unit": "s for 100,000 readings, complete catalogue: msp-sim gap with its report",
+            "unit": "s for 100,000 readings, complete catalogue: msp-lab gap with its report",
             "goal": "under 20",
             "met": wall_s < 20.0,
         },
@@ -92,12 +92,12 @@ def measured(rows: int, seed: int) -> Columns:
 
 
 def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
-    """Seconds, processor seconds and the largest memory [GB] of `msp-sim gap` on a file of so many readings."""
+    """Seconds, processor seconds and the largest memory [GB] of `msp-lab gap` on a file of so many readings."""
     path = folder / f"{rows}.csv"
     _write(path, rows)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started_s = time.perf_counter()
-    command = [MSP_SIM, "gap", path, "--model", SENSOR, "--out", folder / f"{rows}"]
+    command = [MSP_LAB, "gap", path, "--model", SENSOR, "--out", folder / f"{rows}"]
     subprocess.run([str(each) for each in command], check=True, capture_output=True)
     wall_s = time.perf_counter() - started_s
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

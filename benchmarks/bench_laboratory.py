@@ -18,10 +18,10 @@ def run() -> list[dict[str, Any]]:
         folder = Path(name)
         report = folder / "report"
         started_s = time.perf_counter()
-        _call("msp-sim", "collect", CAMPAIGN, "--out", folder / "collected")
+        _call("msp-lab", "collect", CAMPAIGN, "--simulate", "--out", folder / "collected")
         collected_s = time.perf_counter()
         readings = folder / "collected" / "readings.csv"
-        _call("msp-range", "characterise", readings, "--out", folder / "model.yaml", "--report", report)
+        _call("msp-lab", "characterise", readings, "--out", folder / "model.yaml", "--report", report)
         done_s = time.perf_counter()
         rows = json.loads((report / "findings.json").read_text(encoding="utf-8"))["sonar"]["rows"]
     misses_deg = [abs(row["fitted_deg"] - row["measured_deg"]) for row in rows]

@@ -4,15 +4,15 @@ import gc
 import json
 import os
 import signal
-from collections.abc import Callable
-from datetime import date as day
+import sys
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from msp_range.mistakes import tell_mistakes
+from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.yaml_file import ConfigError
 
 app = typer.Typer(
@@ -24,8 +24,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-MB1242 = Path("configs/sensors/mb1242.yaml")
-"""In the repository's folder."""
+FILE_KINDS = "msp_range.file_kinds"
+"""Group of entry points: kind of file -> its section. The laboratory's kinds are among them, which is not imported."""
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
@@ -58,6 +58,7 @@ def run(
     gc.disable()
     try:
         from msp_range import service
+        from msp_range.bus.smbus import bus_of
         from msp_range.config import Airframe, load_airframe
         from msp_range.log import Log
 
@@ -74,11 +75,6 @@ def run(
 def _leave(signum: int, frame: FrameType | None) -> None:
     # At once: an exception in the middle of an import may be swallowed or be printed as a traceback.
     os._exit(0)
-
-
-def bus_of(text: str) -> int | str:
-    """Bus number, or path, from the command line."""
-    return int(text) if text.isdecimal() else text
 
 
 @app.command()
@@ -132,10 +128,9 @@ def check(airframe_file: AirframeFile) -> None:
 
 
 @app.command()
+@tell_mistakes
 def schema(
-    kind: Annotated[
-        Literal["airframe", "sensor", "campaign", "flights"], typer.Argument(help="which kind of file")
-    ] = "airframe",
+    kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:
     """Print the JSON Schema of a kind of file, with which editors complete and check it.
 
@@ -143,19 +138,13 @@ def schema(
 
     Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
-    from msp_lab.campaigns.campaign import Campaign
-    from msp_lab.campaigns.flights import FlightCampaign
-    from msp_range.config import Airframe
-    from msp_range.reading_model.sensor_model import SensorModel
-    from msp_range.yaml_file import Section
+    from importlib.metadata import entry_points
 
-    sections: dict[str, type[Section]] = {
-        "airframe": Airframe,
-        "sensor": SensorModel,
-        "campaign": Campaign,
-        "flights": FlightCampaign,
-    }
-    print(json.dumps(sections[kind].model_json_schema(), indent=2))
+    kinds = entry_points(group=FILE_KINDS)
+    if kind not in kinds.names:
+        print(f"schema {kind}: expected one of {', '.join(sorted(kinds.names))}", file=sys.stderr)
+        raise typer.Exit(EXIT_COMMAND_LINE)
+    print(json.dumps(kinds[kind].load().model_json_schema(), indent=2))
 
 
 @app.command()
@@ -169,7 +158,7 @@ def scan(
     """List what acknowledges on an I2C bus. Only reads, unless --ping is given."""
     from rich.table import Table
 
-    from msp_range.bus.smbus import KernelBus
+    from msp_range.bus.smbus import KernelBus, bus_of
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import scan as scan_bus
     from msp_range.terminal import PlainConsole
@@ -197,7 +186,7 @@ def address(
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
 ) -> None:
     """Change an MB1242's address: shows the bus, refuses what could lose the sensor, verifies. Survives power-off."""
-    from msp_range.bus.smbus import KernelBus
+    from msp_range.bus.smbus import KernelBus, bus_of
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import change_address, check_new_address
     from msp_range.sensors.addressing import scan as scan_bus
@@ -277,6 +266,9 @@ def tune(
     ] = None,
 ) -> None:
     """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
+    from msp_range.extras import require
+
+    require("kalman", "msp-range tune")
     from msp_range import tuning
 
     tuning.show(tuning.tune_recordings(recordings, airframe_file, model))
@@ -311,183 +303,7 @@ def export(
     print(f"{out}: {rows} readings; lost: {source.losses}")
 
 
-@app.command()
-@tell_mistakes
-def collect(
-    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
-    out: Annotated[Path, typer.Option(help="folder for recordings and table; what is there already is gone on with")],
-    bus: BusOption = "1",
-    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
-    repeat: Annotated[
-        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
-    ] = None,
-    show_plan: Annotated[
-        bool, typer.Option("--plan", help="show the points and the time they take; touch nothing")
-    ] = False,
-) -> None:
-    """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
-
-    Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
-    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
-    asks for the recording and the reference of each flight instead, and keeps copies of them.
-    """
-    from msp_lab.campaigns.bench import KernelBench
-    from msp_lab.campaigns.campaign import load_campaign
-    from msp_lab.campaigns.collect import chosen
-    from msp_lab.campaigns.collect import collect as collect_readings
-    from msp_lab.campaigns.flights import is_of_flights
-    from msp_lab.campaigns.plan import plan
-    from msp_lab.campaigns.store import Store
-    from msp_lab.campaigns.terminal import Terminal
-    from msp_lab.campaigns.terminal import show_plan as show_points
-    from msp_range.service import stop_signals
-    from msp_range.terminal import PlainConsole
-
-    console = PlainConsole()
-    if is_of_flights(campaign_file):
-        _collect_flights(campaign_file, out, console, show_plan)
-        return
-    campaign = load_campaign(campaign_file)
-    points = plan(campaign)
-    again = chosen(points, repeat or [], "--repeat")
-    # What is to be read again is not a reason to read all the rest.
-    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
-    bench = KernelBench(bus_of(bus), campaign.thermometer)
-    store = Store(out, points, bench.description, bench.clock, campaign.files)
-    if show_plan:
-        show_points(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
-        return
-    bench.open()
-    with stop_signals() as stopped:
-        person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
-        try:
-            collect_readings(campaign, points, bench, store, person, wanted, again)
-        finally:
-            person.close()
-            store.close()
-            bench.close()
-    table, rows = store.write_table()
-    left = sum(not store.is_done(point) for point in points)
-    read = f"{table}: {rows} readings" if rows else "nothing was read"
-    print(f"{read}; {left} of {len(points)} points are left")
-
-
-def _collect_flights(campaign_file: Path, out: Path, console: Any, show_plan: bool) -> None:
-    from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights, show_flights
-
-    campaign = load_flights(campaign_file)
-    hangar = Hangar(out, campaign)
-    if show_plan:
-        show_flights(campaign, hangar, console)
-        return
-    collect_flights(campaign, hangar, console, _asking(console))
-    left = sum(not hangar.recordings(flight) for flight in campaign.flights)
-    if left < len(campaign.flights):
-        table, rows = hangar.write_table()
-        print(f"{table}: {rows} readings; {left} of {len(campaign.flights)} flights are left")
-
-
-def _asking(console: Any) -> Callable[[str], str]:
-    """A prompt that a signal ends; it returns q then, and at the end of the input."""
-
-    def ask(text: str) -> str:
-        handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            answer: str = console.input(text)
-            return answer
-        except (KeyboardInterrupt, EOFError):
-            console.print()
-            return "q"
-        finally:
-            for each, handler in handlers.items():
-                signal.signal(each, handler)
-
-    return ask
-
-
-@app.command()
-@tell_mistakes
-def characterise(
-    data: Annotated[
-        list[Path], typer.Argument(metavar="DATA...", help="measured readings (.csv) or recordings (.mcap)")
-    ],
-    out: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model file to make")],
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
-    ] = None,
-    sensor: Annotated[
-        Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
-    ] = MB1242,
-    column_map: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
-        ),
-    ] = None,
-    of: Annotated[
-        list[str] | None, typer.Option(metavar="SENSOR", help="only its readings (column sensor); may be repeated")
-    ] = None,
-    reference_std_cm: Annotated[
-        float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
-    ] = None,
-    set_up_std_cm: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            help="what each set-up's true range is off by on its own, as a standard deviation [cm]; what they "
-            "differ by beyond it is then the sensor's, and goes into the model",
-        ),
-    ] = None,
-    date: Annotated[str | None, typer.Option(help="for the record, instead of today (YYYY-MM-DD)")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="of the randomised goodness of fit")] = 1,
-) -> None:
-    """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
-    from numpy.random import default_rng
-
-    from msp_lab.characterise.characterise import characterise as analyse
-    from msp_lab.characterise.model_file import changed, write_model
-    from msp_lab.characterise.publish import check_free, publish
-    from msp_lab.characterise.show import show
-    from msp_lab.readings.column_map import load_map
-    from msp_lab.readings.gather import gather
-    from msp_range.clock import SystemClock, date_of
-    from msp_range.reading_model.sensor_model import load_sensor_model
-    from msp_range.terminal import PlainConsole
-
-    check_free(out, report)
-    if date is not None and not _is_date(date):
-        raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
-    if sensor == MB1242 and not sensor.exists():
-        raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
-    started = load_sensor_model(sensor)
-    mapping = load_map(column_map) if column_map else None
-    progress = PlainConsole(stderr=True)
-    with progress.status("reading") as status:
-        gathered = gather(data, started, mapping, of or ())
-        findings, changes = analyse(
-            gathered,
-            started,
-            date=date or date_of(SystemClock().utc()),
-            rng=default_rng(seed),
-            reference_std_cm=reference_std_cm,
-            set_up_std_cm=set_up_std_cm,
-            say=status.update,
-        )
-        model = changed(started, findings, changes)
-        write_model(out, model, findings, changes, sensor.name)
-        if report is not None:
-            status.update("drawing the report")
-            page = publish(findings, gathered.data, model, report)
-    console = PlainConsole()
-    show(findings, console)
-    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"))
-
-
-def _is_date(text: str) -> bool:
-    try:
-        return day.fromisoformat(text).isoformat() == text
-    except ValueError:
-        return False
+add_moved(app, {"collect": "msp-lab collect", "characterise": "msp-lab characterise"})
 
 
 def main() -> None:

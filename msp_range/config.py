@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from msp_range.correction.temperature import TemperatureParameters
+from msp_range.extras import missing
 from msp_range.filters.changepoint import ChangepointParameters
 from msp_range.filters.table import FilterParameters
 from msp_range.geometry import Vector, angle_between, boresight
@@ -225,7 +226,15 @@ class Airframe(Section):
         if self.send.fused is not None:
             self._check_fused()
         self._check_orientations()
+        self._check_filters()
         return self
+
+    def _check_filters(self) -> None:
+        # Only a sensor with a stream of its own has a chain of filters.
+        if self.sent_names and any(each.filter == "kalman" for each in self.filters):
+            absent = missing("kalman")
+            if absent is not None:
+                raise ValueError(f"filters: kalman needs {absent}; or use another filter, such as changepoint")
 
     def _check_groups(self, names: list[str]) -> None:
         if self.polling.groups is None:

@@ -18,6 +18,11 @@ from smbus2 import SMBus, i2c_msg
 from msp_range.bus.base import BusError
 
 
+def bus_of(text: str) -> int | str:
+    """Bus number, or path, from the command line."""
+    return int(text) if text.isdecimal() else text
+
+
 class BusInUse(BusError):
     """Another process works on the bus: one of these commands, for no other program takes the lock."""
 

@@ -29,7 +29,7 @@ LONGEST_TEXT = 10_000
 LARGEST_TIME_S = 1e10
 """Times are not farther from the clock's zero than this [s]: 300 years, at which a float still tells microseconds."""
 
-ATTITUDE_TOPIC, MOTION_TOPIC = "/attitude", "/motion"
+ATTITUDE_TOPIC, MOTION_TOPIC, FUSED_TOPIC = "/attitude", "/motion", "/fused"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _RANGE: tuple[str, _PropertyTable] = (
@@ -54,7 +54,7 @@ _RANGE: tuple[str, _PropertyTable] = (
 )
 
 TOPICS: dict[str, tuple[str, _PropertyTable]] = {
-    "/fused": (
+    FUSED_TOPIC: (
         "the ground from all downward sensors",
         {
             "time_s": _TIME_S,
@@ -118,6 +118,7 @@ _TRUTH: tuple[str, _PropertyTable] = (
 REQUIRED: dict[str, frozenset[str]] = {
     RANGE_PREFIX: frozenset({"time_s", "ping_s", "read_s", "status"}),
     TRUTH_PREFIX: frozenset(),
+    FUSED_TOPIC: frozenset(),
     ATTITUDE_TOPIC: frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
     MOTION_TOPIC: frozenset({"time_s"}),
     "/campaign": frozenset({"event", "point", "attempt", "run", "planned"}),

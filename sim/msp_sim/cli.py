@@ -1,14 +1,14 @@
 """msp-sim: the commands of what imitates."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from msp_lab.gap.cli import app as gap_app
+from msp_range.extras import require
 from msp_range.mistakes import tell_mistakes
+from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.yaml_file import ConfigError
 
 ReadBy = Annotated[
@@ -47,6 +47,7 @@ def fly(
     In --out: summary.json (what the table shows), flight.mcap (every stage of every reading, for Foxglove or
     'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
     """
+    require("sim", "msp-sim fly")
     from msp_sim.flight.flying import fly_scenario
 
     if realtime and speed is not None:
@@ -92,7 +93,8 @@ def sitl(
     vehicle is disarmed and stands on the ground: that is where the heights begin. docs/sitl.md has the commands and
     parameters.
     """
-    from msp_sim.flight.flying import fly_sitl
+    require("sim", "msp-sim sitl")
+    from msp_sim.sitl.flying import fly_sitl
 
     fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)
 
@@ -106,6 +108,7 @@ def sample(
     seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
 ) -> None:
     """Draw one reading a row of a CSV from a sensor model."""
+    require("sim", "msp-sim sample")
     from numpy.random import default_rng
 
     from msp_range.recording.csv_form import read_csv, write_csv
@@ -124,87 +127,33 @@ def sample(
 
 @app.command()
 @tell_mistakes
-def effects(
-    as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
-) -> None:
-    """List the effects that a sensor model file may name: what each is, what it needs, and what would show it."""
-    from msp_sim.effects import CATALOGUE
-    from msp_sim.effects.listing import as_data, as_text
-
-    print(json.dumps(as_data(CATALOGUE), indent=2) if as_json else as_text(CATALOGUE))
-
-
-@app.command()
-@tell_mistakes
-def collect(
-    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
-    out: Annotated[
-        Path, typer.Option(help="folder for recordings and table; one that has some already is gone on with")
+def show(
+    recording: Annotated[
+        Path, typer.Argument(metavar="FLIGHT.mcap", help="a recording of 'msp-sim fly' or 'msp-range run'")
     ],
-    model: ReadBy = None,
-    seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same readings")] = 1,
-    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
-    repeat: Annotated[
-        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
-    ] = None,
+    out: Annotated[Path, typer.Option(metavar="PICTURE.png", help="picture to make")],
 ) -> None:
-    """Go through a campaign on emulated sensors, unattended: the code of 'msp-range collect', with nobody at the bench.
+    """Draw a recorded flight, simulated or real: what each sensor read, what was held back, and the fused distance.
 
-    In --out: readings.csv (all readings that count, in the one CSV form) and sitting-001.mcap ... Interrupted, the same
-    command goes on and ends with the same readings. Of a campaign of flights it flies the scenarios.
+    Below it the errors, where the recording knows the truth.
     """
-    from msp_lab.campaigns.collecting import collect_campaign, collect_flights
-    from msp_lab.campaigns.flights import is_of_flights
-
-    if is_of_flights(campaign_file):
-        collect_flights(campaign_file, out, model, seed)
-    else:
-        collect_campaign(campaign_file, out, model, seed, only or [], repeat or [])
-
-
-@app.command()
-@tell_mistakes
-def filters(
-    table: Annotated[
-        Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")
-    ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=10, max=5000, help="runs of each scenario that filters are compared on")
-    ] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
-    out: Annotated[Path | None, typer.Option(help="folder for figures 5.7-5.15 and the tables as CSV and JSON")] = None,
-) -> None:
-    """The report's filter study: its nine filters in its three scenarios, what explains its rows, and a better filter.
-
-    Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
-    an implementation must have done otherwise to get it, or says what was tried.
-    """
-    from msp_lab.filter_study.explain import explain
-    from msp_lab.filter_study.goals import goals
-    from msp_lab.filter_study.publish import publish
-    from msp_lab.filter_study.show import print_explanations, print_goals, print_tables
-    from msp_lab.filter_study.study import delays, study
-    from msp_lab.filter_study.table import read_table, report_table
-    from msp_range.terminal import console
+    if recording.is_dir():
+        print(f"{recording}: expected a recording (.mcap); pages of the gap workflow: msp-lab show", file=sys.stderr)
+        raise typer.Exit(EXIT_COMMAND_LINE)
+    require("sim", "msp-sim show")
+    from msp_sim.flight.flight_picture import draw
+    from msp_sim.flight.recorded import recorded_flight
     from msp_sim.terminal import make_folder
 
-    rows = report_table() if table is None else read_table(table)
-    if out is not None:
-        make_folder(out)
-    shown = console()
-    with shown.status("comparing filters"):
-        results = study(seeds, seed)
-    with shown.status("explaining the table"):
-        reverse, verdicts = explain(rows)
-    print_tables(shown, verdicts, delays(results))
-    print_explanations(shown, reverse, verdicts)
-    print_goals(shown, goals(results))
-    if out is not None:
-        for path in publish(out, results, reverse, verdicts, seed):
-            print(f"written: {path}")
+    if out.exists():
+        raise ConfigError(f"{out}: there is a file already, and none is overwritten")
+    flight = recorded_flight(recording)
+    make_folder(out.parent)
+    draw(flight, out, recording.name)
+    print(f"picture: {out}")
 
 
-app.add_typer(gap_app)
+add_moved(app, {name: f"msp-lab {name}" for name in ("collect", "gap", "compare", "name", "add", "effects", "filters")})
 
 
 def main() -> None:

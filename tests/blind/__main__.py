@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--standard-errors", type=float, help="all of one size")
     parser.add_argument("--plan", nargs="+", metavar="KIND[:REGIME|S.E.]=COUNT", help="how many of what, instead")
     parser.add_argument("--at-once", type=int, default=2, help="processes")
-    parser.add_argument("--until", choices=("name", "add", "show"), default="add", help="last step of msp-sim gap")
+    parser.add_argument("--until", choices=("name", "add", "show"), default="add", help="last step of msp-lab gap")
     parser.add_argument("--nulls-until", choices=("name", "add", "show"), default="name", help="the same for nulls")
     parser.add_argument("--step", choices=("all", "draw", "run", "score"), default="all")
     given = parser.parse_args()

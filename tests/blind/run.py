@@ -155,7 +155,7 @@ def _do_base(campaign: Campaign, regime: Regime) -> str:
         return ""
     # The lift's heights are true to a hair: what its runs differ by is the sensor's and the vehicle's.
     given = ("--sensor", SENSOR, "--set-up-std-cm", 0.02, "--seed", campaign.seed)
-    return _tools.call("msp-range", "characterise", base, *given, "--out", model)
+    return _tools.call("msp-lab", "characterise", base, *given, "--out", model)
 
 
 def _do_table(campaign: Campaign, case: Case) -> str:
@@ -166,7 +166,7 @@ def _do_table(campaign: Campaign, case: Case) -> str:
     # Made beside its place, so that what is in it is finished.
     begun = table / "gap.part"
     wrong = _tools.call(
-        "msp-sim", "gap", table / "measured.csv", "--model", model, "--out", begun, "--seed", campaign.seed,
+        "msp-lab", "gap", table / "measured.csv", "--model", model, "--out", begun, "--seed", campaign.seed,
         "--until", until,
     )  # fmt: skip
     if not wrong:

@@ -19,13 +19,13 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Say
+from msp_lab.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
-from msp_sim.cli import app
 from msp_sim.device.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, Told, campaign, condition, written
 
@@ -331,7 +331,7 @@ def test_the_recording_holds_campaign_and_models(tmp_path: Path) -> None:
 
 def test_the_command_end_to_end(tmp_path: Path) -> None:
     """The afternoon's campaign by the command: what the table says of the sensor is what its model says."""
-    args = ["collect", str(CONFIGS / "campaigns/afternoon.yaml"), "--out", str(tmp_path / "out")]
+    args = ["collect", str(CONFIGS / "campaigns/afternoon.yaml"), "--simulate", "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, args, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert "7260 readings" in result.output
@@ -352,7 +352,7 @@ def test_the_command_end_to_end(tmp_path: Path) -> None:
 
 def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path: Path) -> None:
     path = written(tmp_path, *SEVERAL)
-    command = [sys.executable, "-c", "from msp_sim.cli import main; main()", "collect", path, "--out"]
+    command = [sys.executable, "-c", "from msp_lab.cli import main; main()", "collect", path, "--simulate", "--out"]
     limit = (20_000, resource.RLIM_INFINITY)  # bytes a file, which the kernel enforces as it does the end of a disk
     full = subprocess.run(
         [*command, tmp_path / "full"],
@@ -378,7 +378,7 @@ def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path:
 )
 def test_mistakes_are_one_line(args: list[str], said: str, tmp_path: Path) -> None:
     path = written(tmp_path)
-    result = CliRunner().invoke(app, ["collect", str(path), "--out", str(tmp_path / "out"), *args])
+    result = CliRunner().invoke(app, ["collect", str(path), "--simulate", "--out", str(tmp_path / "out"), *args])
     assert result.exit_code == 3
     assert said in result.output
     assert len(result.output.strip().splitlines()) == 1
@@ -386,7 +386,7 @@ def test_mistakes_are_one_line(args: list[str], said: str, tmp_path: Path) -> No
 
 
 def test_only_and_repeat_by_the_command(tmp_path: Path) -> None:
-    args = ["collect", str(written(tmp_path, *SEVERAL)), "--out", str(tmp_path / "out")]
+    args = ["collect", str(written(tmp_path, *SEVERAL)), "--simulate", "--out", str(tmp_path / "out")]
     first = CliRunner().invoke(app, [*args, "--only", "fov"], catch_exceptions=False)
     assert "120 readings, 120 of them now" in first.output
     second = CliRunner().invoke(app, [*args, "--repeat", "fov-60cm-+0deg"], catch_exceptions=False)

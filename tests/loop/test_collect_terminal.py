@@ -1,4 +1,4 @@
-"""A scripted person at the terminal of `msp-range collect`: what they are shown, and what their answers do."""
+"""A scripted person at the terminal of `msp-lab collect`: what they are shown, and what their answers do."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from msp_lab.campaigns.terminal import Terminal
-from msp_range.cli import app
+from msp_lab.cli import app
 from msp_sim.device.device import Fault
 from tests.support.campaigns import CONFIGS, Collected, campaign, condition, written
 

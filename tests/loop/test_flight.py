@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 from mcap.reader import make_reader
 from pymavlink.dialects.v20 import common
 from scipy.stats import kstest
 from typer.testing import CliRunner
 
+from msp_range.cli import app as bridge_app
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
@@ -21,6 +23,7 @@ from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.recorded import recorded_flight
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
@@ -185,6 +188,26 @@ def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
         names += [message.get_type() for message in parser.parse_buffer(frames[8 : 8 + length])]
         frames = frames[8 + length :]
     assert names.count("HEARTBEAT") >= 30
+
+
+def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -> None:
+    """As a simulator recorded it, and as a vehicle would have: replayed, there is no truth."""
+    run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
+    recording, replayed = tmp_path / "f" / "flight.mcap", tmp_path / "replayed.mcap"
+    assert CliRunner().invoke(bridge_app, ["replay", str(recording), "--record", str(replayed)]).exit_code == 0
+    run("show", recording, "--out", tmp_path / "pictures" / "simulated.png")
+    run("show", replayed, "--out", tmp_path / "pictures" / "real.png")
+    sizes = [imread(tmp_path / "pictures" / f"{name}.png").shape for name in ("simulated", "real")]
+    assert sizes[0][0] > sizes[1][0], "there are no errors to show below"
+    flight, simulation = recorded_flight(recording), fly("hover.yaml")[0]
+    assert flight.tracks.keys() == simulation.tracks.keys()
+    for name, track in flight.tracks.items():
+        assert track.raw_m == simulation.tracks[name].raw_m
+        assert track.why == simulation.tracks[name].why
+        known = [(a, b) for a, b in zip(track.truth_m, simulation.tracks[name].truth_m, strict=True) if b is not None]
+        assert known == [(pytest.approx(b, abs=1e-6), b) for _, b in known]
+    assert flight.fused.filtered_m == simulation.fused.filtered_m
+    assert all(truth is None for track in recorded_flight(replayed).tracks.values() for truth in track.truth_m)
 
 
 def test_another_model_flies(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from msp_lab.cli import app
 from msp_lab.gap.findings import read_findings
 from msp_range.recording.csv_form import write_csv
-from msp_sim.cli import app
+from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, ROOT, readings
 
@@ -19,7 +20,8 @@ PICTURES = ("residuals.png", "path.png", "pit.png")
 
 
 def run(*arguments: Any, code: int = 0) -> str:
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    program = sim_app if arguments[0] == "fly" else app
+    result = CliRunner().invoke(program, [str(each) for each in arguments])
     assert result.exit_code == code, result.output
     return result.output
 
@@ -98,11 +100,11 @@ def test_data_that_changed_between_steps_are_told(folder: Path, tmp_path: Path) 
     run("compare", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
     (tmp_path / "flights.csv").unlink()
     write_csv(tmp_path / "flights.csv", readings(600, 5))
-    assert "has changed since 'msp-sim compare'" in run("name", tmp_path / "out", code=3)
+    assert "has changed since 'msp-lab compare'" in run("name", tmp_path / "out", code=3)
 
 
 def test_a_folder_without_a_comparison_is_told(tmp_path: Path) -> None:
-    assert "'msp-sim compare' or 'msp-sim gap' makes it" in run("add", tmp_path, code=3)
+    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("add", tmp_path, code=3)
 
 
 def test_nothing_missing_says_what_would_have_been_seen(tmp_path: Path) -> None:
@@ -156,7 +158,7 @@ def test_a_campaign_whose_sensor_is_off_shows_it(tmp_path: Path) -> None:
     )
     (tmp_path / "off.yaml").write_text(off, encoding="utf-8")
     campaign = ROOT / "configs" / "campaigns" / "afternoon.yaml"
-    run("collect", campaign, "--model", tmp_path / "off.yaml", "--out", tmp_path / "made")
+    run("collect", campaign, "--simulate", "--model", tmp_path / "off.yaml", "--out", tmp_path / "made")
     run("compare", tmp_path / "made" / "readings.csv", "--model", bench, "--out", tmp_path / "out")
     run("add", tmp_path / "out")
     found = read_findings(tmp_path / "out")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from msp_lab.cli import app
 from msp_lab.gap.findings import GapFindings, read_findings
 from msp_range.recording.csv_form import write_csv
-from msp_sim.cli import app
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
 

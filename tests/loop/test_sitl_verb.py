@@ -27,7 +27,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
-from msp_sim.flight.flying import fly_sitl
+from msp_sim.sitl.flying import fly_sitl
 from msp_sim.sitl.sitl import POSE_STALE_S, HeardVehicle
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -1,4 +1,7 @@
-"""`msp-range collect` as a person starts it, with the stock smbus2 on an emulated kernel's bus, typing its answers."""
+"""`msp-lab collect` as a person starts it, with the stock smbus2 on an emulated kernel's bus, typing its answers.
+
+The bench is a small computer: nothing of the extras is installed.
+"""
 
 import sys
 from pathlib import Path
@@ -10,7 +13,8 @@ from msp_sim.device.device import Fault
 from tests.support.campaigns import condition, written
 from tests.support.kernel_bus import Sonar, kernel_bus
 
-PROGRAM = "from msp_range.cli import main; main()"
+EXTRAS = ("filterpy", "jinja2", "matplotlib", "scipy")
+PROGRAM = f"import sys; sys.modules.update(dict.fromkeys({EXTRAS})); from msp_lab.cli import main; main()"
 
 
 def test_a_campaign_on_a_kernel_bus(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_the_commands_are_found_by_any_name(tmp_path: Path) -> None:
     link = tmp_path / "a link to it"
     link.symlink_to(COMMAND)
     path = os.pathsep.join([str(COMMAND.parent), os.environ["PATH"]])
-    for command in ([link], ["msp-range"], ["msp-sim"], ["sh", COMMAND]):
+    for command in ([link], ["msp-range"], ["msp-sim"], ["msp-lab"], ["sh", COMMAND]):
         done = subprocess.run(
             [*command, "--help"], capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "PATH": path}
         )

@@ -15,9 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
+from msp_lab.cli import app
 from msp_lab.gap.findings import FoundEffect, GapFindings, read_findings
-from msp_range.cli import app as range_app
-from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, Regime, contexts, habits
 from tests.blind.mechanisms import MECHANISMS
@@ -71,7 +70,7 @@ def flown(seed: int, hidden: Hidden = (), regime: Regime = "iid", twist: str = "
     return Flown(flight.columns, reading_cm, regime, hidden)
 
 
-def run(app: Any, *arguments: Any) -> None:
+def run(*arguments: Any) -> None:
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     assert result.exit_code == 0, result.output
 
@@ -86,7 +85,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Regime], Path]:
         if not model.exists():
             write(folder / f"{regime}.csv", *fly_base(BASE_SEED, regime))
             given = ("--sensor", SENSOR, "--set-up-std-cm", "0.02")
-            run(range_app, "characterise", folder / f"{regime}.csv", *given, "--out", model)
+            run("characterise", folder / f"{regime}.csv", *given, "--out", model)
         return model
 
     return of
@@ -99,7 +98,7 @@ def look(base: Callable[[Regime], Path], tmp_path_factory: pytest.TempPathFactor
     def at(flights: Flown) -> Looked:
         folder = tmp_path_factory.mktemp("table")
         write(folder / "measured.csv", flights.columns, flights.reading_cm)
-        run(sim_app, "gap", folder / "measured.csv", "--model", base(flights.regime), "--out", folder / "gap")
+        run("gap", folder / "measured.csv", "--model", base(flights.regime), "--out", folder / "gap")
         gap = json.loads((folder / "gap" / "gap.json").read_text(encoding="utf-8"))
         hidden = [
             {"mechanism": name, "channel": MECHANISMS[name].channel, "variables": MECHANISMS[name].variables}

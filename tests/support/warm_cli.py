@@ -1,4 +1,4 @@
-"""The commands msp-range and msp-sim without the second or two that each takes to start.
+"""The commands msp-lab, msp-range and msp-sim without the second or two that each takes to start.
 
 ``python -m tests.support.warm_cli`` has imported them once. It reads command lines from standard input, each a JSON
 list on a line of its own, runs each in a fork of itself as the command would run, and answers a line: exit code and the
@@ -26,12 +26,13 @@ TAIL = 500
 
 def main() -> None:
     """Serve until there is no more to read."""
+    from msp_lab.cli import main as msp_lab
     from msp_range.cli import main as msp_range
     from msp_sim.cli import main as msp_sim
 
     for module in HEAVY:
         import_module(module)
-    commands = {"msp-range": msp_range, "msp-sim": msp_sim}
+    commands = {"msp-lab": msp_lab, "msp-range": msp_range, "msp-sim": msp_sim}
     for line in sys.stdin:
         argv = json.loads(line)
         with tempfile.TemporaryFile() as said:

@@ -43,7 +43,7 @@ def test_a_table_is_drawn_and_looked_at_and_its_answer_is_apart(
     (null,) = draw_cases(3, 1, "null", "ar1")
     tools = FakeTools()
     assert do(campaign, null, tools, monkeypatch) == ""
-    assert [call[:2] for call in tools.calls] == [["msp-range", "characterise"], ["msp-sim", "gap"]]
+    assert [call[:2] for call in tools.calls] == [["msp-lab", "characterise"], ["msp-lab", "gap"]]
     assert tools.calls[1][-2:] == ["--until", "name"]
     assert not any("answers" in word for call in tools.calls for word in call)
     assert campaign.said(null).exists()
@@ -72,7 +72,7 @@ def test_what_fails_is_told_and_made_again(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_commands_that_stay_loaded_answer_as_commands_do() -> None:
-    lines = [["msp-sim", "effects", "--json"], ["msp-sim", "show", "no-such-folder"], ["msp-range", "nonsense"]]
+    lines = [["msp-lab", "effects", "--json"], ["msp-lab", "show", "no-such-folder"], ["msp-range", "nonsense"]]
     done = subprocess.run(
         [sys.executable, "-m", "tests.support.warm_cli"],
         input="".join(json.dumps(line) + "\n" for line in lines),

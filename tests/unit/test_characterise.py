@@ -1,4 +1,4 @@
-"""msp-range characterise: from a bench by plain sampling, and from real data, to a sensor model that can fly."""
+"""msp-lab characterise: from a bench by plain sampling, and from real data, to a sensor model that can fly."""
 
 import json
 import re
@@ -9,7 +9,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from msp_range.cli import app
+from msp_lab.cli import app
 from msp_range.config import load_airframe
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv

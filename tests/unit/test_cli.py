@@ -7,14 +7,17 @@ import re
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
+from msp_lab.cli import app as lab_app
 from msp_range.cli import app
 from msp_range.config import Airframe
+from msp_range.extras import EXTRAS
 from msp_range.mistakes import tell_mistakes
 from msp_sim.cli import app as sim_app
 from msp_sim.device.bus import EmulatedBus
@@ -22,7 +25,7 @@ from msp_sim.device.device import MB1242
 from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export", "collect"]
+COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export", "tune"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -33,10 +36,37 @@ def test_every_command_explains_itself(command: str) -> None:
     assert len(result.output.splitlines()) > 6
 
 
-@pytest.mark.parametrize("command", ["fly", "sample", "sitl", "collect"])
+@pytest.mark.parametrize("command", ["fly", "sample", "sitl", "show"])
 def test_every_simulator_command_explains_itself(command: str) -> None:
     assert command in CliRunner().invoke(sim_app, ["--help"]).output
     assert CliRunner().invoke(sim_app, [command, "--help"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "command", ["collect", "characterise", "gap", "compare", "name", "add", "show", "effects", "filters"]
+)
+def test_every_command_of_the_laboratory_explains_itself(command: str) -> None:
+    assert command in CliRunner().invoke(lab_app, ["--help"]).output
+    assert CliRunner().invoke(lab_app, [command, "--help"]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "args", "now"),
+    [
+        (app, ["collect", "campaign.yaml", "--out", "x"], "msp-lab collect"),
+        (app, ["characterise", "--help"], "msp-lab characterise"),
+        (sim_app, ["collect", "campaign.yaml", "--out", "x"], "msp-lab collect"),
+        (sim_app, ["effects", "--json"], "msp-lab effects"),
+        (sim_app, ["gap", "readings.csv", "--model", "m.yaml"], "msp-lab gap"),
+        (sim_app, ["show", ".", "--out", "x.png"], "msp-lab show"),
+    ],
+)
+def test_a_command_that_has_moved_names_the_new_one(old: typer.Typer, args: list[str], now: str) -> None:
+    result = CliRunner().invoke(old, args)
+    assert result.exit_code == 2
+    assert now in result.stderr
+    assert len(result.output.strip().splitlines()) == 1
+    assert args[0] == "show" or args[0] not in CliRunner().invoke(old, ["--help"]).output
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
@@ -186,23 +216,38 @@ def test_the_demo_flies_again() -> None:
 
 
 @pytest.mark.parametrize(
-    "args",
+    ("missing", "command", "extra"),
     [
-        ["fly", "scenarios/sinusoid.yaml"],
-        ["sitl", "loopback.yaml", "--duration", "0.5", "--link", "udpout:127.0.0.1:9"],
+        ("matplotlib", "msp-sim fly scenarios/sinusoid.yaml --out {}", "sim"),
+        ("scipy", "msp-sim sitl loopback.yaml --duration 0.5 --link udpout:127.0.0.1:9 --out {}", "sim"),
+        ("scipy", "msp-sim sample sensors/mb1242.yaml --contexts none.csv --out {}", "sim"),
+        ("matplotlib", "msp-sim show none.mcap --out {}", "sim"),
+        ("scipy", "msp-lab collect campaigns/afternoon.yaml --simulate --out {}", "sim"),
+        ("jinja2", "msp-lab characterise none.csv --out {}", "lab"),
+        ("jinja2", "msp-lab gap none.csv --model sensors/mb1242.yaml --out {}", "lab"),
+        ("matplotlib", "msp-lab filters --out {}", "lab"),
+        ("filterpy", "msp-range tune none.mcap", "kalman"),
     ],
-    ids=["fly", "sitl"],
 )
-def test_without_matplotlib_there_are_numbers_and_no_picture(args: list[str], tmp_path: Path) -> None:
-    code = "import sys; sys.modules['matplotlib'] = None; from msp_sim.cli import main; main()"
-    command = [sys.executable, "-c", code, *args, "--out", tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=CONFIGS, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    # Said before the flight, not after it.
-    assert done.stdout.startswith("matplotlib is missing, so no picture will be drawn")
-    assert json.loads((tmp_path / "summary.json").read_text())["duration_s"] > 0
-    assert not (tmp_path / "flight.png").exists()
+def test_what_draws_or_fits_asks_for_its_extra_before_the_work(
+    missing: str, command: str, extra: str, tmp_path: Path
+) -> None:
+    program, *args = command.format(tmp_path / "out").split()
+    code = f"import sys; sys.modules[{missing!r}] = None; from {program.replace('-', '_')}.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, cwd=CONFIGS, timeout=60)
+    assert done.returncode == 3, done.stderr
+    assert re.fullmatch(rf".* needs {missing}: pip install 'msp-range\[{extra}\]'\n", done.stderr)
+    assert done.stdout == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_extras_are_those_of_the_packaging() -> None:
+    packaging = tomllib.loads((CONFIGS.parent / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for extra, packages in EXTRAS.items():
+        named = {re.split(r"[>\[=]", requirement)[0] for requirement in packaging[extra]}
+        if "msp-range" in named:
+            named |= set(EXTRAS["sim"])
+        assert named - {"msp-range"} == set(packages), extra
 
 
 def test_a_full_disk_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:

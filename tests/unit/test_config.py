@@ -2,6 +2,7 @@
 
 import copy
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -198,6 +199,18 @@ def test_what_is_left_out() -> None:
 def test_a_mistake_is_explained(tmp_path: Path, change: Change, expected: str) -> None:
     (line,) = mistakes(tmp_path, change)
     assert line.startswith(expected)
+
+
+def test_a_kalman_filter_asks_for_its_package_where_it_would_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the flight. The fused stream has a filter of its own."""
+    single: dict[str, Any] = {"sensors": ["front_left"]}
+    load_airframe(write(tmp_path, lambda content: content.update(send=single)))
+    monkeypatch.setitem(sys.modules, "filterpy", None)
+    load_airframe(write(tmp_path, lambda content: None))
+    (line,) = mistakes(tmp_path, lambda content: content.update(send=single))
+    assert "filters: kalman needs filterpy: pip install 'msp-range[kalman]'" in line
 
 
 def test_known_keys_are_those_of_the_filter_that_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from msp_lab.cli import app as lab_app
 from msp_range.acoustics.atmosphere import Atmosphere, speed_of_sound_humid
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
@@ -212,8 +213,8 @@ def test_the_catalogue_explains_itself() -> None:
             assert parameter.null is None or parameter.default is None
         values = STRONG[name]
         assert Model.of(sensor()).adding(name, OF[effect.of] if effect.of else None, **values).needs >= {*effect.needs}
-    listed = CliRunner().invoke(app, ["effects"]).output
-    data = json.loads(CliRunner().invoke(app, ["effects", "--json"]).output)
+    listed = CliRunner().invoke(lab_app, ["effects"]).output
+    data = json.loads(CliRunner().invoke(lab_app, ["effects", "--json"]).output)
     assert [each["name"] for each in data] == list(CATALOGUE)
     assert all(f"{name} (" in listed for name in CATALOGUE)
 

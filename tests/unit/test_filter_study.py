@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from msp_lab.cli import app
 from msp_lab.filter_study.candidates import changepoint, oracle
 from msp_lab.filter_study.explain import Verdict, explain
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
@@ -20,7 +21,6 @@ from msp_lab.filter_study.scenarios import Runs, gaussian_parameters, report_rea
 from msp_lab.filter_study.statistics import delay_samples, mirrored, statistics
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import app
 
 READINGS = np.random.default_rng(5).normal(300.0, 20.0, (3, 40)).round()
 
@@ -127,7 +127,7 @@ def test_statistics_and_delay() -> None:
 
 
 def test_the_changepoint_filter_beats_the_nine_in_all_scenarios() -> None:
-    """A short form of the study; the whole one is `msp-sim filters`."""
+    """A short form of the study; the whole one is `msp-lab filters`."""
     for index, name in enumerate(("fixed", "steps", "random")):
         rng = np.random.default_rng([8, index])
         runs = report_readings(truth(name, 40, rng), rng)

@@ -10,12 +10,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights
+from msp_lab.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import app
 from tests.support.campaigns import CONFIGS
 
 
@@ -136,7 +136,9 @@ def test_the_same_flight_twice_is_refused(tmp_path: Path) -> None:
 
 def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
     result = CliRunner().invoke(
-        app, ["collect", str(campaign_file(tmp_path)), "--out", str(tmp_path / "out")], catch_exceptions=False
+        app,
+        ["collect", str(campaign_file(tmp_path)), "--simulate", "--out", str(tmp_path / "out")],
+        catch_exceptions=False,
     )
     assert result.exit_code == 0, result.output
     data = read_csv(tmp_path / "out/readings.csv")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from msp_lab.cli import app
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import FoundEffect, GapFindings, Rival, Settings, Source, Step, Unknown, Value
 from msp_lab.gap.measures import Table
@@ -17,7 +18,6 @@ from msp_lab.gap.report import Models, write_report
 from msp_lab.gap.words import headline
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
-from msp_sim.cli import app
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
 from tests.unit.test_gap_findings import FULL
@@ -118,7 +118,7 @@ def test_a_model_that_changed_between_steps_is_told(tmp_path: Path) -> None:
     model.write_text("# Another line.\n" + model.read_text(encoding="utf-8"), encoding="utf-8")
     named = CliRunner().invoke(app, ["name", str(tmp_path / "out")])
     assert named.exit_code == 3
-    assert "given.yaml: has changed since 'msp-sim compare'" in named.output
+    assert "given.yaml: has changed since 'msp-lab compare'" in named.output
 
 
 def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ class KernelBench:
         except BusError as error:
             raise ConfigError(
                 f"{self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; is I2C switched on, is --bus "
-                "the right one, and may you use it? msp-sim collect goes through a campaign without sensors"
+                "the right one, and may you use it? msp-lab collect --simulate goes through a campaign without sensors"
             ) from None
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:

@@ -1,27 +1,61 @@
-"""What ``msp-sim collect`` does: a campaign on emulated sensors, by the code of ``msp-range collect``.
+"""What ``msp-lab collect --simulate`` does: a campaign on emulated sensors, by the code that a real bench is read with.
 
 A campaign's file and the command's options enter; recordings and one table of readings leave.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
+
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
 from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.collect import chosen, collect
-from msp_lab.campaigns.flights import Hangar, load_flights
-from msp_lab.campaigns.plan import plan
+from msp_lab.campaigns.flights import Hangar, load_flights, show_flights
+from msp_lab.campaigns.plan import Point, plan
 from msp_lab.campaigns.simulated_bench import Nobody, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
+from msp_lab.campaigns.terminal import show_plan
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
+from msp_range.terminal import PlainConsole
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.flight.show import Collecting
+from msp_sim.terminal import Bar
+
+
+class Collecting(Bar):
+    """A campaign's progress: a bar on a terminal, and elsewhere a line for each question."""
+
+    def __init__(self, todo: Sequence[Point]) -> None:
+        self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
+            TimeRemainingColumn(),
+        )
+        super().__init__(*columns, total=self._total)
+        self._question = ""
+
+    def take(self, point: Point, readings: int) -> None:
+        """Show where the collection is."""
+        if self.is_shown:
+            self.show(point.condition, readings)
+        elif point.question != self._question:
+            self._question = point.question
+            print(f"{readings} of {self._total} readings; now {point.condition}: {point.question}")
 
 
 def collect_campaign(
-    campaign_file: Path, out: Path, model: Path | None, seed: int, only: list[str], repeat: list[str]
+    campaign_file: Path,
+    out: Path,
+    model: Path | None,
+    seed: int,
+    only: list[str],
+    repeat: list[str],
+    plan_only: bool,
 ) -> None:
     """Read the points of a campaign at the bench; the parameters are the options of the command."""
     campaign = load_campaign(campaign_file)
@@ -32,6 +66,10 @@ def collect_campaign(
     models, described = readings_of(campaign, model)
     bench = SimulatedBench(campaign, points, models, seed, described)
     store = Store(out, points, bench.description, bench.clock, campaign.files)
+    if plan_only:
+        listed = [point for point in points if point.name in wanted | again]
+        show_plan(PlainConsole(), campaign, listed, store.is_done)
+        return
     system = SystemClock()
     started_s = system.now()
     todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
@@ -52,10 +90,13 @@ def collect_campaign(
     )
 
 
-def collect_flights(campaign_file: Path, out: Path, model: Path | None, seed: int) -> None:
+def fly_flights(campaign_file: Path, out: Path, model: Path | None, seed: int, plan_only: bool) -> None:
     """Fly a campaign's flights, those that are not recorded yet; the parameters are the options of the command."""
     campaign = load_flights(campaign_file)
     hangar = Hangar(out, campaign)
+    if plan_only:
+        show_flights(campaign, hangar, PlainConsole())
+        return
     sensor_model = load_sensor_model(model) if model is not None else None
     scenarios = {
         flight.flight: load_scenario(campaign_file.parent / flight.scenario)

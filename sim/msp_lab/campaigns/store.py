@@ -260,7 +260,7 @@ class Store:
             how = "is not in it" if point is None else _changed(message["planned"], point)
             raise RecordingError(
                 f"{path}: the campaign has changed since: point {name} {how}; go on with the campaign file of then "
-                "(msp-range collect keeps it in the recording), or name another folder with --out"
+                "(msp-lab collect keeps it in the recording), or name another folder with --out"
             )
         attempts = self._attempts.setdefault(name, [])
         if not 1 <= message["attempt"] <= MOST_ATTEMPTS:

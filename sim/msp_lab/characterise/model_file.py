@@ -92,7 +92,7 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
     ]
     told = {name for _, names in sections for name in names}
     assert told == set(content), f"no section for {set(content) ^ told}"
-    lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-range characterise.", ""]
+    lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for comments, names in sections:
         lines += [f"# {line}" for comment in comments for line in _wrapped(comment)]
         lines += [_yaml(name, content[name]) for name in names]

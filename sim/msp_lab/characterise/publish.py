@@ -3,7 +3,6 @@
 Findings enter, files leave; none is overwritten.
 """
 
-from importlib.util import find_spec
 from pathlib import Path
 
 from msp_lab.characterise.findings import Findings, as_json
@@ -21,7 +20,7 @@ def check_free(out: Path, folder: Path | None) -> None:
     Raises
     ------
     ConfigError
-        There is a file already, or what draws the report is not installed.
+        There is a file already.
     """
     taken = [out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])]
     for path in taken:
@@ -31,9 +30,6 @@ def check_free(out: Path, folder: Path | None) -> None:
         for parent in path.parents:
             if parent.exists() and not parent.is_dir():
                 raise ConfigError(f"{path}: {parent} is a file, expected a folder")
-    missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
-    if folder is not None and missing:
-        raise ConfigError(f"--report needs {' and '.join(missing)}: pip install 'msp-range[lab]'; or leave it out")
 
 
 def publish(findings: Findings, data: MeasuredData, model: SensorModel, folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The commands of the gap workflow, which msp-sim takes in among its own.
+"""The commands of the gap workflow, which msp-lab takes in among its own.
 
 Options enter, lines on the terminal and files leave. `gap` and `compare` begin with readings and have the same options;
 `name`, `add` and `show` go on in a folder.
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
+from msp_range.extras import require
 from msp_range.mistakes import tell_mistakes
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 Out = Annotated[Path, typer.Option(metavar="DIR", help="folder for gap.json, model.yaml, report.html and pictures")]
-OutArgument = Annotated[Path, typer.Argument(metavar="DIR", help="folder that 'msp-sim compare' or 'gap' made")]
+OutArgument = Annotated[Path, typer.Argument(metavar="DIR", help="folder that 'msp-lab compare' or 'gap' made")]
 Measured = Annotated[
     list[Path], typer.Argument(metavar="MEASURED", help="readings with a true range (.csv) or recordings (.mcap)")
 ]
@@ -83,6 +84,7 @@ def _goes_on(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
 
 def _told(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
     """Do a step with its progress on the terminal, and say what it found."""
+    require("lab", "The gap workflow")
     from msp_lab.gap.commands import Steps
     from msp_lab.gap.terminal import Progressing, print_findings
 

@@ -5,7 +5,6 @@ Paths and a clock enter; what is written is ``gap.json``, the extended model, th
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -85,9 +84,6 @@ class Steps:
         return findings
 
     def _draw(self, findings: GapFindings, before: Model, table: Table) -> None:
-        missing = [name for name in ("matplotlib", "jinja2") if find_spec(name) is None]
-        if missing:
-            raise ConfigError(f"The report needs {' and '.join(missing)}: pip install 'msp-range[lab]'")
         from msp_lab.gap.report import Models, write_report
 
         proved, quoted = (
@@ -107,7 +103,7 @@ class Steps:
         added = workflow.add(compared, named, explained, self.say)
         findings = self._written(added.findings, started_s)
         given = Path(findings.settings.model).name
-        write_model(self.folder / MODEL, added.model, findings, f"{given}, extended by msp-sim gap on {findings.date}.")
+        write_model(self.folder / MODEL, added.model, findings, f"{given}, extended by msp-lab gap on {findings.date}.")
         heading = f"{given} as it was when the confirming runs judged it; to fly with, take {MODEL}."
         write_model(self.folder / PROVED, added.proved, findings, heading)
         return findings
@@ -128,7 +124,7 @@ class Steps:
         if earlier.model_sha256 != now.model_sha256:
             changed.append(earlier.settings.model)
         if changed:
-            raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-sim compare'; compare again")
+            raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-lab compare'; compare again")
         return compared
 
     def _readings(self, findings: GapFindings) -> tuple[Model, Table]:

@@ -367,7 +367,7 @@ def from_json(text: str) -> GapFindings:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"not written by msp-sim gap: {place + ': ' if place else ''}{first['msg']}") from None
+        raise ValueError(f"not written by msp-lab gap: {place + ': ' if place else ''}{first['msg']}") from None
 
 
 def write_findings(findings: GapFindings, folder: Path) -> Path:
@@ -399,7 +399,7 @@ def read_findings(folder: Path) -> GapFindings:
     try:
         return from_json(read_text(path, LARGEST_BYTES))
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; 'msp-sim compare' or 'msp-sim gap' makes it") from None
+        raise ConfigError(f"{path}: no such file; 'msp-lab compare' or 'msp-lab gap' makes it") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:

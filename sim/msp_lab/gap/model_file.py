@@ -141,7 +141,7 @@ def _side(gap: Gap, side: str) -> dict[str, float | None]:
 def _calibrated(findings: GapFindings) -> dict[str, Any]:
     """For the model's own list: what this file was made from, and which of its base numbers were fitted again."""
     return {
-        "made_by": "msp-sim gap",
+        "made_by": "msp-lab gap",
         "from": Path(findings.settings.model).name,
         **_provenance(findings),
         "verdict": findings.verdict,

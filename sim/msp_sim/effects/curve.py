@@ -64,7 +64,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
         name=CURVE,
         sentence=f"Something makes the {channel} depend on {' and '.join(variables)}; what it is, is not known.",
         physics="none: a curve through knots, linear between them",
-        source="found in measured data by msp-sim gap",
+        source="found in measured data by msp-lab gap",
         parameters=tuple(Parameter(name, unit, "value at a knot", -most, most) for name in names),
         needs=tuple(dict.fromkeys((*variables, *(("true_range_cm",) if channel in ("bias", "spread") else ())))),
         channels=(channel,),

@@ -1,4 +1,4 @@
-"""A flight as a picture: ranges over time with what was held back, and the errors below. Needs the extra ``lab``."""
+"""A flight as a picture: ranges over time with what was held back, and the errors below where the truth is known."""
 
 from pathlib import Path
 
@@ -14,8 +14,11 @@ USED = (None, "at_minimum")
 def draw(flight: Flight, path: Path, title: str) -> None:
     """Write the picture of a flight as PNG; an older file is replaced."""
     with style():
-        figure = new_figure(6.5, 9.6)
-        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        tracks = (*flight.tracks.values(), flight.fused)
+        is_truth_known = any(truth is not None for track in tracks for truth in track.truth_m)
+        figure = new_figure(6.5 if is_truth_known else 4.5, 9.6)
+        ratios = (3, 2) if is_truth_known else (3,)
+        top, *below = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
         for number, (name, track) in enumerate(flight.tracks.items()):
             colour, _ = SERIES[number % len(SERIES)]
             ranges = list(zip(track.time_s, track.raw_m, track.truth_m, track.why, strict=True))
@@ -28,24 +31,28 @@ def draw(flight: Flight, path: Path, title: str) -> None:
             ]
             top.plot(*_columns(used), ".", color=colour, markersize=3, label=name)
             top.plot(*_columns(held), "x", color=colour, markersize=5)
-            bottom.plot(*_columns(errors_cm), ".", color=colour, markersize=2, alpha=0.6)
+            for bottom in below:
+                bottom.plot(*_columns(errors_cm), ".", color=colour, markersize=2, alpha=0.6)
         fused = flight.fused
         if fused.time_s:
-            below = list(zip(fused.time_s, fused.filtered_m, fused.truth_m, strict=True))
-            truth = [(t, truth) for t, _, truth in below if truth is not None]
-            errors_cm = [(t, 100 * (m - truth)) for t, m, truth in below if m is not None and truth is not None]
-            top.plot(*_columns(truth), "-", color=PALE, linewidth=5, label="truth, down axis", zorder=0)
+            heights = list(zip(fused.time_s, fused.filtered_m, fused.truth_m, strict=True))
+            truth = [(t, truth) for t, _, truth in heights if truth is not None]
+            errors_cm = [(t, 100 * (m - truth)) for t, m, truth in heights if m is not None and truth is not None]
+            if truth:
+                top.plot(*_columns(truth), "-", color=PALE, linewidth=5, label="truth, down axis", zorder=0)
             top.plot(fused.time_s, fused.filtered_m, "-", color=INK, linewidth=1, label="fused")
-            bottom.plot(*_columns(errors_cm), "-", color=INK, linewidth=1)
+            for bottom in below:
+                bottom.plot(*_columns(errors_cm), "-", color=INK, linewidth=1)
         top.plot([], [], "x", color=GREY, label="held back")
         top.set_ylabel("range [m]")
         top.set_title(title)
-        bottom.set_ylabel("error [cm]")
-        bottom.set_ylim(-SHOWN_CM, SHOWN_CM)
-        bottom.set_xlabel("time [s]")
-        bottom.set_title(
-            f"reading minus truth (dots: as the sensor gave it; line: fused; beyond {SHOWN_CM:g} cm not shown)"
-        )
+        for bottom in below:
+            bottom.set_ylabel("error [cm]")
+            bottom.set_ylim(-SHOWN_CM, SHOWN_CM)
+            bottom.set_title(
+                f"reading minus truth (dots: as the sensor gave it; line: fused; beyond {SHOWN_CM:g} cm not shown)"
+            )
+        (below or [top])[-1].set_xlabel("time [s]")
         legend_below(figure)
         path.write_bytes(png(figure))
 

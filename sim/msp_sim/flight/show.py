@@ -1,18 +1,14 @@
-"""A flight and a campaign on the terminal: progress while they go on, and a flight's table after it."""
+"""A flight on the terminal: progress while it goes on, and its table after it."""
 
-from collections.abc import Sequence
 from typing import Any
 
 from rich import box
 from rich.console import Console, Group, RenderableType
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from msp_lab.campaigns.plan import Point
 from msp_range.bridge import Step
 from msp_sim.flight.flight import Simulation
-from msp_sim.terminal import Bar
 
 BAR_CELLS = 44
 LINE_EACH_S = 10.0
@@ -69,29 +65,6 @@ class Live:
 def _bar(share: float, colour: str) -> Text:
     cells = round(min(max(share, 0.0), 1.0) * BAR_CELLS)
     return Text("█" * cells, style=colour) + Text("·" * (BAR_CELLS - cells), style="dim")
-
-
-class Collecting(Bar):
-    """A campaign's progress: a bar on a terminal, and elsewhere a line for each question."""
-
-    def __init__(self, todo: Sequence[Point]) -> None:
-        self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
-        columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
-            TimeRemainingColumn(),
-        )
-        super().__init__(*columns, total=self._total)
-        self._question = ""
-
-    def take(self, point: Point, readings: int) -> None:
-        """Show where the collection is."""
-        if self.is_shown:
-            self.show(point.condition, readings)
-        elif point.question != self._question:
-            self._question = point.question
-            print(f"{readings} of {self._total} readings; now {point.condition}: {point.question}")
 
 
 def print_table(console: Console, summary: dict[str, Any]) -> None:

@@ -276,7 +276,7 @@ def active(name: str, of: str | None, values: Mapping[str, float], place: str = 
     effect = CATALOGUE.get(name)
     if effect is None:
         near = _near(name, CATALOGUE)
-        raise ConfigError(f"{place}.name: found {name!r}, expected one that 'msp-sim effects' lists.{near}")
+        raise ConfigError(f"{place}.name: found {name!r}, expected one that 'msp-lab effects' lists.{near}")
     if (of is None) != (effect.of is None):
         expected = (
             f"the name of the {effect.of} that {name} is of" if effect.of else f"nothing: {name} is of all readings"

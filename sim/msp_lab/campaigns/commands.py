@@ -1,0 +1,83 @@
+"""What ``msp-lab collect`` does with a person at a real bench, or after real flights.
+
+The command's options enter; recordings and one table of readings leave. `collecting` is the same on the simulator.
+"""
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from msp_lab.campaigns.bench import KernelBench
+from msp_lab.campaigns.campaign import load_campaign
+from msp_lab.campaigns.collect import chosen, collect
+from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights, show_flights
+from msp_lab.campaigns.plan import plan
+from msp_lab.campaigns.store import Store
+from msp_lab.campaigns.terminal import Terminal, show_plan
+from msp_range.bus.smbus import bus_of
+from msp_range.service import stop_signals
+from msp_range.terminal import PlainConsole
+
+
+def collect_at_bench(
+    campaign_file: Path, out: Path, bus: str, only: list[str], repeat: list[str], plan_only: bool
+) -> None:
+    """Lead through a campaign at the bench; the parameters are the options of the command."""
+    console = PlainConsole()
+    campaign = load_campaign(campaign_file)
+    points = plan(campaign)
+    again = chosen(points, repeat, "--repeat")
+    # What is to be read again is not a reason to read all the rest.
+    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
+    bench = KernelBench(bus_of(bus), campaign.thermometer)
+    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    if plan_only:
+        show_plan(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
+        return
+    bench.open()
+    with stop_signals() as stopped:
+        person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
+        try:
+            collect(campaign, points, bench, store, person, wanted, again)
+        finally:
+            person.close()
+            store.close()
+            bench.close()
+    table, rows = store.write_table()
+    left = sum(not store.is_done(point) for point in points)
+    read = f"{table}: {rows} readings" if rows else "nothing was read"
+    print(f"{read}; {left} of {len(points)} points are left")
+
+
+def collect_recordings(campaign_file: Path, out: Path, plan_only: bool) -> None:
+    """Ask for the recording and the reference of each flight of a campaign, and keep copies of them."""
+    console = PlainConsole()
+    campaign = load_flights(campaign_file)
+    hangar = Hangar(out, campaign)
+    if plan_only:
+        show_flights(campaign, hangar, console)
+        return
+    collect_flights(campaign, hangar, console, _asking(console))
+    left = sum(not hangar.recordings(flight) for flight in campaign.flights)
+    if left < len(campaign.flights):
+        table, rows = hangar.write_table()
+        print(f"{table}: {rows} readings; {left} of {len(campaign.flights)} flights are left")
+
+
+def _asking(console: Any) -> Callable[[str], str]:
+    """A prompt that a signal ends; it returns q then, and at the end of the input."""
+
+    def ask(text: str) -> str:
+        handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            answer: str = console.input(text)
+            return answer
+        except (KeyboardInterrupt, EOFError):
+            console.print()
+            return "q"
+        finally:
+            for each, handler in handlers.items():
+                signal.signal(each, handler)
+
+    return ask

@@ -1,0 +1,236 @@
+"""msp-lab: the commands of what learns from readings."""
+
+import json
+from datetime import date as day
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from msp_lab.gap.cli import app as gap_app
+from msp_range.extras import require
+from msp_range.mistakes import tell_mistakes
+from msp_range.yaml_file import ConfigError
+
+app = typer.Typer(
+    name="msp-lab",
+    help="Laboratory of msp-range: measures a sensor, makes its model, and finds what a model is missing.",
+    epilog="Start with: msp-lab collect configs/campaigns/table_4_1.yaml --simulate --out campaign",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+MB1242 = Path("configs/sensors/mb1242.yaml")
+"""In the repository's folder."""
+
+
+@app.command()
+@tell_mistakes
+def collect(
+    campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
+    out: Annotated[
+        Path, typer.Option(help="folder for recordings and table; an interrupted campaign in it is resumed")
+    ],
+    bus: Annotated[
+        str | None, typer.Option(help="I2C bus number of the bench, or the path of its device file; default 1")
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="read emulated sensors instead of a bus, unattended and in virtual time")
+    ] = False,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="with --simulate: use this sensor model for all sensors, instead of the campaign's"),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="with --simulate: random seed; the same gives the same readings; default 1"),
+    ] = None,
+    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
+    repeat: Annotated[
+        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
+    ] = None,
+    show_plan: Annotated[
+        bool, typer.Option("--plan", help="show the points and the time they take; touch nothing")
+    ] = False,
+) -> None:
+    """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
+
+    Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
+    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
+    asks for the recording and the reference of each flight instead, and keeps copies of them; --simulate flies its
+    scenarios.
+    """
+    from msp_lab.campaigns.flights import is_of_flights
+
+    of_flights = is_of_flights(campaign_file)
+    if not simulate:
+        if model is not None or seed is not None:
+            raise ConfigError("--model and --seed: only emulated sensors read by them; give --simulate too")
+        from msp_lab.campaigns.commands import collect_at_bench, collect_recordings
+
+        if of_flights:
+            collect_recordings(campaign_file, out, show_plan)
+        else:
+            collect_at_bench(campaign_file, out, bus or "1", only or [], repeat or [], show_plan)
+        return
+    if bus is not None:
+        raise ConfigError("--bus and --simulate: give one of them")
+    require("sim", "msp-lab collect --simulate")
+    from msp_lab.campaigns.collecting import collect_campaign, fly_flights
+
+    seed = 1 if seed is None else seed
+    if of_flights:
+        fly_flights(campaign_file, out, model, seed, show_plan)
+    else:
+        collect_campaign(campaign_file, out, model, seed, only or [], repeat or [], show_plan)
+
+
+@app.command()
+@tell_mistakes
+def characterise(
+    data: Annotated[
+        list[Path], typer.Argument(metavar="DATA...", help="measured readings (.csv) or recordings (.mcap)")
+    ],
+    out: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model file to make")],
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
+    ] = None,
+    sensor: Annotated[
+        Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
+    ] = MB1242,
+    column_map: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
+        ),
+    ] = None,
+    of: Annotated[
+        list[str] | None, typer.Option(metavar="SENSOR", help="only its readings (column sensor); may be repeated")
+    ] = None,
+    reference_std_cm: Annotated[
+        float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
+    ] = None,
+    set_up_std_cm: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="what each set-up's true range is off by on its own, as a standard deviation [cm]; what they "
+            "differ by beyond it is then the sensor's, and goes into the model",
+        ),
+    ] = None,
+    date: Annotated[str | None, typer.Option(help="for the record, instead of today (YYYY-MM-DD)")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of the randomised goodness of fit")] = 1,
+) -> None:
+    """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
+    require("lab", "msp-lab characterise")
+    from numpy.random import default_rng
+
+    from msp_lab.characterise.characterise import characterise as analyse
+    from msp_lab.characterise.model_file import changed, write_model
+    from msp_lab.characterise.publish import check_free, publish
+    from msp_lab.characterise.show import show
+    from msp_lab.readings.column_map import load_map
+    from msp_lab.readings.gather import gather
+    from msp_range.clock import SystemClock, date_of
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.terminal import PlainConsole
+
+    check_free(out, report)
+    if date is not None and not _is_date(date):
+        raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
+    if sensor == MB1242 and not sensor.exists():
+        raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
+    started = load_sensor_model(sensor)
+    mapping = load_map(column_map) if column_map else None
+    progress = PlainConsole(stderr=True)
+    with progress.status("reading") as status:
+        gathered = gather(data, started, mapping, of or ())
+        findings, changes = analyse(
+            gathered,
+            started,
+            date=date or date_of(SystemClock().utc()),
+            rng=default_rng(seed),
+            reference_std_cm=reference_std_cm,
+            set_up_std_cm=set_up_std_cm,
+            say=status.update,
+        )
+        model = changed(started, findings, changes)
+        write_model(out, model, findings, changes, sensor.name)
+        if report is not None:
+            status.update("drawing the report")
+            page = publish(findings, gathered.data, model, report)
+    console = PlainConsole()
+    show(findings, console)
+    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"))
+
+
+def _is_date(text: str) -> bool:
+    try:
+        return day.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
+
+
+@app.command()
+@tell_mistakes
+def effects(
+    as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
+) -> None:
+    """List the effects that a sensor model file may name: what each is, what it needs, and what would show it."""
+    require("sim", "msp-lab effects")
+    from msp_sim.effects import CATALOGUE
+    from msp_sim.effects.listing import as_data, as_text
+
+    print(json.dumps(as_data(CATALOGUE), indent=2) if as_json else as_text(CATALOGUE))
+
+
+@app.command()
+@tell_mistakes
+def filters(
+    table: Annotated[
+        Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=10, max=5000, help="runs of each scenario that filters are compared on")
+    ] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    out: Annotated[Path | None, typer.Option(help="folder for figures 5.7-5.15 and the tables as CSV and JSON")] = None,
+) -> None:
+    """The report's filter study: its nine filters in its three scenarios, what explains its rows, and a better filter.
+
+    Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
+    an implementation must have done otherwise to get it, or says what was tried.
+    """
+    require("lab", "msp-lab filters")
+    from msp_lab.filter_study.explain import explain
+    from msp_lab.filter_study.goals import goals
+    from msp_lab.filter_study.publish import publish
+    from msp_lab.filter_study.show import print_explanations, print_goals, print_tables
+    from msp_lab.filter_study.study import delays, study
+    from msp_lab.filter_study.table import read_table, report_table
+    from msp_range.terminal import console
+    from msp_sim.terminal import make_folder
+
+    rows = report_table() if table is None else read_table(table)
+    if out is not None:
+        make_folder(out)
+    shown = console()
+    with shown.status("comparing filters"):
+        results = study(seeds, seed)
+    with shown.status("explaining the table"):
+        reverse, verdicts = explain(rows)
+    print_tables(shown, verdicts, delays(results))
+    print_explanations(shown, reverse, verdicts)
+    print_goals(shown, goals(results))
+    if out is not None:
+        for path in publish(out, results, reverse, verdicts, seed):
+            print(f"written: {path}")
+
+
+app.add_typer(gap_app)
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app()

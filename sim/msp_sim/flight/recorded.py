@@ -1,0 +1,55 @@
+"""A flight from its recording, simulated or real, as the picture shows it.
+
+An MCAP recording enters, a `Flight` leaves. The truth is what a simulator recorded with each ping; a real flight has
+none.
+"""
+
+from collections import defaultdict
+from pathlib import Path
+
+from msp_range.acoustics.air import speed_of_sound
+from msp_range.reading import Status
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
+from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
+from msp_sim.flight.flight_log import Flight, Track
+
+CM_PER_M = 100
+
+
+def recorded_flight(path: Path) -> Flight:
+    """What each reading of a recording became, and the fused stream, with times from the first ping on.
+
+    Raises
+    ------
+    RecordingError
+        Not a recording, or one without readings.
+    """
+    tracks: dict[str, Track] = defaultdict(Track)
+    truths_m: dict[str, float | None] = {}
+    fused = Track()
+    start_s: float | None = None
+    for topic, _, message in Recording(path):
+        if topic.startswith(TRUTH_PREFIX):
+            range_m = message.get("true_range_cm", float("nan")) / CM_PER_M
+            speed_m_s = message.get("range_rate_cm_s", 0.0) / CM_PER_M
+            # The vehicle moves while the sound is on its way; see `FlightLog`.
+            moved_m = speed_m_s * range_m / speed_of_sound(message.get("air_temperature_c", 20.0))
+            truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_m + moved_m if range_m == range_m else None
+        elif topic.startswith(RANGE_PREFIX):
+            start_s = message["ping_s"] if start_s is None else start_s
+            name = topic.removeprefix(RANGE_PREFIX)
+            track = tracks[name]
+            track.time_s.append(message["time_s"] - start_s)
+            track.truth_m.append(truths_m.pop(name, None))
+            track.raw_m.append(message.get("range_m"))
+            track.filtered_m.append(message.get("filtered_m"))
+            at_minimum = message["status"] if message["status"] == Status.AT_MINIMUM.value else None
+            track.why.append(message.get("rejected", at_minimum))
+        elif topic == FUSED_TOPIC and start_s is not None and {"time_s", "range_m"} <= message.keys():
+            fused.time_s.append(message["time_s"] - start_s)
+            fused.truth_m.append(None)
+            fused.filtered_m.append(message["range_m"])
+    if not tracks:
+        raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
+    return Flight(dict(tracks), fused, [])

@@ -1,0 +1,37 @@
+"""The folder of a flight: numbers, picture, recording and link log, and that none is replaced unasked."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from msp_range.yaml_file import ConfigError
+from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.flight_picture import draw
+from msp_sim.terminal import make_folder
+
+RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO = "flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"
+"""Names of the files in the folder of a flight."""
+
+
+def make_ready(folder: Path, force: bool) -> None:
+    """Make the folder of a flight; what an earlier flight left there goes.
+
+    Raises
+    ------
+    ConfigError
+        It holds a flight, and ``force`` is not given; or it cannot be made.
+    """
+    make_folder(folder)
+    there = [folder / name for name in (RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO) if (folder / name).exists()]
+    if there and not force:
+        raise ConfigError(f"{there[0]}: a flight is in this folder already; name another one, or replace it: --force")
+    for path in there:
+        path.unlink()
+
+
+def write_results(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
+    """Write the flight as numbers and as a picture, and print where they are."""
+    (folder / NUMBERS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(f"  numbers: {folder / NUMBERS}")
+    draw(flight, folder / PICTURE, title)
+    print(f"  picture: {folder / PICTURE}")
