@@ -22,7 +22,7 @@ from msp_range.geometry import Vector, angle_between, boresight
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
-from msp_range.sensors.on_bus import Name, SensorOnBus
+from msp_range.sensor_on_bus import Name, SensorOnBus
 from msp_range.yaml_file import ConfigError, Section, load, load_named, read_config
 
 AIRFRAME_NAME = "airframe.yaml"

@@ -20,7 +20,6 @@ from rich.table import Table
 from msp_range.acoustics.air import FIXED, Air
 from msp_range.assembly import polled_sensors
 from msp_range.bridge import Bridge, Counts, Records
-from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
@@ -28,6 +27,7 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
+from msp_range.recording.replay_bus import RecordedPing, ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.schedule import PolledSensor
 from msp_range.terminal import PlainConsole, console

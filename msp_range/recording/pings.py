@@ -1,4 +1,4 @@
-"""Measured readings as the pings that a `msp_range.bus.replay.ReplayBus` plays again.
+"""Measured readings as the pings that a `msp_range.recording.replay_bus.ReplayBus` plays again.
 
 A recording knows when each sensor was pinged and when it answered; a CSV file knows the time of the echo, from which
 the ping follows by half the time of flight.
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from msp_range.acoustics.air import FIXED, Air
-from msp_range.bus.replay import RecordedPing
 from msp_range.correction.temperature import COLDEST_C, FIXED_STD_C, GRADIENT_STD_C, HOTTEST_C, THERMOMETER_STD_C
 from msp_range.fusion.attitude import Angles
 from msp_range.fusion.vertical import Moved
@@ -20,6 +19,7 @@ from msp_range.reading import Status
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
+from msp_range.recording.replay_bus import RecordedPing
 from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
 from msp_range.sensors.polling import POLL_INTERVAL_S

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from msp_range import replay
 from msp_range.acoustics.air import Air
-from msp_range.bus.replay import RecordedPing
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.fusion import Angles, Moved
 from msp_range.mavlink.transport import Nowhere
+from msp_range.recording.replay_bus import RecordedPing
 
 LONGEST_S = 600.0
 MOST_PINGS = 400

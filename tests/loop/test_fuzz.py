@@ -32,9 +32,9 @@ def test_a_crash_is_a_finding_and_not_the_end_of_the_run(tmp_path: Path, monkeyp
     result = run([b"", b"raise", b"", b"die", b"take much", b"raise", b""], seconds=5.0)
     assert result.cases > 7
     assert [each.split("\n")[0] for each in result.failures] == [
-        f"{tmp_path}/fuzz/crash-1-2: ValueError in crashing.py:19 check",
+        f"{tmp_path}/fuzz/crash-1-2: ValueError in crashing.py:20 check",
         f"{tmp_path}/fuzz/crash-1-4: the process died: SIGSEGV",
-        f"{tmp_path}/fuzz/crash-1-5: MemoryError in crashing.py:23 check",
+        f"{tmp_path}/fuzz/crash-1-5: MemoryError in crashing.py:24 check",
     ]
     assert "no such thing" in result.failures[0]
     assert [path.read_bytes() for path in sorted((tmp_path / "fuzz").iterdir())] == [b"raise", b"die", b"take much"]

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from msp_range.acoustics.air import Air
 from msp_range.bus.base import Bus, BusError
-from msp_range.bus.replay import RecordedPing, ReplayBus
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
 from msp_range.recording.pings import MEASURED_STD_C, recorded_air, recorded_pings
+from msp_range.recording.replay_bus import RecordedPing, ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.sensors.mb1242 import COMMAND_RANGE, MB1242
 from msp_range.sensors.polling import Poller, Ranging

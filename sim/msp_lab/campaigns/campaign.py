@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from msp_range.correction.temperature import FileSource
-from msp_range.sensors.on_bus import Name, SensorOnBus
+from msp_range.sensor_on_bus import Name, SensorOnBus
 from msp_range.yaml_file import Section, folder_of, load, read_config
 
 RangeCm = Annotated[float, Field(gt=0, le=2000)]

@@ -22,7 +22,7 @@ from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, Column, 
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
-from msp_range.sensors.on_bus import Name
+from msp_range.sensor_on_bus import Name
 from msp_range.yaml_file import Section, load, read_yaml
 
 GAP_S = 1.0

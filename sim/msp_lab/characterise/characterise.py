@@ -14,12 +14,12 @@ import numpy as np
 from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, field_of_view, sonar_through
-from msp_lab.characterise.findings import BreakawayAngle, Calibration, Findings, Source
+from msp_lab.characterise.findings import BreakawayAngle, Calibration, Findings
 from msp_lab.characterise.mixture import Fitted, fit_mixture
 from msp_lab.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
-from msp_lab.readings.gather import Gathered
+from msp_lab.readings.gather import Gathered, Source
 from msp_range.correction.calibration import IDENTITY
 from msp_range.correction.calibration import Calibration as Curve
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel

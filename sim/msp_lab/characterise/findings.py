@@ -9,6 +9,8 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from msp_lab.readings.gather import Source
+
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
 Form = Literal["none", "offset and scale", "piecewise linear"]
@@ -40,15 +42,6 @@ class Estimate:
     unit: str
     n: int
     of: str = "readings"
-
-
-@dataclass(frozen=True)
-class Source:
-    """A file of readings."""
-
-    name: str
-    sha256: str
-    rows: int
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ here, before any: no true range, hardly any readings, another unit.
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from msp_lab.characterise.findings import Source
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, read_csv
@@ -41,6 +41,15 @@ CONTEXTS = {
 """Smallest and largest value of a column, and what is expected."""
 STUCK_SHARE, STUCK_CM = 0.98, 30.0
 """Of the readings that are one number, while the true range goes over so much: they do not follow it."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of readings."""
+
+    name: str
+    sha256: str
+    rows: int
 
 
 class Gathered(NamedTuple):
