@@ -36,7 +36,8 @@ def run() -> list[dict[str, Any]]:
 
 def heights() -> list[dict[str, Any]]:
     """Ratios of the error of height, the worst of the five grounds; and the cost of a fault over all of them."""
-    of_raw, of_hits, of_one, good, faulty = [], [], [], [], {"silent": [], "stuck": []}
+    of_raw, of_hits, of_one, good = [], [], [], []
+    faulty: dict[str, list[Any]] = {"silent": [], "stuck": []}
     gaps_s = []
     for ground in GROUNDS:
         scenario = load_scenario(SCENARIOS / f"{ground}.yaml")

@@ -6,6 +6,7 @@ from benchmarks.bench_bridge import AIRFRAME
 from msp_range.bridge import Bridge
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
+from msp_range.mavlink.transport import TransportStats
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import MB1242
 
@@ -37,7 +38,11 @@ def _rate_hz(airframe: str, reading_cm: int) -> float:
 class _Counter:
     """A transport that takes everything."""
 
-    description, stats, last_error, connected = "nowhere", None, None, True
+    description, last_error, connected = "nowhere", None, True
+    quiet_until_s = float("-inf")
+
+    def __init__(self) -> None:
+        self.stats = TransportStats()
 
     def send(self, frame: bytes) -> bool:
         return True

@@ -63,7 +63,7 @@ def _sink() -> socket.socket:
 def _fly(testbed: KernelTestbed, sink: socket.socket, folder: Path) -> tuple[float, float, float]:
     """Start, fly half a second, kill; times of the start and of the first and the last DISTANCE_SENSOR [s]."""
     url = f"udpout:127.0.0.1:{sink.getsockname()[1]}"
-    command = [COMMAND, "run", AIRFRAME, "--link", url, "--bus", "1", "--record", folder]
+    command: list[str | Path] = [COMMAND, "run", AIRFRAME, "--link", url, "--bus", "1", "--record", folder]
     time.sleep(RESTART_S)
     started_s = time.perf_counter()
     with testbed.popen(command, stderr=subprocess.DEVNULL) as process:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import ks_2samp
 
@@ -51,7 +52,7 @@ class Compared:
     sigma_cm: float
     contexts: Array
     slices: tuple[Array, ...]
-    run: Array
+    run: NDArray[np.intp]
 
     def errors(self) -> tuple[Array, Array]:
         """Measured and simulated errors in standard deviations, cut off."""

@@ -159,7 +159,7 @@ class Receiver:
 
     def count_cm(self, crossing_s: Array, tick_s: ArrayLike | None = None) -> Array:
         """The reading of each crossing: whole ticks to the nearest, no nearer than 20, 765 without a crossing."""
-        tick = self.tick_s if tick_s is None else tick_s
+        tick = np.asarray(self.tick_s if tick_s is None else tick_s, dtype=float)
         count = (crossing_s - self.late_s) / tick
         whole = np.rint(np.minimum(count, NO_ECHO_CM))
         return np.maximum(whole, NEAREST_CM)

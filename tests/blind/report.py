@@ -72,6 +72,7 @@ def counts(scored: Group) -> list[Count]:
         if group:
             rows.append((what, sum(bool(of(each.outcome)) for each in group), len(group)))
 
+    group: Group
     for regime in sorted({each.answer["regime"] for each in scored if each.kind == "null"}):
         group = [each for each in scored if each.kind == "null" and each.answer["regime"] == regime]
         row(f"null, {regime}: a name", group, lambda o: o.named)
@@ -158,8 +159,8 @@ def by_mechanism(scored: Group) -> list[str]:
         instead = Counter(said for right, said in went if not right)
         if instead:
             words = "; ".join(f"{count} x {said}" for said, count in instead.most_common())
-            right = sum(right for right, _ in went)
-            lines.append(f"| {kind} | {name} | {size:g} | {right} | {len(went)} | {words} |")
+            rights = sum(right for right, _ in went)
+            lines.append(f"| {kind} | {name} | {size:g} | {rights} | {len(went)} | {words} |")
     return lines
 
 

@@ -121,10 +121,11 @@ def measure(
     hits = [(np.abs(error) < HIT_CM) & (word != 255.0) for error, word in zip(errors, words, strict=True)]
     sigma2 = float(errors[0][hits[0]].var())
     both = hits[0] & hits[1]
-    bias2 = _cross(*(_means(error, both) for error in errors)) / sigma2 * both.mean()
+    one, other = (_means(error, both) for error in errors)
+    bias2 = _cross(one, other) / sigma2 * both.mean()
     variances = [_variances(error, both) for error in errors]
     # Of the flights with it: a spread is known the worse the larger it is.
-    spread2 = _cross(*variances) / (2.0 * float(variances[1].mean()) ** 2) * both.mean()
+    spread2 = _cross(variances[0], variances[1]) / (2.0 * float(variances[1].mean()) ** 2) * both.mean()
     place_cm = mechanism.place_cm(flight).reshape(shape) if mechanism.place_cm else None
     classes2 = 0.0
     for (one, in_base), (other, _) in zip(
@@ -145,7 +146,8 @@ def measure(
         # Of the variance of the runs' means, by what the likelihood gains: its standard error grows with it.
         runs = np.sqrt(counted * run.size * (ratio - np.log1p(ratio)))
         bias2 = 0.0
-    return Size(*(float(np.sqrt(max(counted * each, 0.0))) for each in (bias2, spread2, classes2)), float(runs))
+    bias, spread, classes = (float(np.sqrt(max(counted * each, 0.0))) for each in (bias2, spread2, classes2))
+    return Size(bias, spread, classes, float(runs))
 
 
 def size_for(

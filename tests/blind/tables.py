@@ -131,11 +131,11 @@ def draw_plan(seed: int, plan: Sequence[str]) -> list[Case]:
     names = [f"{kind}:{regime if kind == 'null' else format(size, 'g')}" for kind, regime, size in PARTS]
     counts = dict.fromkeys(range(len(PARTS)), 0)
     for each in plan:
-        what, _, count = each.partition("=")
+        what, _, number = each.partition("=")
         meant = [k for k, name in enumerate(names) if what in (name, name.partition(":")[0])]
-        if not meant or not count.isdecimal():
+        if not meant or not number.isdecimal():
             raise ValueError(f"plan {each!r}: expected WHAT=COUNT, with what of {', '.join(names)}")
-        counts |= dict.fromkeys(meant, int(count))
+        counts |= dict.fromkeys(meant, int(number))
     placed = []
     for k, count in counts.items():
         kind, regime, size = PARTS[k]

@@ -352,7 +352,8 @@ def test_the_command_end_to_end(tmp_path: Path) -> None:
 
 def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path: Path) -> None:
     path = written(tmp_path, *SEVERAL)
-    command = [sys.executable, "-c", "from msp_lab.cli import main; main()", "collect", path, "--simulate", "--out"]
+    program = "from msp_lab.cli import main; main()"
+    command: list[str | Path] = [sys.executable, "-c", program, "collect", path, "--simulate", "--out"]
     limit = (20_000, resource.RLIM_INFINITY)  # bytes a file, which the kernel enforces as it does the end of a disk
     full = subprocess.run(
         [*command, tmp_path / "full"],

@@ -162,7 +162,7 @@ def test_what_is_left_for_later_comes_at_the_end(tmp_path: Path) -> None:
     assert bench.screen.getvalue().count("1 of 2: baseline-60cm") == 2
 
 
-def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path) -> None:
+def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = Bench(tmp_path, answers=["", "", "q"])
     first.go()
     assert first.done() == [True, False]
@@ -173,7 +173,7 @@ def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path) -
         interrupted.stopped = next(iter(seen[1].values())).read >= 10
         return look(*seen)
 
-    interrupted.person.look = stops_at_ten  # type: ignore[method-assign]
+    monkeypatch.setattr(interrupted.person, "look", stops_at_ten)
     assert len(interrupted.go()) == 40
     last = Bench(tmp_path)
     assert len(last.go()) == 60

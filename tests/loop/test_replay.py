@@ -42,7 +42,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "flight.mcap"
 
 
-def ranges(path: Path) -> list[tuple[str, object]]:
+def ranges(path: Path) -> list[tuple[str, list[Any]]]:
     keys = ("time_s", "status", "raw", "range_m", "corrected_m", "filtered_m", "variance_m2", "rejected")
     return [
         (topic, [message.get(key) for key in keys])

@@ -163,7 +163,7 @@ class FakeAutopilot(threading.Thread):
         boot_ms, height_m, climb_m_s = round(now_s * 1e3), self._mass.height_m, self._mass.climb_m_s
         if self.truth and self._is_asked(mavlink.MAVLINK_MSG_ID_SIM_STATE):
             # At 584 m above the sea, as ArduPilot's default place; only what the simulator uses is filled in.
-            fields = dict.fromkeys(mavlink.MAVLink_sim_state_message.fieldnames, 0)
+            fields: dict[str, float] = dict.fromkeys(mavlink.MAVLink_sim_state_message.fieldnames, 0)
             fields |= {"alt": 584.0 + height_m, "vd": -climb_m_s, "lat_int": -353632610, "lon_int": 1491652300}
             self._send(mavlink.MAVLink_sim_state_message(**fields))
         if self._is_asked(mavlink.MAVLINK_MSG_ID_ATTITUDE):
@@ -328,7 +328,7 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
     assert "Traceback" not in flown.printed
     source = "SIM_STATE" if name == "truth" else "LOCAL_POSITION_NED"
     assert f"poses in {source}" in flown.printed
-    assert re.search(r"DISTANCE_SENSOR +(\d+)", flown.printed)[1] == str(len(flown.autopilot.distances))  # type: ignore[index]
+    assert re.search(r"DISTANCE_SENSOR +(\d+)", flown.printed)[1] == str(len(flown.autopilot.distances))
 
 
 @pytest.mark.real_time

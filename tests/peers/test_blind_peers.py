@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +104,7 @@ def test_one_number_says_what_any_share_of_added_readings_gains(model):
     scores = library(model, contexts, reading)
     # p with a share e of c is p (1 + e (c / p - 1)), so log(1 + S theta) is the likelihood itself.
     base = fitted(model, contexts, reading)
-    shape = {"location_cm": 33.0, "sigma_cm": 2.0}
+    shape: dict[str, Any] = {"location_cm": 33.0, "sigma_cm": 2.0}
     assert "clutter" in scores.names
     fifth = np.expm1(
         base.adding("clutter", share=0.2, **shape).log_prob(reading, contexts) - base.log_prob(reading, contexts)
@@ -179,7 +180,7 @@ def test_table_of_counts(tmp_path):
         }
         (tmp_path / "tables" / f"{number:04d}").mkdir(parents=True)
         (tmp_path / "tables" / f"{number:04d}" / "peers.json").write_text(json.dumps(said))
-        answer = {"kind": "one" if each else "null", "regime": "iid", "hidden": []}
+        answer: dict[str, Any] = {"kind": "one" if each else "null", "regime": "iid", "hidden": []}
         if each:
             answer["hidden"] = [{"mechanism": each[0], "wanted": each[1]}]
         (answers / f"{number:04d}.json").write_text(json.dumps(answer))

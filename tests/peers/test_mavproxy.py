@@ -27,7 +27,7 @@ def environment() -> None:
 def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
     said_file, log_file = tmp_path / "said.txt", tmp_path / "flight.tlog"
     port = free_port(socket.SOCK_DGRAM)
-    arguments = [
+    arguments: list[str | Path] = [
         *(mavproxy_env.PYTHON, "-u", mavproxy_env.MAVPROXY),
         *(f"--master=udp:127.0.0.1:{port}", "--default-modules=", "--source-system=250"),
         *(f"--state-basedir={tmp_path}", f"--logfile={log_file}", "--cmd=set flushlogs True"),

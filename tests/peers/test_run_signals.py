@@ -124,7 +124,8 @@ def test_sighup_waits_while_the_vehicle_is_armed(tmp_path: Path) -> None:
         service.process.send_signal(signal.SIGHUP)
         await_text(end, "Range: airframe reload waits for disarming")
         # A link that is lost does not mean that it has landed.
-        end.autopilot, autopilot = None, end.autopilot
+        autopilot = end.autopilot
+        end.autopilot = None
         end.run_for(5.5)
         assert fused_ids(end, 30) == {FUSED_ID}
         end.autopilot = autopilot
@@ -170,7 +171,7 @@ def test_a_bus_that_is_not_there_yet_is_no_reason_to_end(tmp_path: Path) -> None
     with kernel_bus(STEADY) as testbed, LinkEnd() as end:
         log = tmp_path / "log.jsonl"
         with log.open("w") as stream:
-            command = [COMMAND, "run", AIRFRAME, "--bus", "9", "--link", end.url, "--log", "json"]
+            command: list[str | Path] = [COMMAND, "run", AIRFRAME, "--bus", "9", "--link", end.url, "--log", "json"]
             process = testbed.popen(command, stderr=stream)
         await_text(end, "Range: I2C bus gone, reopening (errno 2)")
         process.send_signal(signal.SIGTERM)
@@ -181,7 +182,7 @@ def test_a_log_that_nobody_takes_does_not_end_the_flight(tmp_path: Path) -> None
     """A terminal that was closed, a full disk under the log."""
     with kernel_bus(STEADY) as testbed, LinkEnd() as end:
         reading, writing = os.pipe()
-        command = [COMMAND, "run", AIRFRAME, "--bus", "1", "--link", end.url]
+        command: list[str | Path] = [COMMAND, "run", AIRFRAME, "--bus", "1", "--link", end.url]
         process = testbed.popen(command, stderr=writing)
         os.close(writing)
         until(lambda: bool(os.read(reading, 1)), LIMIT_S)

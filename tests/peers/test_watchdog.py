@@ -7,6 +7,7 @@ import signal
 import socket
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -129,13 +130,17 @@ def test_a_hang_of_the_loop_is_seen(ended: bool, tmp_path: Path, monkeypatch: py
                 assert service.stop() == 0
 
 
+def _received(end: LinkEnd, count: int) -> bool:
+    return len(end.distances) >= count
+
+
 def test_killed_in_flight_it_starts_again_on_sensors_that_range(tmp_path: Path) -> None:
     recordings = tmp_path / "recordings"
     with kernel_bus([Sonar(0x70 + number, [250, 251]) for number in range(4)]) as testbed, LinkEnd() as end:
         for flight in (1, 2):
-            before = len(end.distances)
+            enough = len(end.distances) + 4
             with running_service(testbed, end.url, tmp_path, "--record", str(recordings)) as service:
-                end.run_until(lambda count=before + 4: len(end.distances) >= count)
+                end.run_until(partial(_received, end, enough))
                 assert service.stop(signal.SIGKILL) == -signal.SIGKILL
             assert len(list(recordings.glob("*.mcap"))) == flight
     assert {each["current_distance"] for each in end.distances if each["id"] == FUSED_ID} <= {249, 250, 251}

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from msp_sim.model.streams import Streams
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 CODES = np.concatenate([np.arange(766.0), 32768.0 + np.arange(766.0)])
 
-STRONG: dict[str, dict[str, float]] = {
+STRONG: dict[str, dict[str, Any]] = {
     "mounting_offset": {"offset_cm": 7.3},
     "session_offset": {"offset_cm": -4.4},
     "range_scale": {"scale_pct": 3.0},
@@ -263,7 +264,7 @@ def test_a_rare_outlier_changes_few_readings(name: str) -> None:
     assert (rare.sample(given, np.random.default_rng(9)) != readings_cm).mean() < 0.0125
 
 
-CURVES = {
+CURVES: dict[str, Any] = {
     "bias": ("bias", ["throttle"], [[0.0, 0.4, 1.0]], [-9.0, 0.0, 25.0]),
     "spread": ("spread", ["target"], [["asphalt", "grass"]], [0.7, 1.5]),
     "short": ("short", ["uptime_s"], [[0.0, 900.0]], [0.0, 3.0]),

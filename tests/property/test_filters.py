@@ -18,7 +18,7 @@ from msp_range.reading_model.sensor_model import Weights, load_sensor_model
 STD_M = 0.0207
 """Of a reading: not round, or four of them would be whole centimetres, and rounding would decide at the gate."""
 ADAPTER: TypeAdapter[Any] = TypeAdapter(FilterParameters)
-CHAINS = [
+CHAINS: list[list[dict[str, Any]]] = [
     [],
     [{"filter": "moving_average", "window": 4}],
     [{"filter": "median", "window": 5}],

@@ -1,6 +1,7 @@
 """The driver and the poller against a scripted bus: which transfers, when, and what becomes of each answer."""
 
 import errno
+from typing import Any
 
 import pytest
 
@@ -163,7 +164,7 @@ def test_where_reopening_fails_that_is_the_error() -> None:
         assert each.error.bus_at_fault
 
 
-LOCKED = {"errno": errno.ETIMEDOUT, "takes_s": 1.0}
+LOCKED: dict[str, Any] = {"errno": errno.ETIMEDOUT, "takes_s": 1.0}
 """What a transfer of a bus that has locked up does: a second in the kernel, then errno 110."""
 
 

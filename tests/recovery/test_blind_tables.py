@@ -164,8 +164,8 @@ def test_what_is_hidden_has_its_name(look: Look, mechanism: str, size: float, of
     assert looked.effect.of == of
     assert looked.outcome.class_sizes == (1,)
     assert looked.found.verdict in ("explained", "partly explained")
-    nats = looked.found.gap.nats_per_reading  # type: ignore[union-attr]
-    assert nats.after < 0.7 * nats.before  # type: ignore[operator]
+    nats = looked.found.gap.nats_per_reading
+    assert nats.after < 0.7 * nats.before
 
 
 def test_the_extended_model_is_right_of_other_flights(late: Looked) -> None:

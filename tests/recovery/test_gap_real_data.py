@@ -48,7 +48,7 @@ def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
     assert {each.name for each in findings.effects} >= {"latency", "stale"}
     gap = findings.gap
     assert gap is not None
-    assert gap.nats_per_reading.after < 0.1 * gap.nats_per_reading.before  # type: ignore[operator]
+    assert gap.nats_per_reading.after < 0.1 * gap.nats_per_reading.before
     # Wheel noise and the dead zone are left: it says so.
     assert findings.verdict == "partly explained"
 
@@ -61,7 +61,7 @@ def test_the_tilted_ranger_reads_the_slant_range() -> None:
     assert slant.parameters["share"].low > 0.5
     assert 0.7 < slant.parameters["share"].value < 1.5
     assert findings.gap is not None
-    assert findings.gap.bias_cm.after < 0.6 * findings.gap.bias_cm.before  # type: ignore[operator]
+    assert findings.gap.bias_cm.after < 0.6 * findings.gap.bias_cm.before
     assert findings.rows == len(data)
 
 
@@ -77,4 +77,4 @@ def test_the_hcsr04_at_a_ruler_is_said_to_miss_something() -> None:
     assert findings.verdict in ("partly explained", "explained")
     assert findings.runs == 22
     assert findings.gap is not None
-    assert findings.gap.nats_per_reading.after < 0.5 * findings.gap.nats_per_reading.before  # type: ignore[operator]
+    assert findings.gap.nats_per_reading.after < 0.5 * findings.gap.nats_per_reading.before

@@ -228,7 +228,7 @@ def test_awkward_sensors_are_fitted_at_least_as_well_as_by_the_truth(seed: int) 
     rng = np.random.default_rng(seed)
     weights = rng.dirichlet([8.0, 0.4, 0.4, 0.4])
     readings = int(10 ** rng.uniform(1.8, 4.0))
-    sensor = PlainSensor(*weights, *(10.0 ** rng.uniform([-1.0, -1.0], [1.0, 0.7])), rng.random())
+    sensor = PlainSensor(*(*weights, *(10.0 ** rng.uniform([-1.0, -1.0], [1.0, 0.7])), rng.random()))
     kind = rng.integers(4)
     true_cm = (
         rng.uniform(25.0, 700.0, readings),

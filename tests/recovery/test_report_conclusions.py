@@ -105,7 +105,7 @@ def test_hot_box_errs_by_1_to_2_cm(seed: int) -> None:
 
 
 def test_cold_air_reads_farther(seed: int) -> None:
-    assert bias(asked(seed, "temperature", "8")).estimate.value > 0.3  # type: ignore[union-attr]
+    assert bias(asked(seed, "temperature", "8")).estimate.value > 0.3
 
 
 def test_vibration_does_nothing(seed: int) -> None:

@@ -90,7 +90,7 @@ class ArduCopter(Autopilot):
     def go_to(self, height_m: float, frame: int = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT) -> None:
         """In GUIDED; the height above the terrain is what the range finder measures (GCS_MAVLink_Copter.cpp)."""
         place = self.station.all("SIM_STATE")[-1][1]
-        fields = dict.fromkeys(mavlink.MAVLink_set_position_target_global_int_message.fieldnames, 0)
+        fields: dict[str, float] = dict.fromkeys(mavlink.MAVLink_set_position_target_global_int_message.fieldnames, 0)
         fields |= {"target_system": 1, "target_component": 1, "coordinate_frame": frame}
         # Of position, velocity, acceleration and yaw only the position counts.
         fields |= {"type_mask": 0b1101_1111_1000, "lat_int": place.lat_int, "lon_int": place.lon_int, "alt": height_m}

@@ -6,10 +6,12 @@ some.
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from msp_lab.characterise import findings as found
+from msp_lab.readings.gather import Source
 from msp_range.recording.csv_form import MeasuredData
 
 BASELINE_CM = tuple(range(40, 261, 20))
@@ -28,10 +30,10 @@ def measured(seed: int = 1, most: int = 20000) -> MeasuredData:
     return MeasuredData(columns)
 
 
-def _campaign(rng, most) -> Iterator[dict]:
+def _campaign(rng, most) -> Iterator[dict[str, Any]]:
     setup = {range_cm: rng.normal(0.0, 0.15) for range_cm in BASELINE_CM}
-    for z in BASELINE_CM:
-        yield _point(rng, "baseline", z, setup[z])
+    for range_cm in BASELINE_CM:
+        yield _point(rng, "baseline", range_cm, setup[range_cm])
     yield _point(rng, "maximum_range", 500, 1.6, n=most, missed=0.03, sigma=1.4, short=0.004, random=0.003)
     for z, angle in BREAKAWAY_DEG.items():
         for theta in ANGLES_DEG:
@@ -92,7 +94,7 @@ def _point(
     vibration=0.0,
     sensor="left",
     level=NAN,
-) -> dict:
+) -> dict[str, Any]:
     readings = np.rint(rng.normal(z + bias, sigma, n))
     kind = rng.random(n)
     shorts = kind < short
@@ -134,7 +136,7 @@ def found_in(data: MeasuredData) -> found.Findings:
         sensor="MB1242",
         date="2026-10-05",
         calibration_temperature_c=22.5,
-        sources=(found.Source("campaign.csv", "0" * 64, len(data)),),
+        sources=(Source("campaign.csv", "0" * 64, len(data)),),
         points=points,
         baseline=found.Baseline(
             baseline,
@@ -335,7 +337,7 @@ def _questions() -> Iterator[found.Question]:
             found.Effect("outliers", None, None, None, 2.0, "cannot tell", None),
         )
 
-    for name, question, level, reference, sensor, bias, verdict, report in (
+    some: tuple[tuple[str, str, str, str, str, float, found.Verdict, str], ...] = (
         (
             "material",
             "Does the material matter?",
@@ -389,7 +391,8 @@ def _questions() -> Iterator[found.Question]:
             "cannot tell",
             "inconclusive",
         ),
-    ):
+    )
+    for name, question, level, reference, sensor, bias, verdict, report in some:
         yield found.Question(
             name,
             question,

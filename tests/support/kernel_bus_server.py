@@ -15,6 +15,7 @@ import sys
 import time
 import traceback
 from collections import deque
+from typing import Any
 
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import MB1242, Fault, PlainDevice, Timing
@@ -49,7 +50,7 @@ class KernelInterface:
     def __init__(self, bus, timeout_s):
         self.bus = bus
         self.timeout_s = timeout_s
-        self.journal = deque(maxlen=200_000)
+        self.journal: deque[Any] = deque(maxlen=200_000)
         self.addresses = {}
 
     def handle(self, _device, client):
@@ -172,7 +173,7 @@ def main():
         return
     now = TimeSinceOpened()
     chance = random.Random(spec["seed"])
-    echoes = []
+    echoes: list[Any] = []
     devices = [make_device(device, now, chance, echoes) for device in spec["devices"]]
     interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]), spec["timeout_s"])
 

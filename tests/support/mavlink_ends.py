@@ -4,6 +4,7 @@ import struct
 from typing import Any
 
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.transport import TransportStats
 
 
 class MemoryTransport:
@@ -19,6 +20,7 @@ class MemoryTransport:
         self.frames: list[bytes] = []
         self.takes = True
         self.closed = False
+        self.stats = TransportStats()
 
     def send(self, frame: bytes) -> bool:
         if self.takes:

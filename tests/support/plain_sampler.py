@@ -5,9 +5,9 @@ idea of the mixture.
 """
 
 import math
-import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from random import Random
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class PlainSensor:
 
     def readings(self, true_cm: Sequence[float], seed: int) -> list[float]:
         """One reading for each true range."""
-        chance = random.Random(seed)
+        chance = Random(seed)
         return [self.reading(each, chance) for each in true_cm]
 
-    def reading(self, true_cm: float, chance: random.Random) -> float:
+    def reading(self, true_cm: float, chance: Random) -> float:
         """One reading."""
         reach_cm = min(max(true_cm, 0.0), self.maximum_cm)
         max_odds = self.max / (1.0 - self.max) * math.exp(self.max_growth_per_m * (reach_cm - 300.0) / 100.0)
@@ -60,7 +60,7 @@ class PlainSensor:
             return self._no_echo(chance)
         return reading_cm
 
-    def _unexpected_cm(self, end_cm: float, chance: random.Random) -> float:
+    def _unexpected_cm(self, end_cm: float, chance: Random) -> float:
         """An exponential from the shortest reading on; what lies beyond the expected range is drawn again."""
         if end_cm <= self.minimum_cm:
             return self.minimum_cm
@@ -69,5 +69,5 @@ class PlainSensor:
             if heard_cm <= end_cm:
                 return heard_cm
 
-    def _no_echo(self, chance: random.Random) -> float:
+    def _no_echo(self, chance: Random) -> float:
         return self.second_cm if chance.random() < self.second_share else self.no_echo_cm

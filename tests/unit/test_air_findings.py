@@ -1,6 +1,7 @@
 """Where hot air must have been, and Table 5.1: one air temperature a row, and what is wrong with its first row."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def test_where_the_hot_air_was_is_found(idea: str) -> None:
     for z in RANGES_CM:
         for air_c, profile in ((46.1, IDEAS[idea]), (21.1, lambda x, r: np.full_like(x, 21.1))):
             error_cm = read_cm(z, profile) - z + rng.normal(0.0, 0.1)
-            context = {"air_temperature_c": air_c, "target_temperature_c": 21.1}
+            context: dict[str, Any] = {"air_temperature_c": air_c, "target_temperature_c": 21.1}
             parts.append(point(rng, z, condition="temperature", error_cm=error_cm, **context))
     (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
     assert found.best == idea

@@ -87,7 +87,7 @@ def test_what_is_closed(before: float, after: float, floor: float, over_floor: f
     assert found is not None
     assert found.over_floor == (None if over_floor is None else pytest.approx(over_floor))
     assert found.of_all == pytest.approx(of_all)
-    gap["nats_per_reading"]["after"] = None  # type: ignore[assignment]
+    gap["nats_per_reading"]["after"] = None
     assert judge(ANSWER, said(NAMED, gap=gap), NAMES).closed is None
 
 

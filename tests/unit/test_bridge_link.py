@@ -7,7 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.bridge import FAULTS_AGAIN_S
-from msp_range.config import ConfigError, load_airframe
+from msp_range.config import load_airframe
+from msp_range.yaml_file import ConfigError
 from tests.support.bench import CONFIGS, Bench, airframe
 
 HEARTBEAT = common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)

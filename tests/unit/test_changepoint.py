@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from msp_range.filters.base import Estimate
 from msp_range.filters.changepoint import Changepoint, ChangepointParameters
@@ -15,7 +16,7 @@ GAUSSIAN = Likelihood(1.0, 0.0, 0.0, 0.5, 0.2, 7.65, STD_M**2, 0.0)
 WILD = Likelihood(0.95, 0.03, 0.02, 0.5, 0.2, 7.65, STD_M**2, 0.0)
 
 
-def run(likelihood: Likelihood, ranges_m: Sequence[float], interval_s: float = 0.1) -> np.ndarray:
+def run(likelihood: Likelihood, ranges_m: Sequence[float] | NDArray[np.float64], interval_s: float = 0.1) -> np.ndarray:
     """Ranges and variances, two columns; NaN where nothing is put out, or where a reading is missing (NaN)."""
     one = Changepoint(likelihood)
     out = []

@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,14 @@ EDGES = {50: 21.6, 100: 16.2, 150: 12.6, 200: 10.8}
 def bench(folder: Path, name: str = "bench.csv") -> Path:
     """A sensor that reads 3 cm too far, and sees as the report's did."""
     rng = np.random.default_rng(1)
-    noise = {"error_cm": 3.0, "sigma_cm": 0.8, "missed": 0.02, "saturated": 0.01, "stray": 0.01, "n": 200}
+    noise: dict[str, Any] = {
+        "error_cm": 3.0,
+        "sigma_cm": 0.8,
+        "missed": 0.02,
+        "saturated": 0.01,
+        "stray": 0.01,
+        "n": 200,
+    }
     parts = [point(rng, z, **noise, air_temperature_c=22.5) for z in range(40, 301, 20)]
     parts.append(
         point(rng, 480, error_cm=3.0, sigma_cm=0.8, missed=0.02, saturated=0.01, n=500, condition="maximum_range")

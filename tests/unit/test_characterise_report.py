@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -261,5 +262,5 @@ def test_a_stray_reading_hides_neither_the_others_nor_their_mean():
     (axes,) = figure.axes
     assert axes.get_yscale() == "linear"
     assert axes.get_ylim()[0] > -5.0
-    means = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
+    means: Any = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
     assert means.lines[0].get_ydata().tolist() == [0.0, 1.0]

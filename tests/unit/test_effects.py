@@ -28,7 +28,7 @@ def sensor(*effects: dict[str, Any], **changes: Any) -> SensorModel:
     return load_sensor_model(SENSORS / "mb1242.yaml").model_copy(update={"effects": effects, **changes})
 
 
-def centre_cm(name: str, values: dict[str, float], **context: float) -> float:
+def centre_cm(name: str, values: dict[str, Any], **context: float) -> float:
     """Where hits lie with one effect."""
     model = Model.of(sensor()).adding(name, **values)
     return float(model.rows({key: np.array([value]) for key, value in context.items()}).centre_cm[0])

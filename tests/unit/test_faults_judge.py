@@ -52,9 +52,11 @@ def stream(current_cm: Callable[[float], int], to_s: float = 10.0, **more: Any) 
 
 
 def verdict_on(messages: Sequence[Any], truth: Any = None, end_s: float = 10.0, **conditions: Any) -> Verdict:
-    given = {"duration_s": end_s, "limit_s": 1.0, "nearest_m": 0.2, "farthest_m": 7.5, "listens_s": [(0.0, end_s)]}
+    given: dict[str, Any] = {"duration_s": end_s, "limit_s": 1.0, "nearest_m": 0.2, "farthest_m": 7.5}
+    given["listens_s"] = [(0.0, end_s)]
     received = Received(sorted(messages, key=lambda each: each[0]), [BOOT_S])
-    return judge(received, truth or StatedTruth(lambda time_s: 2.0), Conditions(**(given | conditions)))
+    stated: Any = truth or StatedTruth(lambda time_s: 2.0)
+    return judge(received, stated, Conditions(**(given | conditions)))
 
 
 def test_a_right_stream_is_right() -> None:

@@ -98,7 +98,7 @@ def test_the_keys_are_those_that_were_promised() -> None:
 def test_what_is_not_known_is_null_and_never_nan() -> None:
     text = as_json(replace(FULL, gap=gap(float("nan"))))
     assert "NaN" not in text
-    assert from_json(text).gap.nats_per_reading.after is None  # type: ignore[union-attr]
+    assert from_json(text).gap.nats_per_reading.after is None
 
 
 @pytest.mark.parametrize(("content", "message"), [(None, "no such file"), ("{", "gap.json"), ("[1]", "not written by")])

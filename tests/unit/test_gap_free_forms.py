@@ -54,7 +54,7 @@ def hidden(channel: str, contexts: Columns, seed: int) -> Array:
     rng = np.random.default_rng([seed, 9])
     true_cm, above = number(contexts, "true_range_cm"), number(contexts, "throttle") > 0.6
     if channel == "bias":
-        return read(contexts, seed, 0.8 * above)
+        return read(contexts, seed, np.where(above, 0.8, 0.0))
     if channel == "spread":
         return read(contexts, seed, 1.5 * SIGMA_CM * above * rng.standard_normal(N))
     befallen = above & (rng.random(N) < 0.12)

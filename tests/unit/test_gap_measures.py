@@ -1,5 +1,7 @@
 """The four measures of a gap against what was put in, by a generator that shares no code with the model."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -54,7 +56,7 @@ def test_the_spread_is_a_ratio_either_way(factor: float) -> None:
 
 @pytest.mark.parametrize(("name", "share"), [("unexpected", "short"), ("max", "missed"), ("random", "random")])
 def test_odds_of_each_class(name: str, share: str) -> None:
-    usual = {"unexpected": 0.01, "max": 0.02, "random": 0.01}
+    usual: dict[str, Any] = {"unexpected": 0.01, "max": 0.02, "random": 0.01}
     shares = usual | {name: 0.06}
     hit = 1.0 - sum(shares.values())
     found, _ = measured(readings(6000, hit=hit, **shares))

@@ -102,7 +102,7 @@ def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> Non
             for less in (-1.0, 1.0):
                 other = prepared.log_prob(fitted.base, [active("latency", None, {"delay_ms": found[0] + less})])
                 assert other.sum() < fitted.here.log_p.sum()
-    assert np.mean(found) == pytest.approx(8.0, abs=4.0 * np.mean(errors) / 5.0)
+    assert np.mean(found) == pytest.approx(8.0, abs=4.0 * float(np.mean(errors)) / 5.0)
     assert np.std(found) == pytest.approx(np.mean(errors), rel=0.45)
 
 

@@ -45,7 +45,7 @@ def settled(search: Search, *names: str) -> Chosen:
     of_name = {entry.key[0]: entry for entry in search.tested}
     items = tuple(Item(each, of_name[each.effect.name]) for each in fitted.effects)
     first = search.screen(search.null, [])
-    chosen = Chosen(items, (), fitted, first, (), search.depends(fitted))
+    chosen = Chosen(items, (), fitted, first, ())
     return settle(search, chosen, lambda sentence, share: None)
 
 

@@ -57,7 +57,7 @@ def test_four_corners_tell_the_slope_and_their_variance_says_how_well() -> None:
         for i in range(40):
             known.predict(0.1)
             view = CORNERS[i % 4]
-            off = (rise - [known.rise_north, known.rise_east]) @ [view.by_north, view.by_east]
+            off = float((rise - [known.rise_north, known.rise_east]) @ [view.by_north, view.by_east])
             known.update(view, 2.0 - known.height_m + off + draw.normal(scale=0.02), R_M2, NO_OTHER)
         ground = known.ground()
         errors = np.array([ground.height_m - 2.0, *(np.array(ground[2:4]) - rise)])

@@ -52,7 +52,7 @@ FIRST_OF_AXIS = {
 def orientation_of_deg(
     roll_deg: float, pitch_deg: float, yaw_deg: float, breakaway_rad: float = BREAKAWAY_RAD
 ) -> Orientation:
-    return orientation_of(*map(math.radians, (roll_deg, pitch_deg, yaw_deg)), breakaway_rad)
+    return orientation_of(math.radians(roll_deg), math.radians(pitch_deg), math.radians(yaw_deg), breakaway_rad)
 
 
 def test_the_enum_has_41_described_rotations_along_12_axes() -> None:

@@ -51,7 +51,7 @@ def test_codes(name: str, values: dict[str, float], code: float, share: float) -
 def test_twice_the_range() -> None:
     flown = fly({"multipath": {"share": 0.5, "sigma_cm": 1.0}}, 10, 100, 3)
     pairs = zip(flown["reading_cm"], flown["true_range_cm"], strict=True)
-    near = [abs(float(reading) - 2.0 * float(true)) < 4.0 for reading, true in pairs]
+    near = [abs(float(str(reading)) - 2.0 * float(str(true))) < 4.0 for reading, true in pairs]
     assert fmean(near) == pytest.approx(0.5, abs=0.06)
 
 

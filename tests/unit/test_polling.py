@@ -31,6 +31,8 @@ ROUND = ("a", "b", "c", "d")
 class Sonar:
     """A sensor that answers as long after its ping as it is told, with a range that is a function of the ping."""
 
+    address = 0x70
+
     def __init__(self, clock: VirtualClock) -> None:
         self._clock = clock
         self.pings_s: list[float] = []
@@ -404,6 +406,8 @@ def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) ->
 
 class Broken:
     """A sensor on a bus that fails: pings or answers raise ``errno``."""
+
+    address = 0x70
 
     def __init__(self, verb: str, number: int) -> None:
         self.verb = verb

@@ -88,7 +88,7 @@ def test_the_probabilities_of_all_codes_sum_to_one(
     true_range_cm: float,
 ) -> None:
     shares = [weight / sum(weights) for weight in weights]
-    of = model(*shares, sigma_cm, rate_per_m, saturated, *growths)
+    of = model(*(*shares, sigma_cm, rate_per_m, saturated, *growths))
     # A weight next to 0 that grows to the odds of 1 leaves eight digits.
     assert probabilities(of, true_range_cm).sum() == pytest.approx(1.0, abs=1e-7)
 

@@ -63,7 +63,7 @@ def record_flight(path: Path, seconds: int = 10) -> list[tuple[str, float, dict[
         clock.sleep_until(time_s)
         sensor = ("left", "right")[count % 2]
         ping_s = time_s - 0.03
-        messages = [
+        messages: list[tuple[str, float, dict[str, Any]]] = [
             (f"/truth/{sensor}", ping_s, {"true_range_cm": 100.5 + count, "target": "grass"}),
             (
                 f"/range/{sensor}",

@@ -4,6 +4,7 @@ import errno
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -23,6 +24,8 @@ from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import PolledSensor, Timing
 
 LEFT, RIGHT = 0x70, 0x71
+near: Any = pytest.approx
+"""A number that one of another type is compared with."""
 # Times of no answer are sums of binary fractions, which are exact.
 TIMING = Timing(first_answer_s=0.0212, deadline_s=80 / 1024)
 
@@ -118,13 +121,13 @@ def test_a_csv_file_gives_pings(tmp_path: Path) -> None:
     # The ping is half a time of flight of 58 us/cm before the echo, where there was one.
     assert pings == {
         "left": [
-            RecordedPing(pytest.approx(1 - 0.0058, abs=1e-12), 200, pytest.approx(0.020 + 0.0116, abs=1e-12)),
+            RecordedPing(near(1 - 0.0058, abs=1e-12), 200, near(0.020 + 0.0116, abs=1e-12)),
             RecordedPing(2.0, 765, 0.067),
-            RecordedPing(3.0, None, pytest.approx(0.020)),
-            RecordedPing(4.0, 0x8000 + 400, pytest.approx(0.020 + 0.0232, abs=1e-12)),
+            RecordedPing(3.0, None, near(0.020)),
+            RecordedPing(4.0, 0x8000 + 400, near(0.020 + 0.0232, abs=1e-12)),
             RecordedPing(5.0, 0, 0.020),
         ],
-        "right": [RecordedPing(pytest.approx(4.5 - 29e-6 * 82, abs=1e-12), 82, pytest.approx(0.020 + 58e-6 * 82))],
+        "right": [RecordedPing(near(4.5 - 29e-6 * 82, abs=1e-12), 82, near(0.020 + 58e-6 * 82))],
     }
 
 
@@ -205,6 +208,9 @@ class RecordedOrder:
 
     def hear(self, reading: Reading) -> None:
         """Nothing to learn."""
+
+    def again(self, sensor: str) -> None:
+        """Nothing to repeat."""
 
 
 def replay(pings: dict[str, list[RecordedPing]]) -> list[Ranging]:

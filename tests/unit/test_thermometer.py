@@ -44,7 +44,12 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
 
 def test_in_the_loop_a_file_is_read_once_a_period() -> None:
     reads: list[float] = []
-    reader = LoopReader(lambda named: reads.append(0.0) or 1000.0 * len(reads))
+
+    def read(named: object) -> float:
+        reads.append(0.0)
+        return 1000.0 * len(reads)
+
+    reader = LoopReader(read)
     named = source("temp1_input", period_s=2.0)
     taken = [reader.newest(named, now_s) for now_s in (0.0, 1.9, 2.0, 3.9, 4.0)]
     assert [each and each.reported_c for each in taken] == [1.0, None, 2.0, None, 3.0]

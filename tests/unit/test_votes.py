@@ -1,9 +1,14 @@
 """A sensor's last readings as its vote: how votes are counted, and when they make a step of the ground."""
 
+from typing import Any
+
 import pytest
 
 from msp_range.fusion.votes import Seen, Sight, Tally, step_m, tally, working
 from msp_range.fusion.windows import Windows
+
+near_to: Any = pytest.approx
+"""A number that one of another type is compared with."""
 
 WINDOWS = Windows()
 """Four sensors 0.1 s apart: a reading is current for 0.64 s, a vote holds for 1.24 s."""
@@ -90,15 +95,15 @@ def test_readings_before_a_time_are_no_part_of_a_vote() -> None:
 
 def test_the_newest_reading_is_the_last_one_with_a_range_and_not_too_old() -> None:
     seen = sight("ground", 0.5, "nothing")
-    assert seen.newest(9.55) == Seen(pytest.approx(9.6), 0.5, False)
+    assert seen.newest(9.55) == Seen(near_to(9.6), 0.5, False)
     assert seen.newest(9.65) is None
     assert sight("nothing").newest(0.0) is None
-    assert sight("ground", "nothing").newest(0.0) == Seen(pytest.approx(9.6), 0.0, True)
+    assert sight("ground", "nothing").newest(0.0) == Seen(near_to(9.6), 0.0, True)
 
 
 def test_the_reading_before_the_newest_may_be_one_without_a_range() -> None:
-    assert sight(0.5, "nothing", 0.6).before() == Seen(pytest.approx(9.6), None, False)
-    assert sight(0.5, 0.6).before() == Seen(pytest.approx(9.6), 0.5, False)
+    assert sight(0.5, "nothing", 0.6).before() == Seen(near_to(9.6), None, False)
+    assert sight(0.5, 0.6).before() == Seen(near_to(9.6), 0.5, False)
     assert sight(0.5).before() is None
 
 
@@ -106,7 +111,7 @@ def test_ground_that_is_lower_makes_what_was_off_by_as_much_ground_and_the_other
     moved = sight(0.5, "ground", "nothing")
     moved.move(0.42)
     assert not moved.votes_ground(0.0)
-    assert moved.newest(0.0) == Seen(pytest.approx(9.6), pytest.approx(-0.42), False)
+    assert moved.newest(0.0) == Seen(near_to(9.6), near_to(-0.42), False)
     near, far = sight(0.5), sight(0.5)
     near.move(0.39)
     far.move(0.37)

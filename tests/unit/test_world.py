@@ -32,8 +32,8 @@ def looking(boresight=DOWN, half_angle=narrowing, position_m=(0.0, 0.0, 0.0)) ->
 
 
 def at(north_m=0.0, east_m=0.0, height_m=2.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0, velocity=(0.0, 0.0, 0.0)):
-    angles = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
-    return Pose(0.0, (north_m, east_m, -height_m), *angles, velocity)
+    roll_rad, pitch_rad, yaw_rad = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
+    return Pose(0.0, (north_m, east_m, -height_m), roll_rad, pitch_rad, yaw_rad, velocity)
 
 
 def world(air: Air | None = None, **ground) -> World:
@@ -57,7 +57,8 @@ def test_a_tilted_vehicle_over_a_slope_measures_the_perpendicular():
         normal /= np.linalg.norm(normal) * np.sign(normal[2])  # into the ground
         north_m, east_m = rng.uniform(-10, 10, 2)
         ground_m = grade * (north_m * rising[0] + east_m * rising[1])
-        pose = at(north_m, east_m, ground_m + rng.uniform(0.8, 6.0), *rng.uniform(-8, 8, 2), rng.uniform(-180, 180))
+        height_m, (roll_deg, pitch_deg) = ground_m + rng.uniform(0.8, 6.0), rng.uniform(-8, 8, 2)
+        pose = at(north_m, east_m, height_m, roll_deg, pitch_deg, rng.uniform(-180, 180))
         mounting = Rotation.from_euler(
             "ZYX", [rng.uniform(0, 360), rng.uniform(-100, -80), 0], degrees=True
         ).as_matrix()
@@ -300,9 +301,8 @@ def test_nothing_changes_when_everything_is_turned_together(turn_deg):
         roll_deg, pitch_deg, yaw_deg = *rng.uniform(-10, 10, 2), rng.uniform(-180, 180)
         velocity = (0.3, -0.8, 0.2)
         before = at(north_m, east_m, height_m, roll_deg, pitch_deg, yaw_deg, velocity)
-        after = at(
-            *turned(north_m, east_m), height_m, roll_deg, pitch_deg, yaw_deg + turn_deg, (*turned(*velocity[:2]), 0.2)
-        )
+        there_m, moving_m_s = turned(north_m, east_m), (*turned(*velocity[:2]), 0.2)
+        after = at(there_m[0], there_m[1], height_m, roll_deg, pitch_deg, yaw_deg + turn_deg, moving_m_s)
         one, other = straight.ping(before, beam), around.ping(after, beam)
         targets.add(one.target)
         assert (one.heard, one.target, one.target_size_cm) == (other.heard, other.target, other.target_size_cm)
