@@ -13,7 +13,7 @@ from msp_range.yaml_file import ConfigError
 
 ReadBy = Annotated[
     Path | None,
-    typer.Option(help="sensor model file that all sensors read by, instead of the airframe's or campaign's"),
+    typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
 ]
 
 app = typer.Typer(

@@ -49,8 +49,9 @@ def draw(flight: Flight, path: Path, title: str) -> None:
         for bottom in below:
             bottom.set_ylabel("error [cm]")
             bottom.set_ylim(-SHOWN_CM, SHOWN_CM)
+            line = "; line: fused" if any(truth is not None for truth in flight.fused.truth_m) else ""
             bottom.set_title(
-                f"reading minus truth (dots: as the sensor gave it; line: fused; beyond {SHOWN_CM:g} cm not shown)"
+                f"reading minus truth (dots: as the sensor gave it{line}; beyond {SHOWN_CM:g} cm not shown)"
             )
         (below or [top])[-1].set_xlabel("time [s]")
         legend_below(figure)
