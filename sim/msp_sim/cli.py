@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from msp_range.extras import require
+from msp_range.extras import DRAWING, require
 from msp_range.mistakes import tell_mistakes
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.yaml_file import ConfigError
@@ -47,7 +47,7 @@ def fly(
     In --out: summary.json (what the table shows), flight.mcap (every stage of every reading, for Foxglove or
     'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
     """
-    require("sim", "msp-sim fly")
+    require("sim", "msp-sim fly", but=DRAWING)
     from msp_sim.flight.flying import fly_scenario
 
     if realtime and speed is not None:
@@ -93,7 +93,7 @@ def sitl(
     vehicle is disarmed and stands on the ground: that is where the heights begin. docs/sitl.md has the commands and
     parameters.
     """
-    require("sim", "msp-sim sitl")
+    require("sim", "msp-sim sitl", but=DRAWING)
     from msp_sim.sitl.flying import fly_sitl
 
     fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)

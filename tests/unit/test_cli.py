@@ -218,7 +218,7 @@ def test_the_demo_flies_again() -> None:
 @pytest.mark.parametrize(
     ("missing", "command", "extra"),
     [
-        ("matplotlib", "msp-sim fly scenarios/sinusoid.yaml --out {}", "sim"),
+        ("scipy", "msp-sim fly scenarios/sinusoid.yaml --out {}", "sim"),
         ("scipy", "msp-sim sitl loopback.yaml --duration 0.5 --link udpout:127.0.0.1:9 --out {}", "sim"),
         ("scipy", "msp-sim sample sensors/mb1242.yaml --contexts none.csv --out {}", "sim"),
         ("matplotlib", "msp-sim show none.mcap --out {}", "sim"),
@@ -239,6 +239,26 @@ def test_what_draws_or_fits_asks_for_its_extra_before_the_work(
     assert re.fullmatch(rf".* needs {missing}: pip install 'msp-range\[{extra}\]'\n", done.stderr)
     assert done.stdout == ""
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["fly", "scenarios/sinusoid.yaml"],
+        ["sitl", "loopback.yaml", "--duration", "0.5", "--link", "udpout:127.0.0.1:9"],
+    ],
+    ids=["fly", "sitl"],
+)
+def test_without_matplotlib_there_are_numbers_and_no_picture(args: list[str], tmp_path: Path) -> None:
+    code = "import sys; sys.modules['matplotlib'] = None; from msp_sim.cli import main; main()"
+    command = [sys.executable, "-c", code, *args, "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=CONFIGS, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    # Said before the flight, not after it.
+    assert done.stdout.startswith("no picture will be drawn without matplotlib: pip install 'msp-range[sim]'")
+    assert json.loads((tmp_path / "summary.json").read_text())["duration_s"] > 0
+    assert not (tmp_path / "flight.png").exists()
 
 
 def test_the_extras_are_those_of_the_packaging() -> None:

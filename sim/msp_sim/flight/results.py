@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from msp_range.extras import missing
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.flight_log import Flight
-from msp_sim.flight.flight_picture import draw
 from msp_sim.terminal import make_folder
 
 RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO = "flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"
@@ -27,11 +27,16 @@ def make_ready(folder: Path, force: bool) -> None:
         raise ConfigError(f"{there[0]}: a flight is in this folder already; name another one, or replace it: --force")
     for path in there:
         path.unlink()
+    if (absent := missing("sim")) is not None:
+        print(f"no picture will be drawn without {absent}")
 
 
 def write_results(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
-    """Write the flight as numbers and as a picture, and print where they are."""
+    """Write the flight as numbers and, where that can be drawn, as a picture, and print where they are."""
     (folder / NUMBERS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"  numbers: {folder / NUMBERS}")
-    draw(flight, folder / PICTURE, title)
-    print(f"  picture: {folder / PICTURE}")
+    if missing("sim") is None:
+        from msp_sim.flight.flight_picture import draw
+
+        draw(flight, folder / PICTURE, title)
+        print(f"  picture: {folder / PICTURE}")
