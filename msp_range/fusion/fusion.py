@@ -22,7 +22,7 @@ from msp_range.fusion.objects import Below
 from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
 from msp_range.fusion.vertical import Known, VerticalMotion
-from msp_range.fusion.votes import AGREE_M, Sight, step_m, tally, working
+from msp_range.fusion.votes import AGREE_M, LEAVING_M_S, Sight, step_m, tally, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix
 from msp_range.reading import Reading, Status
@@ -42,8 +42,8 @@ STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 OFF_IN_A_ROW = 3
 """After readings of so many sensors in a row, or of all, that are not of the ground, or of two that agree with each
-other, nothing is sent until one is: the ground may have a step, or the vehicle a motion that the filter has not seen.
-Fewer make gaps of outliers, more send an old ground for longer."""
+other or as two of a vehicle that moves on, nothing is sent until one is: the ground may have a step, or the vehicle a
+motion that the filter has not seen. Fewer make gaps of outliers, more send an old ground for longer."""
 ON_TRIAL, DOUBT_READINGS = 3, 8
 """A first ground with which other readings do not agree, or after most of the last readings were of no ground, is sent
 after so many further readings of it in a row: four outliers may lie on a line once in some seconds of nothing else,
@@ -159,6 +159,7 @@ class Fusion:
         self._windows = windows
         self._motion = motion or VerticalMotion()
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
+        self._same_m = min(AGREE_M + LEAVING_M_S * windows.gap_s, GATE_WIDEST_M)
         self._start = Start(windows, self._motion)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
@@ -418,7 +419,9 @@ class Fusion:
         known_object = sensor.below.is_object(off_m)
         if not known_object:
             agreeing = [
-                each for name, each in self._off_m.items() if name != reading.sensor and abs(each - off_m) < AGREE_M
+                each
+                for name, each in self._off_m.items()
+                if name != reading.sensor and abs(each - off_m) < self._same_m
             ]
             self._off_m[reading.sensor] = off_m
             self._stepping |= bool(agreeing)

@@ -478,3 +478,11 @@ def test_it_is_equivariant_to_an_offset_and_blind_to_the_origin_of_time() -> Non
         for one, other in zip(out(0.0, 0.0), changed, strict=True):
             assert (one is None) == (other is None)
             assert one is None or other is None or one == pytest.approx(other, abs=1e-8)
+
+
+def test_two_readings_in_a_row_that_leave_the_ground_stop_the_stream_at_once() -> None:
+    """A take-off at 3 m/s^2 with one outlier in it: what was sent last is held for half a second and soon far off."""
+    fusion = four()
+    fly(fusion, lambda name, time_s: 0.25, 8)
+    assert take(fusion, reading("a", 0.8, 0.70)) is not None
+    assert take(fusion, reading("b", 0.9, 0.90)) is None
