@@ -157,7 +157,7 @@ def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
 
 
 def _check_order(path: Path, sensor: str, time_s: Column, name: str) -> None:
-    far = np.flatnonzero(np.abs(time_s) > LARGEST_TIME_S)
+    far = np.flatnonzero(~(np.abs(time_s) <= LARGEST_TIME_S))  # also what is not a number
     if far.size:
         raise RecordingError(
             f"{path}: sensor {sensor!r}: found {name} {time_s[far[0]]:g}, expected seconds, at most {LARGEST_TIME_S:g}"
