@@ -1,15 +1,15 @@
 """From an airframe to the parts that `msp_range.bridge.Bridge` puts together: sensors, their order, fusion, streams."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 from msp_range.bus import Bus
 from msp_range.config import Airframe, Sensor
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import quaternion
-from msp_range.mavlink.distance_sensor import Stream, make_stream
+from msp_range.mavlink.distance_sensor import LASER, ULTRASOUND, Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
-from msp_range.sensors.mb1242 import MB1242, garbled_from
 from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 
 
@@ -47,7 +47,7 @@ def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
     std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.resolution_cm**2 / 12) / 100
     return PolledSensor(
         sensor.name,
-        MB1242(bus, sensor.address),
+        sensor.driver(bus, sensor.address),
         Timing(first_answer_s, timing.deadline_s, timing.s_per_cm * 100),
         std_m,
         model.reading_model.sigma_growth_cm_per_m / 100,
@@ -82,7 +82,7 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
             (*sensor.position_m[:2], _below_reference_m(airframe, sensor)),
             sensor.boresight,
             sensor.sensor_model.oblique_reading,
-            garbled_from,
+            sensor.driver.garbled_from,
         )
         for sensor in airframe.downward
     }
@@ -107,6 +107,7 @@ def single_streams(airframe: Airframe) -> dict[str, Stream]:
             sensor.sensor_model.minimum_cm,
             sensor.sensor_model.maximum_cm,
             airframe.link.autopilot,
+            _stream_type([sensor]),
         )
         for sensor in airframe.sensors
         if sensor.name in airframe.sent_names
@@ -126,6 +127,7 @@ def object_streams(airframe: Airframe) -> dict[str, Stream]:
             sensor.sensor_model.minimum_cm,
             sensor.sensor_model.maximum_cm,
             airframe.link.autopilot,
+            _stream_type([sensor]),
         )
         for sensor in airframe.downward
         if sensor.name not in airframe.sent_names
@@ -144,4 +146,10 @@ def fused_stream(airframe: Airframe) -> Stream | None:
         min(model.minimum_cm + below_cm for model, below_cm in models),
         max(model.maximum_cm + below_cm for model, below_cm in models),
         airframe.link.autopilot,
+        _stream_type(airframe.downward),
     )
+
+
+def _stream_type(sensors: Sequence[Sensor]) -> int:
+    """What DISTANCE_SENSOR calls the sensors of a stream; one of sound among them decides."""
+    return ULTRASOUND if any(sensor.sensor_model.medium == "sound" for sensor in sensors) else LASER

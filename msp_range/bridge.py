@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from msp_range.acoustics.air import Air, compensate_range
+from msp_range.acoustics.air import NO_AIR, Air, compensate_range
 from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams, windows_of
 from msp_range.bus import Bus
 from msp_range.clock import Clock
@@ -72,6 +72,7 @@ class _Channel:
     def __init__(self, sensor: Sensor, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
+        self.by_sound = sensor.sensor_model.medium == "sound"
         self.chain: Chain | None = None
         if sensor.name in airframe.sent_names:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
@@ -91,7 +92,7 @@ class Step(NamedTuple):
     ranging
         As it came from the sensor.
     air
-        The air that the range was corrected for.
+        The air that the range was corrected for; of the source `NO_AIR` where it is a range of light.
     corrected
         After the temperature correction.
     filtered
@@ -176,7 +177,7 @@ class Bridge:
         memory_s = self._windows.memory_s
         self._channels = {sensor.name: _Channel(sensor, airframe, memory_s) for sensor in airframe.sensors}
         self._temperature = AirTemperature(
-            airframe.temperature, clock.now(), thermometer or LoopReader(), airframe.maximum_m
+            airframe.temperature, clock.now(), thermometer or LoopReader(), airframe.maximum_by_sound_m
         )
         self._air = self._temperature.now(clock.now())
         self._recorded_air = air
@@ -185,6 +186,7 @@ class Bridge:
         self._attitude = AttitudeTrack()
         self._motion = motion or VerticalMotion()
         self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)
+        self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
         if self._fusion is not None:
             asked |= {ATTITUDE: ATTITUDE_REQUEST_HZ, **WITNESSES[airframe.link.autopilot]}
         self.link = Link(
@@ -242,13 +244,15 @@ class Bridge:
     def _take(self, ranging: Ranging) -> Step:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
-        air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
+        vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
+        air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
         corrected = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
         filtered, fused = Filtered(None), None
         if self._fusion is not None and channel.is_fused:
-            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, air, now_s, boot_ms)
-            if corrected.range_m is not None:
+            fused_air = vehicle_air if self._fused_by_sound else air
+            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, fused_air, now_s, boot_ms)
+            if corrected.range_m is not None and channel.by_sound:
                 self._temperature.record_range(ranging.reading)
         if channel.chain is not None:
             filtered = channel.chain.update(corrected)
@@ -305,10 +309,11 @@ class Bridge:
             "ping_s": ranging.ping_s,
             "read_s": ranging.answered_s,
             "status": reading.status.value,
-            "temperature_c": air.temperature_c,
-            "temperature_std_c": air.std_c,
-            "temperature_source": air.source,
         }
+        if air.source != NO_AIR:
+            stages["temperature_c"] = air.temperature_c
+            stages["temperature_std_c"] = air.std_c
+            stages["temperature_source"] = air.source
         if reading.raw is not None:
             stages["raw"] = reading.raw
         if reading.range_m is not None:

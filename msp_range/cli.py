@@ -7,13 +7,16 @@ import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from msp_range.mistakes import tell_mistakes
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.yaml_file import ConfigError
+
+if TYPE_CHECKING:
+    from msp_range.sensors.base import Driver
 
 app = typer.Typer(
     name="msp-range",
@@ -29,6 +32,10 @@ FILE_KINDS = "msp_range.file_kinds"
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
+DriverOption = Annotated[
+    str | None,
+    typer.Option("--driver", help="kind of sensor, as sensor model files name it; left out: by the sensor's address"),
+]
 
 
 @app.command()
@@ -77,6 +84,21 @@ def _leave(signum: int, frame: FrameType | None) -> None:
     os._exit(0)
 
 
+def driver_of(text: str) -> "type[Driver]":
+    """The driver that a command line names."""
+    from msp_range.sensors.table import find_driver
+
+    try:
+        driver = find_driver(text)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"--driver: found {text!r}; {error}") from None
+    if driver is None:
+        raise ConfigError(f"--driver: found {text!r}; expected a kind of sensor that the bridge has a driver for")
+    return driver
+
+
 @app.command()
 @tell_mistakes
 def check(airframe_file: AirframeFile) -> None:
@@ -123,7 +145,7 @@ def check(airframe_file: AirframeFile) -> None:
                 f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s",
                 highlight=False,
             )
-    for line in describe(airframe.temperature, airframe.maximum_m):
+    for line in describe(airframe.temperature, airframe.maximum_by_sound_m):
         console.print(line, highlight=False)
 
 
@@ -152,8 +174,9 @@ def schema(
 def scan(
     bus: BusOption = "1",
     ping: Annotated[
-        bool, typer.Option("--ping", help="send each the range command, to tell MB1242 from other devices")
+        bool, typer.Option("--ping", help="let each range, to tell range finders from other devices")
     ] = False,
+    driver: DriverOption = None,
 ) -> None:
     """List what acknowledges on an I2C bus. Only reads, unless --ping is given."""
     from rich.table import Table
@@ -164,7 +187,7 @@ def scan(
     from msp_range.terminal import PlainConsole
 
     kernel_bus = KernelBus(bus_of(bus))
-    found = scan_bus(kernel_bus, SystemClock(), identify=ping)
+    found = scan_bus(kernel_bus, SystemClock(), identify=ping, driver=None if driver is None else driver_of(driver))
     kernel_bus.close()
     if not found:
         print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")
@@ -184,23 +207,27 @@ def address(
     new: Annotated[str, typer.Argument(help="the 7-bit address that it is to have, e.g. 0x71")],
     bus: BusOption = "1",
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    driver: DriverOption = None,
 ) -> None:
-    """Change an MB1242's address: shows the bus, refuses what could lose the sensor, verifies. Survives power-off."""
+    """Change a sensor's address: shows the bus, refuses what could lose the sensor, verifies."""
     from msp_range.bus.smbus import KernelBus, bus_of
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import change_address, check_new_address
     from msp_range.sensors.addressing import scan as scan_bus
+    from msp_range.sensors.table import drivers_at
 
     old_address, new_address = _address(old), _address(new)
-    check_new_address(new_address)
+    kind = drivers_at(old_address)[0] if driver is None else driver_of(driver)
+    check_new_address(new_address, kind)
     kernel_bus, clock = KernelBus(bus_of(bus)), SystemClock()
     for each in scan_bus(kernel_bus, clock, identify=False):
         print(f"{kernel_bus.path}: 0x{each.address:02x} acknowledges {each.answer}".rstrip())
     if not yes:
         typer.confirm(f"Move the sensor at 0x{old_address:02x} to 0x{new_address:02x}?", abort=True)
-    found = change_address(kernel_bus, clock, old_address, new_address)
+    found = change_address(kernel_bus, clock, old_address, new_address, kind)
     kernel_bus.close()
-    print(f"0x{found.address:02x}: {found.answer}; the sensor has moved and keeps this address")
+    until = "" if kind.keeps_address else " until its power is switched off"
+    print(f"0x{found.address:02x}: {found.answer}; the sensor has moved and keeps this address{until}")
 
 
 def _address(text: str) -> int:
@@ -234,7 +261,6 @@ def replay(
 
     recording = Recording(file) if is_recording(file) else None
     source = recording or file
-    pings = recorded_pings(source, run_name)
     if airframe_file is not None:
         airframe = load_airframe(airframe_file)
     elif recording is not None:
@@ -242,6 +268,7 @@ def replay(
     else:
         raise ConfigError(f"{file}: a table does not say which airframe it is of; name its file with --airframe")
     airframe = airframe.changed(link=link)
+    pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
     transport = Nowhere() if link is None else open_transport(link, SystemClock())
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)

@@ -61,12 +61,6 @@ class Sensor(SensorOnBus):
     rotation_deg: RotationDeg
     """Euler angles of the mounting {roll, pitch, yaw} [deg]; pitch -90 looks down"""
 
-    @model_validator(mode="after")
-    def _can_fly(self) -> "Sensor":
-        if self.sensor_model.driver == "none":
-            raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")
-        return self
-
     @property
     def boresight(self) -> Vector:
         """Unit vector along which it looks, body FRD."""
@@ -289,9 +283,10 @@ class Airframe(Section):
         return list(self.send.sensors)
 
     @property
-    def maximum_m(self) -> float:
-        """Longest range of its sensors [m]."""
-        return max(sensor.sensor_model.maximum_cm for sensor in self.sensors) / 100
+    def maximum_by_sound_m(self) -> float:
+        """Longest range of those of its sensors that the air's temperature matters to [m]; 0 where there are none."""
+        by_sound = [sensor.sensor_model for sensor in self.sensors if sensor.sensor_model.medium == "sound"]
+        return max([model.maximum_cm for model in by_sound], default=0) / 100
 
     @property
     def _fused_names(self) -> list[str]:

@@ -32,7 +32,7 @@ def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, N
         # Imported late: --help must not wait for them.
         from msp_range.bus import BusError
         from msp_range.recording.error import RecordingError
-        from msp_range.sensors.addressing import AddressError
+        from msp_range.sensors.base import AddressError
 
         try:
             if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:

@@ -58,7 +58,7 @@ class Reading:
     raw
         The sensor's 16-bit answer as it came; None where there was no answer.
     suspect
-        True where the answer is a legal range that is also a known fault code (253 and 255 on the MB1242).
+        True where the answer is a legal range that is also a known fault code of this kind of sensor.
     """
 
     time_s: float

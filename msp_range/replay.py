@@ -27,8 +27,9 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
-from msp_range.recording.replay_bus import RecordedPing, ReplayBus
+from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
+from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
 from msp_range.terminal import PlainConsole, console
 
@@ -142,7 +143,8 @@ def replay(
         The record has a sensor that the airframe has not.
     """
     _refuse_gaps(pings, source)
-    bus = ReplayBus(_by_address(airframe, pings, source), clock)
+    playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
+    bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     order = RecordedOrder(airframe, bus)
     without_sources = airframe.model_copy(
         update={"temperature": airframe.temperature.model_copy(update={"sources": ()})}

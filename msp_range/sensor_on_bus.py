@@ -6,10 +6,12 @@ section of its own that extends this one.
 
 from typing import Annotated
 
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic_core import InitErrorDetails
 
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_range.sensors.addressing import ILLEGAL_8BIT
+from msp_range.sensors.base import Driver
+from msp_range.sensors.table import find_driver
 from msp_range.yaml_file import Section, load_named
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
@@ -26,20 +28,29 @@ class SensorOnBus(Section):
     """sensor model file, relative to this file"""
 
     _model: SensorModel = PrivateAttr()
-
-    @field_validator("address")
-    @classmethod
-    def _legal(cls, address: int) -> int:
-        if address << 1 in ILLEGAL_8BIT:
-            raise ValueError(f"an MB1242 cannot have the address 0x{address:02x}; choose another one")
-        return address
+    _driver: type[Driver] = PrivateAttr()
 
     @model_validator(mode="after")
     def _load_model(self, info: ValidationInfo) -> "SensorOnBus":
         self._model = load_named(info, self.model, load_sensor_model)
+        driver = find_driver(self._model.driver)
+        if driver is None:
+            raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")
+        if driver.ignores_address(self.address):
+            error = ValueError(f"{driver.part} cannot have the address 0x{self.address:02x}; choose another one")
+            raise ValidationError.from_exception_data(
+                "address",
+                [InitErrorDetails(type="value_error", loc=("address",), input=self.address, ctx={"error": error})],
+            )
+        self._driver = driver
         return self
 
     @property
     def sensor_model(self) -> SensorModel:
         """The content of the file that ``model`` names."""
         return self._model
+
+    @property
+    def driver(self) -> type[Driver]:
+        """What speaks to this kind of sensor."""
+        return self._driver

@@ -24,8 +24,9 @@ MOLAR_MASS_KG_PER_MOL = 0.02896546
 ZERO_CELSIUS_K = 273.15
 """0 deg C [K], by definition."""
 
-FIXED, HELD = "fixed", "held"
-"""Sources of an `Air` that was not measured now: the airframe file's constant; an earlier value of a source."""
+FIXED, HELD, NO_AIR = "fixed", "held", "none"
+"""Sources of an `Air` that was not measured now: the airframe file's constant; an earlier value of a source; none,
+because the range is one of light."""
 TWO_SIDED_95_PERCENT = 1.96
 """Standard deviations on either side of the mean that hold 95 % of a normal distribution."""
 

@@ -20,7 +20,7 @@ NARROWEST_HALF_ANGLE_DEG = 6.0
 
 @dataclass(frozen=True)
 class BreakawayTable:
-    """Breakaway half angle over range, never wider with range, never under 6 degrees.
+    """Breakaway half angle over range, never wider with range, never under 6 degrees for sound.
 
     Angles are between the sensor's axis and the surface's normal, to either side.
 
@@ -29,10 +29,12 @@ class BreakawayTable:
     ranges_m
         Perpendicular distances to the surface [m], strictly growing, at least one.
     half_angles_deg
-        Largest angle with a reliable range at each of them [deg], between 0 and 90. An angle under 6 deg is taken
-        as 6 deg.
+        Largest angle with a reliable range at each of them [deg], between 0 and 90.
     known_to_m
         Range beyond which the angle is held without anything that speaks for it [m]; infinite where there is none.
+
+    narrowest_deg
+        A half angle under this is taken as this [deg]; 0 for a laser, whose beam is as narrow as its maker says.
 
     Raises
     ------
@@ -49,6 +51,7 @@ class BreakawayTable:
     ranges_m: tuple[float, ...]
     half_angles_deg: tuple[float, ...]
     known_to_m: float = math.inf
+    narrowest_deg: float = NARROWEST_HALF_ANGLE_DEG
 
     def __post_init__(self) -> None:
         if len(self.ranges_m) != len(self.half_angles_deg) or not self.ranges_m:
@@ -77,7 +80,7 @@ class BreakawayTable:
 
     @cached_property
     def _half_angles_rad(self) -> tuple[float, ...]:
-        return tuple(math.radians(max(angle_deg, NARROWEST_HALF_ANGLE_DEG)) for angle_deg in self.half_angles_deg)
+        return tuple(math.radians(max(angle_deg, self.narrowest_deg)) for angle_deg in self.half_angles_deg)
 
     @overload
     def half_angle_rad(self, range_m: float) -> float: ...

@@ -44,7 +44,7 @@ class AirTemperature:
     reader
         Reads the sources that are files.
     maximum_m
-        Longest range of the vehicle's sensors, for the report to the pilot [m].
+        Longest range of the vehicle's sensors of sound, for the reports to the pilot [m]; 0: none, and no reports.
     """
 
     def __init__(
@@ -125,6 +125,8 @@ class AirTemperature:
 
     def conditions(self, now_s: float) -> list[Condition]:
         """What the pilot should know, after the last call of `now`."""
+        if not self._maximum_m:
+            return []
         fixed_error_m = air_error_m(self._maximum_m, self._fixed)
         no_thermometer = not self._tracks and fixed_error_m > WORTH_REPORTING_M
         off = f"Range: no thermometer, up to {100 * fixed_error_m:.0f} cm off at {self._maximum_m:.3g} m"
@@ -162,7 +164,7 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     Parameters
     ----------
     maximum_m
-        Longest range of the vehicle's sensors [m].
+        Longest range of the vehicle's sensors of sound [m]; 0 where it has none.
 
     Examples
     --------
@@ -170,6 +172,9 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     air: no thermometer
       fixed_c 20 C +-12 C: up to 31 cm off at 7.65 m; right for air of -4 to 44 C
     """
+
+    if not maximum_m:
+        return ["air: no sensor depends on it"]
 
     def off(air: Air) -> str:
         return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"

@@ -23,7 +23,8 @@ TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
 """Without a message for so long a range finder counts as gone [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's EKF2
 wants readings at least this often."""
 
-_ULTRASOUND = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
+ULTRASOUND: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
+LASER: int = dialect.MAV_DISTANCE_SENSOR_LASER
 _Message = dialect.MAVLink_distance_sensor_message
 
 
@@ -41,6 +42,8 @@ class Stream:
         Just below the shortest distance that the stream can tell, and the longest one [cm].
     no_echo_cm
         ``current_distance`` that says that nothing was heard [cm].
+    type
+        `ULTRASOUND` or `LASER`.
     """
 
     id: int
@@ -48,9 +51,17 @@ class Stream:
     min_distance_cm: int
     max_distance_cm: int
     no_echo_cm: int
+    type: int = ULTRASOUND
 
 
-def make_stream(id: int, orientation: Orientation, shortest_cm: int, longest_cm: int, autopilot: Autopilot) -> Stream:
+def make_stream(
+    id: int,
+    orientation: Orientation,
+    shortest_cm: int,
+    longest_cm: int,
+    autopilot: Autopilot,
+    type: int = ULTRASOUND,
+) -> Stream:
     """A stream with the bounds and the no-echo value that the autopilot understands.
 
     Parameters
@@ -62,7 +73,7 @@ def make_stream(id: int, orientation: Orientation, shortest_cm: int, longest_cm:
     vertical = orientation.value in (DOWN, PITCH_90)
     equals_maximum = autopilot == "px4" and not vertical
     no_echo_cm = longest_cm if equals_maximum else longest_cm + 1
-    return Stream(id, orientation, max(shortest_cm - 1, 0), longest_cm, no_echo_cm)
+    return Stream(id, orientation, max(shortest_cm - 1, 0), longest_cm, no_echo_cm, type)
 
 
 def distance_sensor(
@@ -114,7 +125,7 @@ def _message(
         stream.min_distance_cm,
         stream.max_distance_cm,
         current_cm,
-        _ULTRASOUND,
+        stream.type,
         stream.id,
         stream.orientation.value,
         covariance,

@@ -5,14 +5,17 @@ from it; the simulator draws its readings from the same file; characterisation a
 fitted numbers, effects and the evidence for them.
 """
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
+from pydantic_core import CoreSchema
 
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.correction.calibration import Calibration
+from msp_range.sensors.table import driver_names, find_driver
 from msp_range.yaml_file import Section, load
 
 SATURATED_CM = 255
@@ -20,6 +23,10 @@ SATURATED_CM = 255
 
 WEIGHTS_RANGE_CM = 300.0
 """Range at which the share of `max` is the one in `weights`, where it changes with range: the report's usual [cm]."""
+
+UNUSED_TEMPERATURE_C = 20.0
+"""`calibration_temperature_c` of a sensor of light, where the file has none [deg C]. Any value will do: its ranges are
+compensated from this temperature to the same one, which changes nothing."""
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -127,8 +134,12 @@ class SensorModel(Section):
     maker: str = Field(min_length=1)
     """Who makes it."""
 
-    driver: Literal["mb1242", "none"]
+    driver: str = Field(json_schema_extra=lambda schema: schema.update(enum=[*driver_names()]))
     """The driver that speaks its protocol; none: its readings are characterised, and it does not fly."""
+
+    medium: Literal["sound", "light"] = "sound"
+    """What it ranges with. Light does not change with the air: no correction for temperature, a ray instead of a beam
+    that hears a surface from the side, and `breakaway` is half the beam's divergence."""
 
     minimum_cm: int = Field(ge=0)
     """Shortest reading; a nearer surface reads this too [cm]."""
@@ -140,7 +151,7 @@ class SensorModel(Section):
     """Step of the readings [cm]: whole centimetres is what the driver and the reading model know."""
 
     calibration_temperature_c: float = Field(ge=-20.0, le=50.0)
-    """Air temperature that the sensor's own conversion to range assumes [deg C]."""
+    """Air temperature that the sensor's own conversion to range assumes [deg C]; left out for light."""
 
     oblique_reading: Literal["slant", "nearest", "unknown"]
     """What a canted sensor reads over flat ground: the range along its axis, or to the nearest point of the ground."""
@@ -168,6 +179,26 @@ class SensorModel(Section):
 
     evidence: tuple[dict[str, Any], ...] = ()
     """Where parameters and effects come from; kept unread."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The JSON Schema, in which no key is required of sound only."""
+        described = super().__get_pydantic_json_schema__(schema, handler)
+        handler.resolve_ref_schema(described)["required"].remove("calibration_temperature_c")
+        return described
+
+    @model_validator(mode="before")
+    @classmethod
+    def _light_needs_no_temperature(cls, content: Any) -> Any:
+        if isinstance(content, dict) and content.get("medium") == "light":
+            return {"calibration_temperature_c": UNUSED_TEMPERATURE_C} | content
+        return content
+
+    @field_validator("driver")
+    @classmethod
+    def _is_known(cls, driver: str) -> str:
+        find_driver(driver)
+        return driver
 
     @field_validator("breakaway")
     @classmethod
@@ -216,10 +247,12 @@ class SensorModel(Section):
 
     @cached_property
     def beam(self) -> BreakawayTable:
-        """The breakaway table, carried on to `maximum_cm` by the sonar equation that is fitted to it.
+        """The breakaway table, for sound carried on to `maximum_cm` by the sonar equation that is fitted to it.
 
         Computed when it is first asked for, which the bridge does before it polls.
         """
+        if self.medium == "light":
+            return replace(_beam(self.breakaway), narrowest_deg=0.0)
         # Brings scipy, which checking a file can do without.
         from msp_range.acoustics.sonar import extended_beam
 

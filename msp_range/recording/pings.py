@@ -5,8 +5,10 @@ the ping follows by half the time of flight.
 """
 
 import math
+from collections.abc import Mapping
 from operator import attrgetter, itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,15 +21,10 @@ from msp_range.reading import Status
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
-from msp_range.recording.replay_bus import RecordedPing
 from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX
-from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT, ECHO_S_PER_CM, MINIMUM_CM, NO_ECHO_CM
-from msp_range.sensors.polling import POLL_INTERVAL_S
+from msp_range.sensors.base import POLL_INTERVAL_S, Driver, RecordedPing
+from msp_range.sensors.table import default_driver
 
-READY_S = 0.020
-"""A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
-NO_ECHO_READY_S = 0.067
-"""The full cycle, after which a sensor that heard nothing says so."""
 LONGEST_READY_S = 1.0
 """A sensor was not busy for longer than this, whatever the record says [s]: the program that recorded stood still."""
 
@@ -35,7 +32,9 @@ MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
 """Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
 
 
-def recorded_pings(source: Path | str | Recording, run: str | None = None) -> dict[str, list[RecordedPing]]:
+def recorded_pings(
+    source: Path | str | Recording, run: str | None = None, drivers: Mapping[str, type[Driver]] = MappingProxyType({})
+) -> dict[str, list[RecordedPing]]:
     """The pings of every sensor in a recording or a CSV file, by the sensor's name.
 
     Parameters
@@ -44,6 +43,8 @@ def recorded_pings(source: Path | str | Recording, run: str | None = None) -> di
         An MCAP recording, whole or cut, or measured data in the one CSV form.
     run
         Which run of a CSV file; needed where there are several.
+    drivers
+        Of the sensors of a CSV file, by name: their pings follow from their kind. Others are of the default kind.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def recorded_pings(source: Path | str | Recording, run: str | None = None) -> di
         that two bytes can hold.
     """
     recording, path = _opened(source)
-    pings = _of_csv(path, run) if recording is None else _of_recording(recording)
+    pings = _of_csv(path, run, drivers) if recording is None else _of_recording(recording)
     if not pings:
         raise RecordingError(f"{path}: no readings to replay")
     return pings
@@ -180,9 +181,12 @@ def _check_words(path: Path, sensor: str, time_s: Column, words: Column, name: s
         )
 
 
-def _of_csv(path: Path, run: str | None) -> dict[str, list[RecordedPing]]:
+def _of_csv(path: Path, run: str | None, drivers: Mapping[str, type[Driver]]) -> dict[str, list[RecordedPing]]:
     data = _one_run(path, read_csv(path), run)
-    return {str(name): _of_sensor(path, data.select(data["sensor"] == name)) for name in np.unique(data["sensor"])}
+    return {
+        name: _of_sensor(path, data.select(data["sensor"] == name), drivers.get(name, default_driver()))
+        for name in np.unique(data["sensor"]).tolist()
+    }
 
 
 def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
@@ -195,18 +199,12 @@ def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
     return data.select(data["run"] == run)
 
 
-def _of_sensor(path: Path, data: MeasuredData) -> list[RecordedPing]:
+def _of_sensor(path: Path, data: MeasuredData, driver: type[Driver]) -> list[RecordedPing]:
     time_s, reading_cm = data["time_s"], data["reading_cm"]
     sensor = str(data["sensor"][0])
     _check_order(path, sensor, time_s, "time_s")
     _check_words(path, sensor, time_s, reading_cm, "reading_cm")
-    words = np.rint(reading_cm)
-    is_range = (words >= MINIMUM_CM) & (words < NO_ECHO_CM)
-    ping_s = time_s - np.where(is_range, 0.5 * ECHO_S_PER_CM * words, 0.0)
-    # A clock fault sets one bit of an answer that came when it should.
-    echo_cm = np.mod(np.nan_to_num(words), CLOCK_FAULT_BIT)
-    ready_s = np.where(echo_cm < NO_ECHO_CM, READY_S + ECHO_S_PER_CM * echo_cm, NO_ECHO_READY_S)
     return [
-        RecordedPing(each_s, None if word != word else int(word), each_ready_s)
-        for each_s, word, each_ready_s in zip(ping_s.tolist(), words.tolist(), ready_s.tolist(), strict=True)
+        driver.recorded_ping(each_s, None if word != word else int(word))
+        for each_s, word in zip(time_s.tolist(), np.rint(reading_cm).tolist(), strict=True)
     ]

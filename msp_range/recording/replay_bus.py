@@ -6,46 +6,19 @@ until then, so that on a virtual clock the readings get their own times back.
 """
 
 import errno
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from msp_range.bus.base import BusError
 from msp_range.clock import Clock
-from msp_range.sensors.mb1242 import ANSWER_BYTES, COMMAND_RANGE
-
-PART_INFO = b"\x01\x2c"
-"""What a sensor answers before its first ping; the real bytes are not documented, these look like 300 cm."""
-
-
-class RecordedPing(NamedTuple):
-    """One ping and what came of it.
-
-    Attributes
-    ----------
-    ping_s
-        Time of the ping [s].
-    word
-        The sensor's 16-bit answer; None where there was none.
-    ready_s
-        From the ping until the sensor acknowledges again [s]. Zero and no answer: the ping was not acknowledged.
-    """
-
-    ping_s: float
-    word: int | None
-    ready_s: float
-
-    @property
-    def acknowledged(self) -> bool:
-        """Whether the sensor took the range command."""
-        return self.word is not None or self.ready_s > 0
+from msp_range.sensors.base import Playback, RecordedPing
 
 
 class ReplayBus:
-    """A Bus (see `msp_range.bus.base.Bus`) with recorded MB1242 on it.
+    """A Bus (see `msp_range.bus.base.Bus`) with recorded sensors on it.
 
-    Each range command takes the next recorded ping of its address, however late it comes, so nothing is left out. The
-    sensor does not acknowledge while it ranges, never where it did not answer, and not at all after its last reading;
-    an address that is not in the record does not acknowledge either.
+    Each range command takes the next recorded ping of its address, however late it comes, so nothing is left out. A
+    read is never acknowledged where the sensor did not answer, and a range command not after its last reading; an
+    address that is not in the record does not acknowledge either.
 
     Parameters
     ----------
@@ -53,6 +26,8 @@ class ReplayBus:
         By 7-bit address, in the order of their times.
     clock
         The bridge's clock.
+    playbacks
+        By 7-bit address, what makes the sensor there: a driver's ``playback``.
 
     Attributes
     ----------
@@ -61,9 +36,14 @@ class ReplayBus:
         than the bridge polls.
     """
 
-    def __init__(self, pings: Mapping[int, Sequence[RecordedPing]], clock: Clock) -> None:
+    def __init__(
+        self,
+        pings: Mapping[int, Sequence[RecordedPing]],
+        clock: Clock,
+        playbacks: Mapping[int, Callable[[], Playback]],
+    ) -> None:
         self._clock = clock
-        self._sensors = {address: _Sensor(each) for address, each in pings.items()}
+        self._sensors = {address: _Sensor(each, playbacks[address]()) for address, each in pings.items()}
         self.behind_s = 0.0
 
     def next_ping_s(self, address: int) -> float | None:
@@ -75,9 +55,10 @@ class ReplayBus:
         """Start the next recorded ranging where ``data`` is the range command; anything else does nothing."""
         now_s = self._clock.now()
         sensor = self._sensors.get(address)
-        if sensor is None or sensor.next is None or now_s < sensor.busy_until_s:
+        starts = None if sensor is None else sensor.playback.starts(data, now_s < sensor.busy_until_s)
+        if sensor is None or starts is None or (starts and sensor.next is None):
             raise BusError(errno.EREMOTEIO, "write", address)
-        if data == COMMAND_RANGE:
+        if starts and sensor.next is not None:
             ping = sensor.next
             self.behind_s = max(self.behind_s, now_s - ping.ping_s)
             sensor.ping(now_s, ping)
@@ -87,9 +68,12 @@ class ReplayBus:
     def read(self, address: int, count: int) -> bytes:
         """Return the answer to the last ping."""
         sensor = self._sensors.get(address)
-        if sensor is None or sensor.answer is None or self._clock.now() < sensor.busy_until_s:
+        answer = None
+        if sensor is not None and sensor.raw is not None:
+            answer = sensor.playback.answer(count, sensor.raw, self._clock.now() < sensor.busy_until_s)
+        if answer is None:
             raise BusError(errno.EREMOTEIO, "read", address)
-        return sensor.answer[:count]
+        return answer
 
     def reopen(self) -> None:
         """Nothing to do: a record does not lock up."""
@@ -101,13 +85,14 @@ class ReplayBus:
 class _Sensor:
     """The recorded pings of one address, and the state that they leave it in."""
 
-    def __init__(self, pings: Sequence[RecordedPing]) -> None:
+    def __init__(self, pings: Sequence[RecordedPing], playback: Playback) -> None:
         self._pings: Iterator[RecordedPing] = iter(pings)
         self.next = next(self._pings, None)
-        self.answer: bytes | None = PART_INFO
+        self.playback = playback
+        self.raw: int | None = playback.first_raw
         self.busy_until_s = float("-inf")
 
     def ping(self, now_s: float, ping: RecordedPing) -> None:
         self.next = next(self._pings, None)
-        self.answer = None if ping.word is None else ping.word.to_bytes(ANSWER_BYTES, "big")
+        self.raw = ping.word
         self.busy_until_s = now_s if ping.word is None else now_s + ping.ready_s

@@ -1,14 +1,16 @@
-"""MaxBotix MB1242 (I2CXL-MaxSonar-EZ4): constants, decoding and transfers.
+"""MaxBotix MB1242 (I2CXL-MaxSonar-EZ4) and its series, which shares the protocol: other models are a model file only.
 
 Source: the maker's data sheet of the I2CXL-MaxSonar-EZ series. The sensor ranges on the one-byte command 0x51, does
 not acknowledge while it ranges, and answers a plain two-byte read (no register) with whole centimetres, most
 significant byte first, 20 to 765. It has no status byte, so everything that can be known of a fault is in the value
-and in the time at which it came.
+and in the time at which it came. It takes a new address from one write of 0xAA 0xA5 and the address in its 8-bit form,
+and keeps it without power.
 """
 
-from msp_range.bus import Bus
+from msp_range.bus import Bus, BusError
+from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.sensors.base import Decoded
+from msp_range.sensors.base import POLL_INTERVAL_S, Decoded, Driver, Found, RecordedPing, acknowledges, stranger
 
 COMMAND_RANGE = b"\x51"
 ANSWER_BYTES = 2
@@ -25,6 +27,23 @@ ECHO_S_PER_CM = 58e-6
 """Time of flight of one centimetre of range, there and back."""
 EARLIEST_ANSWER_S = 0.010
 """No ranging is over sooner than this plus its time of flight; half of what the maker's timing suggests."""
+
+UNLOCK = b"\xaa\xa5"
+ILLEGAL_8BIT = frozenset({0, 80, 164, 170})
+"""Addresses in 8-bit form that the sensor ignores."""
+CHANGE_S = 0.125
+"""Time that the sensor needs to store a new address."""
+RANGING_S = 0.080
+"""A ranging is over by then."""
+RANGES_STILL_S = 0.008
+"""No ranging is over by then."""
+
+PART_INFO = 0x012C
+"""What a sensor answers before its first ping; the real bytes are not documented, these look like 300 cm."""
+READY_S = 0.020
+"""A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
+NO_ECHO_READY_S = 0.067
+"""The full cycle, after which a sensor that heard nothing says so."""
 
 
 def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
@@ -71,27 +90,16 @@ def encode(reading_cm: int) -> bytes:
     return reading_cm.to_bytes(ANSWER_BYTES, "big")
 
 
-def garbled_from(word: int) -> tuple[int, ...]:
-    """Answers of which a fault of the bus would make ``word``: the high byte lost, or OR-ed into the low one.
+class MB1242(Driver):
+    """One MB1242 on a bus."""
 
-    Examples
-    --------
-    >>> garbled_from(247), garbled_from(300)
-    ((503, 759, 502, 757), ())
-    """
-    if word > 0xFF:
-        return ()
-    lost = [high << 8 | word for high in (1, 2)]
-    mixed = [high << 8 | word & ~high for high in (1, 2) if word & high]
-    return tuple([answer for answer in dict.fromkeys([*lost, *mixed]) if answer < NO_ECHO_CM])
-
-
-class MB1242:
-    """One MB1242 on a bus; a `RangeSensor`."""
+    part = "an MB1242"
+    default_address = 0x70
+    keeps_address = True
+    busy_s = RANGING_S
 
     def __init__(self, bus: Bus, address: int) -> None:
-        self._bus = bus
-        self.address = address
+        super().__init__(bus, address)
         self._pinged = False
 
     def ping(self) -> None:
@@ -111,3 +119,90 @@ class MB1242:
             if since_ping_s < earliest_s:
                 return Decoded(Status.IMPOSSIBLE, None, decoded.raw)
         return decoded
+
+    @classmethod
+    def ignores_address(cls, address: int) -> bool:
+        """Some addresses are commands or parts of them."""
+        return address << 1 in ILLEGAL_8BIT
+
+    @classmethod
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> Found:
+        """Such a sensor does not acknowledge for a while after the range command, and then answers what can be a range.
+
+        Other devices may take that command, one byte, for one of theirs.
+        """
+        try:
+            bus.write(address, COMMAND_RANGE)
+            pinged_s = clock.now()
+            clock.sleep_until(pinged_s + RANGES_STILL_S)
+            busy = not acknowledges(bus, address)
+            first = _first_answer(bus, clock, address, pinged_s + RANGING_S)
+            clock.sleep_until(pinged_s + RANGING_S)
+            answer = bus.read(address, ANSWER_BYTES)
+        except BusError as error:
+            return stranger(address, f"no answer to the range command (errno {error.errno})")
+        if not busy:
+            return stranger(address, "not an MB1242: it answers while it should be ranging")
+        if first not in (None, answer):
+            return Found(address, False, "its answer changes without a new ranging: are two sensors at this address?")
+        decoded = decode(answer)
+        if decoded.status.is_fault:
+            return Found(address, False, f"ranges, but answers 0x{decoded.raw or 0:04x} ({decoded.status.value})")
+        return Found(address, True, f"MB1242: {decoded.raw} cm" + (" (no echo)" if decoded.range_m is None else ""))
+
+    @classmethod
+    def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
+        """One write, and the time to store it."""
+        bus.write(old, UNLOCK + bytes([new << 1]))
+        clock.sleep_until(clock.now() + CHANGE_S)
+
+    @classmethod
+    def garbled_from(cls, raw: int) -> tuple[int, ...]:
+        """Answers of which a fault of the bus would make ``raw``: the high byte lost, or OR-ed into the low one.
+
+        Examples
+        --------
+        >>> MB1242.garbled_from(247), MB1242.garbled_from(300)
+        ((503, 759, 502, 757), ())
+        """
+        if raw > 0xFF:
+            return ()
+        lost = [high << 8 | raw for high in (1, 2)]
+        mixed = [high << 8 | raw & ~high for high in (1, 2) if raw & high]
+        return tuple([answer for answer in dict.fromkeys([*lost, *mixed]) if answer < NO_ECHO_CM])
+
+    @classmethod
+    def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
+        """Half the time of flight before the echo, where there was one."""
+        is_range = raw is not None and MINIMUM_CM <= raw < NO_ECHO_CM
+        ping_s = echo_s - (0.5 * ECHO_S_PER_CM * raw if raw is not None and is_range else 0.0)
+        # A clock fault sets one bit of an answer that came when it should.
+        echo_cm = (raw or 0) % CLOCK_FAULT_BIT
+        return RecordedPing(ping_s, raw, READY_S + ECHO_S_PER_CM * echo_cm if echo_cm < NO_ECHO_CM else NO_ECHO_READY_S)
+
+    @classmethod
+    def playback(cls) -> "_Playback":
+        """It acknowledges nothing while it ranges."""
+        return _Playback()
+
+
+class _Playback:
+    """Two bytes to a plain read."""
+
+    first_raw = PART_INFO
+
+    def starts(self, data: bytes, ranging: bool) -> bool | None:
+        return None if ranging else data == COMMAND_RANGE
+
+    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
+        return None if ranging else raw.to_bytes(ANSWER_BYTES, "big")[:count]
+
+
+def _first_answer(bus: Bus, clock: Clock, address: int, until_s: float) -> bytes | None:
+    """What is read as soon as somebody acknowledges: of two sensors the one that is nearer to something."""
+    while clock.now() < until_s:
+        try:
+            return bus.read(address, ANSWER_BYTES)
+        except BusError:
+            clock.sleep_until(clock.now() + POLL_INTERVAL_S)
+    return None

@@ -1,6 +1,6 @@
 """Range finders are pinged in the order of a schedule and asked for their answers.
 
-A sensor that ranges does not acknowledge, so it is asked again every `POLL_INTERVAL_S` from the moment at which
+A sensor that ranges has no answer yet, so it is asked again every `POLL_INTERVAL_S` from the moment at which
 it could first be done, and never later than its deadline.
 """
 
@@ -12,10 +12,9 @@ from typing import NamedTuple
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Reading, Status
+from msp_range.sensors.base import POLL_INTERVAL_S
 from msp_range.sensors.schedule import PolledSensor, Schedule
 
-POLL_INTERVAL_S = 0.002
-"""Between two tries to read a sensor that still ranges; half of it is the mean delay that polling adds."""
 LATE_S = 0.1
 """An answer that is asked for this long after the deadline is too old to be told [s]."""
 REOPEN_INTERVAL_S = 1.0

@@ -9,7 +9,7 @@ from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.fusion import Angles, Moved
 from msp_range.mavlink.transport import Nowhere
-from msp_range.recording.replay_bus import RecordedPing
+from msp_range.sensors.base import RecordedPing
 
 LONGEST_S = 600.0
 MOST_PINGS = 400

@@ -12,7 +12,8 @@ from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.mavlink.transport.base import TransportStats
 from msp_sim.device.bus import Device, EmulatedBus
-from msp_sim.device.device import MB1242, Fault
+from msp_sim.device.device import Fault
+from msp_sim.device.table import emulated_kind
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_C = 22.5
@@ -90,7 +91,7 @@ class Wire:
 
 
 class Bench:
-    """An airframe's bridge with one emulated MB1242 for each of its sensors.
+    """An airframe's bridge with an emulated range finder for each of its sensors.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ class Bench:
         """Time since the start [s], sensor, and what the world gave it [cm]."""
         self._reading_cm = reading_cm if callable(reading_cm) else lambda name, time_s: reading_cm
         self.sonars = {
-            each.name: MB1242(
+            each.name: emulated_kind(each.sensor_model.driver)(
                 each.address,
                 self.now,
                 lambda ping_s, name=each.name: self._echo(name, ping_s),  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Emulated MB1242 behind the kernel's own I2C interface, for programs that know nothing of it.
+"""Emulated range finders behind the kernel's own I2C interface, for programs that know nothing of it.
 
 A server under the system's Python (`kernel_bus_server.py`) holds a umockdev testbed with /dev/i2c-1 and temperature
 files in /sys; a program started on it opens, reads and controls them as it would on a Raspberry Pi, with the stock
@@ -33,15 +33,16 @@ _END_S = 5.0
 
 @dataclass(frozen=True)
 class Sonar:
-    """An MB1242 on /dev/i2c-1 that reports ``readings_cm`` one after the other, and then again.
+    """A range finder on /dev/i2c-1 that reports ``readings_cm`` one after the other, and then again.
 
-    The times of its faults count from the moment when a program first opens the bus.
+    The times of its faults count from the moment when a program first opens the bus. ``kind`` is its driver's name.
     """
 
     address: int = DEFAULT_ADDRESS
     readings_cm: Sequence[int] = (300,)
     faults: Sequence[Fault] = ()
     timing: Timing = field(default_factory=Timing)
+    kind: str = "mb1242"
 
 
 @dataclass(frozen=True)

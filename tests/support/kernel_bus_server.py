@@ -18,7 +18,8 @@ from collections import deque
 from typing import Any
 
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, Fault, PlainDevice, Timing
+from msp_sim.device.device import Fault, PlainDevice, Timing
+from msp_sim.device.table import emulated_kind
 
 # linux/i2c-dev.h and linux/i2c.h
 I2C_RETRIES, I2C_TIMEOUT, I2C_SLAVE, I2C_FUNCS = 0x0701, 0x0702, 0x0703, 0x0705
@@ -157,7 +158,8 @@ def make_device(spec, now, chance, echoes):
     if "readings_cm" not in spec:
         return PlainDevice(spec["address"], bytes.fromhex(spec["answer"]), faults)
     echoes.append(Echo(spec["readings_cm"]))
-    return MB1242(spec["address"], now, echoes[-1], Timing(**spec["timing"]), faults, chance)
+    kind = emulated_kind(spec["kind"])
+    return kind(spec["address"], now, echoes[-1], Timing(**spec["timing"]), faults, chance)
 
 
 def main():

@@ -7,7 +7,9 @@ import pytest
 
 from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
-from msp_range.sensors.addressing import AddressError, Found, change_address, check_new_address, scan
+from msp_range.sensors.addressing import change_address, check_new_address, scan
+from msp_range.sensors.base import AddressError, Found
+from msp_range.sensors.mb1242 import MB1242 as DRIVER
 from msp_sim.device.bus import Device, EmulatedBus
 from msp_sim.device.device import MB1242, Fault, NotAcknowledged, PlainDevice
 
@@ -75,25 +77,25 @@ def test_a_sensor_moves_and_is_verified_there(ranging: bool, nack_errno: int) ->
     bus, clock, (device, still) = wires(sonar(0x70), sonar(0x72, 100), nack_errno=nack_errno)
     if ranging:
         bus.write(0x70, b"\x51")
-    assert change_address(bus, clock, 0x70, 0x71) == Found(0x71, True, "MB1242: 258 cm")
+    assert change_address(bus, clock, 0x70, 0x71, DRIVER) == Found(0x71, True, "MB1242: 258 cm")
     assert (device.address, still.address) == (0x71, 0x72)
 
 
 @pytest.mark.parametrize("new", [-1, 0x00, 0x02, 0x78, 0xE2])
 def test_an_address_that_no_device_may_have(new: int) -> None:
     with pytest.raises(AddressError, match="7-bit"):
-        check_new_address(new)
+        check_new_address(new, DRIVER)
 
 
 @pytest.mark.parametrize("new", [80 >> 1, 164 >> 1, 170 >> 1])
 def test_an_address_that_the_sensor_ignores(new: int) -> None:
     with pytest.raises(AddressError, match=f"ignores the address 0x{new:02x}"):
-        check_new_address(new)
+        check_new_address(new, DRIVER)
 
 
 @pytest.mark.parametrize("new", [0x03, 0x27, 0x29, 0x70, 0x77])
 def test_any_other_address_will_do(new: int) -> None:
-    check_new_address(new)
+    check_new_address(new, DRIVER)
 
 
 @pytest.mark.parametrize("busy", [False, True])
@@ -103,7 +105,7 @@ def test_no_move_to_an_address_that_is_taken(there: Making, busy: bool) -> None:
     if busy:
         bus.write(0x71, b"\x51")
     with pytest.raises(AddressError, match="0x71 is taken"):
-        change_address(bus, clock, 0x70, 0x71)
+        change_address(bus, clock, 0x70, 0x71, DRIVER)
     assert device.address == 0x70
 
 
@@ -135,7 +137,7 @@ def test_a_refused_change_writes_nothing_but_pings(making: list[Making], old: in
     bus, clock, devices = wires(*making)
     addresses = [device.address for device in devices]
     with pytest.raises(AddressError, match=message):
-        change_address(bus, clock, old, new)
+        change_address(bus, clock, old, new, DRIVER)
     assert [device.address for device in devices] == addresses
 
 
@@ -168,7 +170,7 @@ def test_a_move_that_went_wrong_is_noticed(kinds: list[type[MB1242]], message: s
     clock = VirtualClock()
     bus = EmulatedBus([kind(0x70, clock.now, lambda ping_s: 258) for kind in kinds], clock.now)
     with pytest.raises(AddressError, match=message):
-        change_address(bus, clock, 0x70, 0x71)
+        change_address(bus, clock, 0x70, 0x71, DRIVER)
 
 
 def test_a_move_to_something_that_does_not_range_is_noticed() -> None:
@@ -182,4 +184,4 @@ def test_a_move_to_something_that_does_not_range_is_noticed() -> None:
 
     device.write = write  # type: ignore[method-assign]
     with pytest.raises(AddressError, match="0x71 does not behave as an MB1242"):
-        change_address(bus, clock, 0x70, 0x71)
+        change_address(bus, clock, 0x70, 0x71, DRIVER)

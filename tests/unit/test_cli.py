@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from msp_lab.cli import app as lab_app
 from msp_range.cli import app
-from msp_range.config import Airframe
+from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
 from msp_range.mistakes import tell_mistakes
 from msp_sim.cli import app as sim_app
@@ -73,8 +73,11 @@ def test_a_command_that_has_moved_names_the_new_one(old: typer.Typer, args: list
 def test_check_shows_what_would_fly(path: Path) -> None:
     result = CliRunner().invoke(app, ["check", str(path)])
     assert result.exit_code == 0, result.output
-    assert "0x70" in result.output
-    assert re.search(r"fixed_c 20 C \+-12 C: up to 31 cm off at 7\.65 m; right for air of -4 to 44 C", result.output)
+    airframe = load_airframe(path)
+    assert all(f"0x{sensor.address:02x}" in result.output for sensor in airframe.sensors)
+    of_sound = r"fixed_c 20 C \+-12 C: up to 31 cm off at 7\.65 m; right for air of -4 to 44 C"
+    of_light = "air: no sensor depends on it"
+    assert re.search(of_sound if airframe.maximum_by_sound_m else of_light, result.output)
 
 
 def test_check_says_what_each_thermometer_is_worth() -> None:

@@ -56,7 +56,6 @@ def mistakes(folder: Path, change: Change) -> list[str]:
 def test_every_airframe_loads(path: Path) -> None:
     vehicle = load_airframe(path)
     assert vehicle.sensors
-    assert {sensor.sensor_model.name for sensor in vehicle.sensors} == {"MB1242"}
 
 
 @named(SENSORS)
@@ -412,7 +411,8 @@ def test_the_shipped_airframes_are_polled_at_the_safe_spacing_and_measure_from_w
     path: Path,
 ) -> None:
     vehicle = load_airframe(path)
-    assert vehicle.polling.ping_interval_s in (None, 0.1)
+    # Light leaves no echo behind that would have to die away.
+    assert vehicle.polling.ping_interval_s in (None, 0.1) or vehicle.maximum_by_sound_m == 0
     if vehicle.send.fused is not None:
         # So ArduPilot's RNGFND1_POS_Z and PX4's EKF2_RNG_POS_Z are the height at which the sensors are mounted.
         assert {sensor.position_m[2] for sensor in vehicle.downward} == {vehicle.send.fused.reference_down_m}

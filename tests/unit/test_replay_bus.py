@@ -17,8 +17,9 @@ from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
 from msp_range.recording.pings import MEASURED_STD_C, recorded_air, recorded_pings
-from msp_range.recording.replay_bus import RecordedPing, ReplayBus
+from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
+from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.mb1242 import COMMAND_RANGE, MB1242
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import PolledSensor, Timing
@@ -28,6 +29,10 @@ near: Any = pytest.approx
 """A number that one of another type is compared with."""
 # Times of no answer are sums of binary fractions, which are exact.
 TIMING = Timing(first_answer_s=0.0212, deadline_s=80 / 1024)
+
+
+def played(pings: dict[int, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:
+    return ReplayBus(pings, clock, dict.fromkeys(pings, MB1242.playback))
 
 
 def refused(bus: Bus, verb: str, address: int) -> bool:
@@ -40,7 +45,7 @@ def refused(bus: Bus, verb: str, address: int) -> bool:
 
 def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     clock = VirtualClock()
-    bus = ReplayBus({LEFT: [RecordedPing(1.0, 258, 0.035), RecordedPing(2.0, 300, 0.037)]}, clock)
+    bus = played({LEFT: [RecordedPing(1.0, 258, 0.035), RecordedPing(2.0, 300, 0.037)]}, clock)
     assert bus.next_ping_s(LEFT) == 1.0
     assert MB1242(bus, LEFT).answer(1.0).status is Status.PART_INFO
     clock.sleep_until(1.0)
@@ -62,7 +67,7 @@ def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
 def test_a_ping_that_was_not_acknowledged_is_not_acknowledged_again() -> None:
     """A schedule that gave its time to the next sensor did so because there was no sound."""
     clock = VirtualClock()
-    bus = ReplayBus({LEFT: [RecordedPing(1.0, None, 0.0), RecordedPing(2.0, 300, 0.037)]}, clock)
+    bus = played({LEFT: [RecordedPing(1.0, None, 0.0), RecordedPing(2.0, 300, 0.037)]}, clock)
     clock.sleep_until(1.0)
     assert refused(bus, "write", LEFT)
     assert bus.next_ping_s(LEFT) == 2.0
@@ -73,7 +78,7 @@ def test_a_ping_that_was_not_acknowledged_is_not_acknowledged_again() -> None:
 
 def test_no_answer_is_none_until_the_next_ping() -> None:
     clock = VirtualClock()
-    bus = ReplayBus({LEFT: [RecordedPing(1.0, None, 0.05), RecordedPing(2.0, 300, 0.037)]}, clock)
+    bus = played({LEFT: [RecordedPing(1.0, None, 0.05), RecordedPing(2.0, 300, 0.037)]}, clock)
     clock.sleep_until(1.0)
     bus.write(LEFT, COMMAND_RANGE)
     clock.sleep_until(2.0)
@@ -85,7 +90,7 @@ def test_no_answer_is_none_until_the_next_ping() -> None:
 
 def test_after_the_last_reading_and_where_there_was_no_sensor() -> None:
     clock = VirtualClock()
-    bus = ReplayBus({LEFT: [RecordedPing(0.0, 300, 0.037)]}, clock)
+    bus = played({LEFT: [RecordedPing(0.0, 300, 0.037)]}, clock)
     bus.write(LEFT, COMMAND_RANGE)
     assert bus.next_ping_s(LEFT) is None
     clock.sleep_until(1.0)
@@ -98,7 +103,7 @@ def test_after_the_last_reading_and_where_there_was_no_sensor() -> None:
 
 def test_late_pings_lose_nothing_and_are_told() -> None:
     clock = VirtualClock()
-    bus = ReplayBus({LEFT: [RecordedPing(0.01 * count, 20 + count, 0.02) for count in range(5)]}, clock)
+    bus = played({LEFT: [RecordedPing(0.01 * count, 20 + count, 0.02) for count in range(5)]}, clock)
     words = []
     for _ in range(5):
         bus.write(LEFT, COMMAND_RANGE)
@@ -218,7 +223,7 @@ def replay(pings: dict[str, list[RecordedPing]]) -> list[Ranging]:
     """Play everything through the driver and the poller, each sensor pinged at its recorded times."""
     clock = VirtualClock(start_s=min(each[0].ping_s for each in pings.values()))
     addresses = {name: LEFT + count for count, name in enumerate(pings)}
-    bus = ReplayBus({addresses[name]: each for name, each in pings.items()}, clock)
+    bus = played({addresses[name]: each for name, each in pings.items()}, clock)
     sensors = {address: PolledSensor(name, MB1242(bus, address), TIMING) for name, address in addresses.items()}
     poller = Poller(bus, clock, RecordedOrder(bus, sensors))
     rangings = []

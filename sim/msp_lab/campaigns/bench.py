@@ -17,7 +17,6 @@ from msp_range.clock import Clock, SystemClock
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource
 from msp_range.correction.thermometer import Sample, ThreadReader
 from msp_range.sensors.base import Decoded, RangeSensor
-from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 from msp_range.yaml_file import ConfigError
@@ -190,7 +189,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         sensor = campaign.sensor(name)
         model = sensor.sensor_model
         timing = model.timing
-        devices[name] = _Noted(name, MB1242(bus, sensor.address), pings)
+        devices[name] = _Noted(name, sensor.driver(bus, sensor.address), pings)
         first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm
         asked = Timing(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
         polled.append(PolledSensor(name, devices[name], asked))

@@ -22,7 +22,8 @@ from msp_range.bus import Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, Fault, Timing
+from msp_sim.device.device import Fault, Timing
+from msp_sim.device.table import emulated_kind
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import Streams
 
@@ -138,7 +139,7 @@ class SimulatedBench:
             sensor = self._campaign.sensor(name)
             timing = sensor.sensor_model.timing
             devices.append(
-                MB1242(
+                emulated_kind(sensor.sensor_model.driver)(
                     sensor.address,
                     self._clock.now,
                     scene.echo_of(name, self._models(name, default_rng(for_readings))),

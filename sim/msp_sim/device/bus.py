@@ -58,13 +58,12 @@ class EmulatedBus:
         """Send ``data`` to every device at ``address``."""
         self._check_lines("write", address)
         acknowledged = False
-        for device in self._devices:
-            if device.address == address:
-                try:
-                    device.write(data)
-                except NotAcknowledged:
-                    continue
-                acknowledged = True
+        for device in self._at(address):
+            try:
+                device.write(data)
+            except NotAcknowledged:
+                continue
+            acknowledged = True
         if not acknowledged:
             raise BusError(self._nack_errno, "write", address)
 
@@ -72,13 +71,12 @@ class EmulatedBus:
         """Return the AND of what the devices at ``address`` send."""
         self._check_lines("read", address)
         answer: bytes | None = None
-        for device in self._devices:
-            if device.address == address:
-                try:
-                    sent = device.read(count)
-                except NotAcknowledged:
-                    continue
-                answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
+        for device in self._at(address):
+            try:
+                sent = device.read(count)
+            except NotAcknowledged:
+                continue
+            answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
         if answer is None:
             raise BusError(self._nack_errno, "read", address)
         return answer
@@ -92,6 +90,10 @@ class EmulatedBus:
     def close(self) -> None:
         """Release the bus; the next transfer opens it again."""
         self._closed = True
+
+    def _at(self, address: int) -> list[Device]:
+        """Devices that answer at an address; some kinds have a second one while it is changed (``also_at``)."""
+        return [each for each in self._devices if address in (each.address, getattr(each, "also_at", None))]
 
     def _check_lines(self, verb: str, address: int) -> None:
         if self._closed:

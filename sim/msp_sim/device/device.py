@@ -1,4 +1,4 @@
-"""One MB1242 (I2CXL-MaxSonar-EZ4) seen from the bus, with the faults that real ones show.
+"""One MB1242 (I2CXL-MaxSonar-EZ4) seen from the bus, with the faults that real ones show, and what all kinds share.
 
 Bytes written by the master and the readings of an imitated world enter, acknowledged bytes leave. Commands, busy
 time and address change follow the datasheet; where it is silent the choice is a parameter or is said to be a guess.
@@ -6,6 +6,7 @@ Only the standard library is used, so that the same device answers in a virtual 
 interface under the system's own Python. Every time is seconds on the ``now`` clock that the device is given.
 """
 
+import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -51,11 +52,11 @@ class Timing:
     no_echo_s: float = 0.067
     address_change_s: float = 0.125
 
-    def ranging_s(self, reading_cm: int) -> float:
-        """Time from the ping until the sensor acknowledges again [s]."""
+    def ranging_s(self, reading_cm: int, no_echo_cm: int = NO_ECHO_CM) -> float:
+        """Time from the ping until the sensor answers again [s]."""
         # A word that is no range, such as one behind a clock fault, takes no longer than the cycle.
         whole_s = self.ready_s + self.s_per_cm * reading_cm
-        return self.no_echo_s if reading_cm == NO_ECHO_CM else min(whole_s, self.no_echo_s)
+        return self.no_echo_s if reading_cm == no_echo_cm else min(whole_s, self.no_echo_s)
 
 
 FAULT_KINDS = {
@@ -131,8 +132,8 @@ class Fault:
             raise ValueError(f"fault {self.kind}: spread_cm {self.spread_cm}: expected more than 0")
 
 
-class MB1242:
-    """One sensor on the bus.
+class RangeFinder:
+    """What every emulated range finder has: an address, a world that it ranges in, and faults; the base of each kind.
 
     Parameters
     ----------
@@ -141,8 +142,8 @@ class MB1242:
     now
         The time [s].
     echo
-        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, 20 to 765, where 765
-        says that there was no echo.
+        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, from the sensor's
+        shortest to `no_echo_cm`, which says that there was no echo.
     timing
         How long it does not answer.
     faults
@@ -156,11 +157,141 @@ class MB1242:
         7-bit address, as it is now.
     pings : int
         Range commands accepted so far.
+    minimum_cm, no_echo_cm : int
+        Shortest reading, and the one of no echo [cm].
+    fault_kinds : frozenset
+        Those of `FAULT_KINDS` that this kind of sensor can show.
 
     Raises
     ------
     ValueError
-        A fault is drawn and there is no ``chance``.
+        A fault is drawn and there is no ``chance``, or the sensor cannot show it.
+    """
+
+    minimum_cm: int
+    no_echo_cm: int
+    fault_kinds = frozenset(FAULT_KINDS)
+
+    def __init__(
+        self,
+        address: int,
+        now: Callable[[], float],
+        echo: Callable[[float], int],
+        timing: Timing = Timing(),
+        faults: Sequence[Fault] = (),
+        chance: random.Random | None = None,
+    ) -> None:
+        if chance is None and any(fault.probability < 1.0 or fault.kind == "noisy" for fault in faults):
+            raise ValueError(
+                "a fault has a probability below one, or is noisy: pass the random.Random that draws for it as chance"
+            )
+        for fault in faults:
+            if fault.kind not in self.fault_kinds:
+                raise ValueError(f"fault kind {fault.kind!r}: expected one of {', '.join(sorted(self.fault_kinds))}")
+        self.address = address
+        self.faults = tuple(faults)
+        self.pings = 0
+        self._now = now
+        self._echo = echo
+        self._timing = timing
+        self._chance = chance
+        self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Lose the last ranging and whatever was going on."""
+        self._answer = b""
+        self._ranged = False
+        self._busy_until_s = float("-inf")
+        self._may_miss_read = True
+
+    def _with_power(self) -> float:
+        """Return the time [s] of a transfer that no fault keeps from the sensor."""
+        now_s = self._now()
+        if self.faults:
+            while self._power_cycles and now_s >= self._power_cycles[0].start_s:
+                if now_s < self._power_cycles[0].end_s:
+                    raise NotAcknowledged
+                self._power_cycles.pop(0)
+                self.power_cycle()
+            if self._strikes("silent", now_s):
+                raise NotAcknowledged
+        return now_s
+
+    def _ping(self, now_s: float) -> None:
+        reading_cm = self._echo(now_s)
+        if not self.minimum_cm <= reading_cm <= self.no_echo_cm:
+            raise ValueError(f"echo returned {reading_cm} cm: expected {self.minimum_cm} to {self.no_echo_cm}")
+        if self.faults:
+            reading_cm = self._misrange(reading_cm, now_s)
+        self.pings += 1
+        self._busy_until_s = now_s + self._timing.ranging_s(reading_cm, self.no_echo_cm)
+        self._may_miss_read = True
+        if not (self._ranged and self.faults and self._strikes("stuck", now_s)):
+            self._answer = reading_cm.to_bytes(2, "big")
+            self._ranged = True
+
+    def _read_answer(self, now_s: float) -> bytes:
+        """Return the two bytes of the last ranging, with what is wrong with them."""
+        answer = self._answer
+        if self.faults:
+            may_miss_read, self._may_miss_read = self._may_miss_read, False
+            if may_miss_read and self._strikes("missed_read", now_s):
+                raise NotAcknowledged
+            answer = self._corrupt(answer, now_s)
+        return answer
+
+    def _strikes(self, kind: str, now_s: float) -> bool:
+        return any(fault.kind == kind and self._fault_strikes(fault, now_s) for fault in self.faults)
+
+    def _fault_strikes(self, fault: Fault, now_s: float) -> bool:
+        if not fault.start_s <= now_s < fault.end_s:
+            return False
+        return fault.probability == 1.0 or (self._chance is not None and self._chance.random() < fault.probability)
+
+    def _misrange(self, reading_cm: int, now_s: float) -> int:
+        """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
+        for fault in self.faults:
+            if fault.kind in _MISRANGINGS and self._fault_strikes(fault, now_s):
+                error_cm = _MISRANGINGS[fault.kind](fault, self._chance)
+                if reading_cm != self.no_echo_cm:
+                    # Within what the sensor can answer; no echo stays no echo.
+                    reading_cm = round(min(max(reading_cm + error_cm, self.minimum_cm), self.no_echo_cm))
+        return reading_cm
+
+    def _corrupt(self, answer: bytes, now_s: float) -> bytes:
+        """Return the answer as the master sees it, each fault on top of those before it in the list."""
+        word = int.from_bytes(answer, "big")
+        for fault in self.faults:
+            if fault.kind in _CORRUPTIONS and self._fault_strikes(fault, now_s):
+                word = _CORRUPTIONS[fault.kind](word, fault)
+        return word.to_bytes(2, "big")
+
+
+_CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
+    "clock_fault": lambda word, fault: word | CLOCK_FAULT_BIT,
+    "or_ed": lambda word, fault: word >> 8 | word & 0xFF,
+    "saturated": lambda word, fault: min(word, 0xFF),
+    "lost_high_byte": lambda word, fault: word & 0xFF,
+    "impossible": lambda word, fault: fault.word,
+}
+
+
+def _scatter_cm(fault: Fault, chance: random.Random | None) -> float:
+    assert chance is not None  # A range finder refuses a noisy fault without it.
+    return chance.gauss(0.0, fault.spread_cm)
+
+
+_MISRANGINGS: dict[str, Callable[[Fault, random.Random | None], float]] = {
+    "no_echo": lambda fault, chance: math.inf,
+    "noisy": _scatter_cm,
+    "offset": lambda fault, chance: fault.offset_cm,
+}
+"""What a fault adds to a reading [cm]."""
+
+
+class MB1242(RangeFinder):
+    """One sensor on the bus; parameters, attributes and errors are those of `RangeFinder`.
 
     Examples
     --------
@@ -176,35 +307,13 @@ class MB1242:
     '0102'
     """
 
-    def __init__(
-        self,
-        address: int,
-        now: Callable[[], float],
-        echo: Callable[[float], int],
-        timing: Timing = Timing(),
-        faults: Sequence[Fault] = (),
-        chance: random.Random | None = None,
-    ) -> None:
-        if chance is None and any(fault.probability < 1.0 or fault.kind == "noisy" for fault in faults):
-            raise ValueError(
-                "a fault has a probability below one, or is noisy: pass the random.Random that draws for it as chance"
-            )
-        self.address = address
-        self.faults = tuple(faults)
-        self.pings = 0
-        self._now = now
-        self._echo = echo
-        self._timing = timing
-        self._chance = chance
-        self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
-        self.power_cycle()
+    minimum_cm = MIN_CM
+    no_echo_cm = NO_ECHO_CM
 
     def power_cycle(self) -> None:
         """Lose the last ranging and whatever was going on; the address stays."""
+        super().power_cycle()
         self._answer = PART_INFO
-        self._ranged = False
-        self._busy_until_s = float("-inf")
-        self._may_miss_read = True
 
     def write(self, data: bytes) -> None:
         """Take ``data`` from the master.
@@ -227,99 +336,21 @@ class MB1242:
 
         Bytes beyond the second are those of a released line, 0xFF: a guess. Raises NotAcknowledged as `write` does.
         """
-        now_s = self._acknowledge()
-        answer = self._answer
-        if self.faults:
-            may_miss_read, self._may_miss_read = self._may_miss_read, False
-            if may_miss_read and self._strikes("missed_read", now_s):
-                raise NotAcknowledged
-            answer = self._corrupt(answer, now_s)
+        answer = self._read_answer(self._acknowledge())
         return answer if count == 2 else answer.ljust(count, b"\xff")[:count]
 
     def _acknowledge(self) -> float:
         """Return the time [s] of a transfer that the sensor takes part in."""
-        now_s = self._now()
-        if self.faults:
-            while self._power_cycles and now_s >= self._power_cycles[0].start_s:
-                if now_s < self._power_cycles[0].end_s:
-                    raise NotAcknowledged
-                self._power_cycles.pop(0)
-                self.power_cycle()
-            if self._strikes("silent", now_s):
-                raise NotAcknowledged
+        now_s = self._with_power()
         if now_s < self._busy_until_s:
             raise NotAcknowledged
         return now_s
-
-    def _ping(self, now_s: float) -> None:
-        reading_cm = self._echo(now_s)
-        if not MIN_CM <= reading_cm <= NO_ECHO_CM:
-            raise ValueError(f"echo returned {reading_cm} cm: expected {MIN_CM} to {NO_ECHO_CM}")
-        if self.faults:
-            reading_cm = self._misrange(reading_cm, now_s)
-        self.pings += 1
-        self._busy_until_s = now_s + self._timing.ranging_s(reading_cm)
-        self._may_miss_read = True
-        if not (self._ranged and self.faults and self._strikes("stuck", now_s)):
-            self._answer = reading_cm.to_bytes(2, "big")
-            self._ranged = True
 
     def _change_address(self, new_8bit: int, now_s: float) -> None:
         new_8bit &= ~1
         if new_8bit not in ILLEGAL_ADDRESSES_8BIT:
             self.address = new_8bit >> 1
             self._busy_until_s = now_s + self._timing.address_change_s
-
-    def _strikes(self, kind: str, now_s: float) -> bool:
-        return any(fault.kind == kind and self._fault_strikes(fault, now_s) for fault in self.faults)
-
-    def _fault_strikes(self, fault: Fault, now_s: float) -> bool:
-        if not fault.start_s <= now_s < fault.end_s:
-            return False
-        return fault.probability == 1.0 or (self._chance is not None and self._chance.random() < fault.probability)
-
-    def _misrange(self, reading_cm: int, now_s: float) -> int:
-        """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
-        for fault in self.faults:
-            if fault.kind in _MISRANGINGS and self._fault_strikes(fault, now_s):
-                reading_cm = _MISRANGINGS[fault.kind](reading_cm, fault, self._chance)
-        return reading_cm
-
-    def _corrupt(self, answer: bytes, now_s: float) -> bytes:
-        """Return the answer as the master sees it, each fault on top of those before it in the list."""
-        word = int.from_bytes(answer, "big")
-        for fault in self.faults:
-            if fault.kind in _CORRUPTIONS and self._fault_strikes(fault, now_s):
-                word = _CORRUPTIONS[fault.kind](word, fault)
-        return word.to_bytes(2, "big")
-
-
-_CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
-    "clock_fault": lambda word, fault: word | CLOCK_FAULT_BIT,
-    "or_ed": lambda word, fault: word >> 8 | word & 0xFF,
-    "saturated": lambda word, fault: min(word, 0xFF),
-    "lost_high_byte": lambda word, fault: word & 0xFF,
-    "impossible": lambda word, fault: fault.word,
-}
-
-
-def _shifted(reading_cm: int, by_cm: float) -> int:
-    """A range with an error, within what the sensor can answer; no echo stays no echo."""
-    if reading_cm == NO_ECHO_CM:
-        return reading_cm
-    return round(min(max(reading_cm + by_cm, MIN_CM), NO_ECHO_CM))
-
-
-def _scattered(reading_cm: int, fault: Fault, chance: random.Random | None) -> int:
-    assert chance is not None  # MB1242 refuses a noisy fault without it.
-    return _shifted(reading_cm, chance.gauss(0.0, fault.spread_cm))
-
-
-_MISRANGINGS: dict[str, Callable[[int, Fault, random.Random | None], int]] = {
-    "no_echo": lambda reading_cm, fault, chance: NO_ECHO_CM,
-    "noisy": _scattered,
-    "offset": lambda reading_cm, fault, chance: _shifted(reading_cm, fault.offset_cm),
-}
 
 
 class PlainDevice:

@@ -13,7 +13,8 @@ from msp_range.bus import Bus
 from msp_range.config import Airframe, Sensor
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, Fault, Timing
+from msp_sim.device.device import Fault, Timing
+from msp_sim.device.table import emulated_kind
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
@@ -58,7 +59,8 @@ class EmulatedSensor:
         others: dict[str, tuple[float, float | None]],
     ) -> None:
         self._name = sensor.name
-        self._beam = Beam(sensor.position_m, sensor.boresight, model.beam.half_angle_rad)
+        half_angle_rad = model.beam.half_angle_rad if model.medium == "sound" else None
+        self._beam = Beam(sensor.position_m, sensor.boresight, half_angle_rad)
         self._readings = Sampler(Model.of(model), generator)
         self._world = world
         self._pose = pose
@@ -109,5 +111,6 @@ def emulated_bus(
         emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
         timing = Timing(model.timing.ready_s, model.timing.s_per_cm, model.timing.cycle_s)
         chance = random.Random(int(for_faults.generate_state(1)[0]))
-        devices.append(MB1242(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
+        kind = emulated_kind(sensor.sensor_model.driver)
+        devices.append(kind(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
     return EmulatedBus(devices, now)

@@ -94,6 +94,7 @@ class FlightLog:
         recorder: Records | None,
     ) -> None:
         self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
+        self._by_sound = {name: model.medium == "sound" for name, model in models.items()}
         self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
         self._downward = {sensor.name: sensor for sensor in airframe.downward}
         self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
@@ -175,4 +176,6 @@ class FlightLog:
         if range_cm is None:
             return None
         range_m = range_cm / 100
+        if not self._by_sound[sensor]:
+            return range_m
         return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)

@@ -17,6 +17,7 @@ from msp_range.config import NamedAirframe
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, load
 from msp_sim.device import device
+from msp_sim.device.table import emulated_kind
 from msp_sim.world.profiles import Positive
 from msp_sim.world.surfaces import Ground
 from msp_sim.world.vehicle import Flight, Pose, Vehicle
@@ -173,9 +174,15 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
         names = [sensor.name for sensor in self.airframe.sensors]
+        kinds = {sensor.name: emulated_kind(sensor.sensor_model.driver) for sensor in self.airframe.sensors}
         for i, fault in enumerate(self.faults):
             if fault.sensor not in names:
                 raise ValueError(f"faults[{i}].sensor: found {fault.sensor!r}; expected one of {', '.join(names)}")
+            if fault.kind not in kinds[fault.sensor].fault_kinds:
+                raise ValueError(
+                    f"faults[{i}].kind: found {fault.kind!r}; expected one that {fault.sensor} can show: "
+                    f"{', '.join(sorted(kinds[fault.sensor].fault_kinds))}"
+                )
             if fault.from_s >= self.duration_s:
                 raise ValueError(
                     f"faults[{i}].from_s: found {fault.from_s:g}; expected a time before the end, duration_s "

@@ -71,11 +71,12 @@ class Beam(NamedTuple):
         Unit vector along which it looks, body FRD.
     half_angle_rad
         Largest angle off the boresight from which an echo at a range [m] is heard [rad]; does not grow with range.
+        None: a ray of light, which comes back from whatever the boresight meets.
     """
 
     position_m: Vector
     boresight: Vector
-    half_angle_rad: HalfAngle
+    half_angle_rad: HalfAngle | None
 
 
 class Ping(NamedTuple):
@@ -151,14 +152,15 @@ class World:
         ahead_m, right_m, below_m = _rotate(rotation, beam.position_m)
         sensor = (north_m + ahead_m, east_m + right_m, down_m + below_m)
         axis = _rotate(rotation, beam.boresight)
-        heard = self._nearest_echo(sensor, axis, beam.half_angle_rad)
+        is_ray = beam.half_angle_rad is None
+        heard = None if beam.half_angle_rad is None else self._nearest_echo(sensor, axis, beam.half_angle_rad)
         surface = heard or self._ray(sensor, axis)
         height_m = -sensor[2]
         if surface is None:
             return Ping(False, None, None, None, None, self.air_temperature_c(height_m), None, None)
         range_m, direction, slant_m, target, target_size_m = surface
         return Ping(
-            heard is not None,
+            heard is not None or is_ray,
             100 * range_m,
             100 * slant_m,
             math.degrees(math.acos(min(max(dot(direction, axis), -1.0), 1.0))),

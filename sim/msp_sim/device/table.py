@@ -1,0 +1,71 @@
+"""The emulated range finders, by the name that sensor model files give their driver.
+
+A new one is a file next to this one and a line in `EMULATED`; a package of somebody else's adds its own as an entry
+point of the group `GROUP`. Only the standard library is used, as in the devices themselves.
+"""
+
+import random
+from collections.abc import Callable, Collection, Sequence
+from importlib.metadata import entry_points
+from typing import Protocol
+
+from msp_sim.device.device import MB1242, Fault, Timing
+
+GROUP = "msp_sim.devices"
+"""Entry points of installed packages that are emulated range finders."""
+
+
+class EmulatedRangeFinder(Protocol):
+    """One range finder, seen from the bus."""
+
+    address: int
+    faults: tuple[Fault, ...]
+
+    def write(self, data: bytes) -> None:
+        """Take ``data``; raises NotAcknowledged where it does not answer."""
+        ...
+
+    def read(self, count: int) -> bytes:
+        """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
+        ...
+
+
+class EmulatedKind(Protocol):
+    """Makes one: address, time [s], reading [cm] by the time of a ping [s], timing, faults, chance of the faults."""
+
+    @property
+    def fault_kinds(self) -> Collection[str]:
+        """Those of `msp_sim.device.device.FAULT_KINDS` that such a sensor can show."""
+        ...
+
+    def __call__(
+        self,
+        address: int,
+        now: Callable[[], float],
+        echo: Callable[[float], int],
+        timing: Timing = ...,
+        faults: Sequence[Fault] = ...,
+        chance: random.Random | None = ...,
+    ) -> EmulatedRangeFinder: ...
+
+
+EMULATED: dict[str, EmulatedKind] = {
+    "mb1242": MB1242,
+}
+"""By the driver's name in model files."""
+
+
+def emulated_kind(driver: str) -> EmulatedKind:
+    """The emulated range finder that speaks to a driver.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    if driver in EMULATED:
+        return EMULATED[driver]
+    for entry in entry_points(group=GROUP, name=driver):
+        kind: EmulatedKind = entry.load()
+        return kind
+    raise ValueError(f"no emulated range finder for the driver {driver!r}; there are {', '.join(EMULATED)}")
