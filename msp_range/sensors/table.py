@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from msp_range.sensors.base import Driver
+from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.yaml_file import ConfigError
 
@@ -21,6 +22,7 @@ NONE = "none"
 
 DRIVERS: dict[str, type[Driver]] = {
     "mb1242": MB1242,
+    "lidar_lite_v3": LidarLiteV3,
 }
 """By the name in model files. The first one is asked for where nothing says which kind a sensor is: a table of readings
 without an airframe, a device at an address that is no driver's default one."""

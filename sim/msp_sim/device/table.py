@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from typing import Protocol
 
 from msp_sim.device.device import MB1242, Fault, Timing
+from msp_sim.device.lidar_lite_v3 import LidarLiteV3
 
 GROUP = "msp_sim.devices"
 """Entry points of installed packages that are emulated range finders."""
@@ -51,6 +52,7 @@ class EmulatedKind(Protocol):
 
 EMULATED: dict[str, EmulatedKind] = {
     "mb1242": MB1242,
+    "lidar_lite_v3": LidarLiteV3,
 }
 """By the driver's name in model files."""
 
