@@ -454,6 +454,7 @@ class Fusion:
 
         Of as many against as many the ground is that which more than half have seen before; until then more than half
         of the sensors that give ranges must see it. All of those that see it may be stuck where they repeat themselves.
+        Where most newest readings lie to one side of it, the vehicle may be leaving it too fast for them to agree.
         """
         time_s, windows = self._time_s, self._windows
         if time_s - self._seen_s > windows.fresh_s:
@@ -471,6 +472,8 @@ class Fusion:
         if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging)):
             return False
         if votes.ground == votes.against and not votes.moving:
+            return False
+        if votes.are_leaving:
             return False
         all_off = len(self._off_m) >= min(OFF_IN_A_ROW, votes.voters)
         return was_used or (votes.ground >= 2 and not self._stepping and not all_off)

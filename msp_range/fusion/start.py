@@ -17,7 +17,7 @@ misses a start over a slope, larger takes outliers for ground."""
 FASTEST_M_S, SURE_M_S = 5.0, 1.0
 """A vehicle climbs or sinks no faster than the first, where no barometer says how fast [m/s]. Up to the second two
 readings are enough; a faster line goes through any two, so it takes a third one."""
-READINGS, READINGS_ALONE, READINGS_IN_DOUBT = 2, 3, 4
+READINGS, READINGS_ALONE, READINGS_IN_DOUBT = 2, 4, 4
 """Heights that have to agree: at least; of a sensor that alone gives ranges while others hear nothing; and where other
 readings of the last turn do not agree, or the sensors that do are half of those that work or fewer. Two outliers agree
 often enough, four hardly ever."""

@@ -127,18 +127,22 @@ class Tally(NamedTuple):
         The most sensors that vote for one and the same other height.
     voters
         Sensors that work and have given a range lately.
+    are_leaving
+        Whether the newest ranges of more than half of them, and of two at least, are off to the same side.
     """
 
     ground: int
     moving: int
     against: int
     voters: int
+    are_leaving: bool
 
 
 def tally(sights: Collection[Sight], now_s: float, windows: Windows) -> Tally:
     """Count the votes."""
     since_s = now_s - windows.held_s
-    ground = moving = voters = 0
+    ground = moving = voters = farther = nearer = 0
+    fresh_s = now_s - windows.fresh_s
     offs: list[float] = []
     for sight in sights:
         if sight.votes_ground(since_s):
@@ -146,11 +150,17 @@ def tally(sights: Collection[Sight], now_s: float, windows: Windows) -> Tally:
             moving += not sight.repeated
         elif sight.works and not sight.repeated and (off_m := sight.votes_off_m(since_s)) is not None:
             offs.append(off_m)
-        voters += sight.works and sight.newest(since_s) is not None
+        newest = sight.newest(since_s) if sight.works else None
+        if newest is not None:
+            voters += 1
+            off_m = 0.0 if newest.is_ground or newest.time_s < fresh_s else newest.off_m or 0.0
+            farther += off_m > 0.0
+            nearer += off_m < 0.0
     against = 0
     for off_m in offs:
         against = max(against, sum([abs(off_m - other_m) < AGREE_M for other_m in offs]))
-    return Tally(ground, moving, against, voters)
+    are_leaving = 2 * max(farther, nearer) > max(voters, 2)
+    return Tally(ground, moving, against, voters, are_leaving)
 
 
 def working(sights: Collection[Sight], now_s: float, windows: Windows) -> int:

@@ -96,8 +96,8 @@ def test_heights_of_one_ground_lie_on_a_line_that_a_vehicle_can_climb(
     [
         ("aaaaaa", 1, 2),
         # Others are in order and hear nothing.
-        ("aaaaaa", 2, 3),
-        ("aaaaaa", 4, 3),
+        ("aaaaaa", 2, 4),
+        ("aaaaaa", 4, 4),
         ("ababab", 2, 2),
         ("ababab", 3, 2),
         # Two of four are no more than those that hear nothing.

@@ -129,25 +129,39 @@ def test_ground_that_is_lower_makes_what_was_off_by_as_much_ground_and_the_other
 
 def test_votes_for_the_ground_and_for_the_height_that_has_most_are_counted() -> None:
     sights = [sight("ground", "ground"), sight(0.5, 0.5), sight(0.6, 0.6), sight(-1.0, -1.0)]
-    assert tally(sights, NOW_S, WINDOWS) == Tally(1, 1, 2, 4)
-    assert tally([sight("ground", "ground") for _ in "abc"], NOW_S, WINDOWS) == Tally(3, 3, 0, 3)
+    assert tally(sights, NOW_S, WINDOWS) == Tally(1, 1, 2, 4, False)
+    assert tally([sight("ground", "ground") for _ in "abc"], NOW_S, WINDOWS) == Tally(3, 3, 0, 3, False)
     # Within 12 cm of the one in the middle, and 24 cm apart.
-    assert tally([sight(each, each) for each in (0.5, 0.61, 0.72)], NOW_S, WINDOWS) == Tally(0, 0, 3, 3)
-    assert tally([sight(each, each) for each in (0.5, 0.63)], NOW_S, WINDOWS) == Tally(0, 0, 1, 2)
-    assert tally([], NOW_S, WINDOWS) == Tally(0, 0, 0, 0)
+    assert tally([sight(each, each) for each in (0.5, 0.61, 0.72)], NOW_S, WINDOWS) == Tally(0, 0, 3, 3, True)
+    assert tally([sight(each, each) for each in (0.5, 0.63)], NOW_S, WINDOWS) == Tally(0, 0, 1, 2, True)
+    assert tally([], NOW_S, WINDOWS) == Tally(0, 0, 0, 0, False)
+
+
+def test_sensors_are_leaving_where_most_newest_readings_are_off_to_one_side() -> None:
+    """Of a take-off no two readings agree, and each sensor has seen the ground twice just before."""
+
+    def are_leaving(*newest: float | str) -> bool:
+        return tally([sight("ground", "ground", each) for each in newest], NOW_S, WINDOWS).are_leaving
+
+    assert are_leaving(0.5, 0.7, 0.9, "ground")
+    assert are_leaving(-0.5, -0.7, -0.9, "ground")
+    assert not are_leaving(0.5, 0.7, -0.9, "ground")
+    assert not are_leaving(0.5, 0.7, "ground", "ground")
+    assert not are_leaving(0.5)
+    assert not tally([sight(each, newest_s=8.0) for each in (0.5, 0.7, 0.9)], NOW_S, WINDOWS).are_leaving
 
 
 def test_one_outlier_or_one_missed_reading_changes_no_count() -> None:
     before = [sight("ground", "ground", "ground"), sight("ground", "ground", "ground"), sight(0.5, 0.5, 0.5)]
     after = [sight("ground", "ground", "nothing"), sight("ground", "ground", 3.0), sight(0.5, 0.5, "ground")]
-    assert tally(before, NOW_S, WINDOWS) == tally(after, NOW_S, WINDOWS) == Tally(2, 2, 1, 3)
+    assert tally(before, NOW_S, WINDOWS) == tally(after, NOW_S, WINDOWS) == Tally(2, 2, 1, 3, False)
 
 
 def test_a_sensor_at_fault_is_no_voter_and_its_last_ground_counts_while_it_is_held() -> None:
     """An answer that is lost on the bus is no reason to doubt the ground that was seen 0.8 s ago."""
     broken = sight("ground", "ground", "nothing", works=False)
-    assert tally([broken], NOW_S, WINDOWS) == Tally(1, 1, 0, 0)
-    assert tally([sight(0.5, 0.5, works=False)], NOW_S, WINDOWS) == Tally(0, 0, 0, 0)
+    assert tally([broken], NOW_S, WINDOWS) == Tally(1, 1, 0, 0, False)
+    assert tally([sight(0.5, 0.5, works=False)], NOW_S, WINDOWS) == Tally(0, 0, 0, 0, False)
     # Its ground readings were 0.8 and 0.4 s old; held are 1.24 s.
     assert tally([broken], NOW_S + 0.8, WINDOWS).ground == 1, "the newest one alone"
     assert tally([broken], NOW_S + 0.9, WINDOWS).ground == 0
@@ -155,16 +169,16 @@ def test_a_sensor_at_fault_is_no_voter_and_its_last_ground_counts_while_it_is_he
 
 def test_votes_are_held_for_three_turns() -> None:
     sights = [sight("ground", "ground"), sight(0.5, 0.5), sight(0.5, 0.5)]
-    assert tally(sights, NOW_S + 0.8, WINDOWS) == Tally(1, 1, 2, 3)
+    assert tally(sights, NOW_S + 0.8, WINDOWS) == Tally(1, 1, 2, 3, False)
     # The older one of each pair is 1.25 s old: the newest ground stands alone, one off is no vote.
-    assert tally(sights, NOW_S + 0.85, WINDOWS) == Tally(1, 1, 0, 3)
+    assert tally(sights, NOW_S + 0.85, WINDOWS) == Tally(1, 1, 0, 3, False)
     assert tally(sights, NOW_S + 1.2, WINDOWS).voters == 3
-    assert tally(sights, NOW_S + 1.3, WINDOWS) == Tally(0, 0, 0, 0)
+    assert tally(sights, NOW_S + 1.3, WINDOWS) == Tally(0, 0, 0, 0, False)
 
 
 def test_a_sensor_that_repeats_itself_has_no_vote_against_the_ground() -> None:
     sights = [sight("ground", "ground", repeated=True), sight(0.5, 0.5, repeated=True)]
-    assert tally(sights, NOW_S, WINDOWS) == Tally(1, 0, 0, 2)
+    assert tally(sights, NOW_S, WINDOWS) == Tally(1, 0, 0, 2, False)
 
 
 def test_sensors_that_are_in_order_count_with_and_without_an_echo() -> None:
