@@ -1,4 +1,4 @@
-"""Speed of the base reading model: drawing many readings at once, and one at a time."""
+"""Speed of the reading model: drawing many readings at once, and one at a time as an emulated sensor does."""
 
 import statistics
 import time
@@ -9,6 +9,8 @@ import numpy as np
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.model.model import Model
+from msp_sim.model.sampler import Sampler
 
 READINGS = 1_000_000
 REPEATS = 9
@@ -17,8 +19,9 @@ SENSOR = Path(__file__).parents[1] / "configs" / "sensors" / "mb1242.yaml"
 
 
 def run() -> list[dict[str, Any]]:
-    """Measure `ReadingModel.sample` against numpy's own draws in the same run, and `sample_one` in microseconds."""
-    model = ReadingModel.of(load_sensor_model(SENSOR))
+    """Measure `ReadingModel.sample` against numpy's own draws in the same run, and `Sampler.sample_one`."""
+    sensor = load_sensor_model(SENSOR).model_copy(update={"effects": ()})
+    model = ReadingModel.of(sensor)
     rng = np.random.default_rng(1)
     true_range_cm = rng.uniform(10.0, 800.0, READINGS)
     true_range_cm[rng.random(READINGS) < 0.02] = np.nan
@@ -35,12 +38,12 @@ def run() -> list[dict[str, Any]]:
         ratios.append((time.perf_counter() - start_s) / numpy_s)
     ratio = statistics.median(ratios)
 
-    singles_us = []
+    sampler, singles_us = Sampler(Model.of(sensor), rng), []
     ranges_cm = [None if np.isnan(range_cm) else float(range_cm) for range_cm in true_range_cm[:SINGLE_READINGS]]
     for _ in range(REPEATS):
         start_s = time.perf_counter()
         for range_cm in ranges_cm:
-            model.sample_one(range_cm, rng)
+            sampler.sample_one({"true_range_cm": range_cm})
         singles_us.append(1e6 * (time.perf_counter() - start_s) / SINGLE_READINGS)
     single_us = statistics.median(singles_us)
 

@@ -48,7 +48,8 @@ class Hover:
         name, time_s = self.next, self.slot * SLOT_S
         self.slot += 1
         range_m = self.height_m + 0.05 * np.sin(1.5 * time_s) - (object_m if name == below else 0.0)
-        decoded = decode(encode(self.readings.sample_one(100 * range_m, self.draw)))
+        reading_cm = self.readings.sample({"true_range_cm": [100 * range_m]}, self.draw)[0]
+        decoded = decode(encode(int(reading_cm)))
         std_m = None if decoded.range_m is None else STD_M
         echo_s = time_s + range_m * 2.9e-3
         reading = Reading(echo_s, name, decoded.status, decoded.range_m, std_m, decoded.raw, decoded.suspect)

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import chisquare, kstest
 
 from msp_range.reading_model.mixture import ReadingModel
+from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 from msp_sim.model.rows import Rows
-from msp_sim.model.slopes import FREE, LEAST, log_prob, slopes
+from msp_sim.model.slopes import LEAST, log_prob, slopes
 from msp_sim.model.streams import Streams
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")

@@ -138,6 +138,18 @@ def test_one_reading_at_a_time_is_drawn_as_many_are(name: str) -> None:
         assert sampler.sample_one(unknown_as_none) == many[0]
 
 
+def test_one_reading_at_a_time_is_missed_more_often_far_away() -> None:
+    of = sensor()
+    grown = of.reading_model.model_copy(update={"sigma_growth_cm_per_m": 1.0, "max_growth_per_m": 1.5})
+    model = Model.of(of.model_copy(update={"reading_model": grown}))
+    sampler, streams = Sampler(model, np.random.default_rng(7)), Streams(np.random.default_rng(7))
+    readings_cm = np.array([sampler.sample_one({"true_range_cm": 600.0}) for _ in range(400)])
+    many = [model.sample({"true_range_cm": [600.0]}, streams)[0] for _ in range(400)]
+    assert readings_cm.tolist() == many
+    # Odds of 1 to 49 at 3 m are 90 times as much at 6 m.
+    assert np.isin(readings_cm, (255, 765)).mean() == pytest.approx(0.65, abs=0.08)
+
+
 def test_a_slanting_sensor_reads_the_slant_range() -> None:
     model = Model.of(sensor(oblique_reading="slant"))
     assert [each.effect.name for each in model.effects] == ["slant_range"]

@@ -102,29 +102,12 @@ def test_samples_follow_log_prob(of: ReadingModel, true_range_cm: float) -> None
     assert p_value(readings_cm, probabilities(of, true_range_cm)) > 1e-3
 
 
-@pytest.mark.parametrize("true_range_cm", RANGES_CM)
-def test_single_samples_follow_log_prob(true_range_cm: float) -> None:
-    rng = np.random.default_rng(21)
-    readings = [ROUGH.sample_one(true_range_cm, rng) for _ in range(60_000)]
-    assert p_value(np.array(readings), probabilities(ROUGH, true_range_cm)) > 1e-3
-    readings = [GROWING.sample_one(true_range_cm, rng) for _ in range(20_000)]
-    assert p_value(np.array(readings), probabilities(GROWING, true_range_cm)) > 1e-3
-    assert all(type(reading) is int for reading in readings)
-
-
 def test_random_samples_reach_both_ends() -> None:
     noise, rng = model(hit=0.0, random=1.0), np.random.default_rng(23)
-    many = noise.sample({"true_range_cm": np.full(100_000, 300.0)}, rng)
-    ones = np.array([noise.sample_one(300.0, rng) for _ in range(100_000)])
-    for readings_cm in (many, ones):
-        # 134 of each are expected, to 12 (one standard deviation).
-        assert (readings_cm == 20).sum() == pytest.approx(134, abs=60)
-        assert (readings_cm == 765).sum() == pytest.approx(134, abs=60)
-
-
-def test_a_single_sample_of_nothing_is_the_same_as_of_nan() -> None:
-    one, other = np.random.default_rng(3), np.random.default_rng(3)
-    assert [ROUGH.sample_one(None, one) for _ in range(99)] == [ROUGH.sample_one(math.nan, other) for _ in range(99)]
+    readings_cm = noise.sample({"true_range_cm": np.full(100_000, 300.0)}, rng)
+    # 134 of each are expected, to 12 (one standard deviation).
+    assert (readings_cm == 20).sum() == pytest.approx(134, abs=60)
+    assert (readings_cm == 765).sum() == pytest.approx(134, abs=60)
 
 
 def test_mixed_contexts_are_each_their_own() -> None:

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.reading_model.rows import FREE
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel
 from msp_sim.model.model import LARGEST_SHARE, Active, Model, acts, base_rows, changed
 from msp_sim.model.rows import Rows
-from msp_sim.model.slopes import FREE, log_prob, score_of_component, score_of_fault, slopes
+from msp_sim.model.slopes import log_prob, score_of_component, score_of_fault, slopes
 
 _Array = NDArray[np.float64]
 

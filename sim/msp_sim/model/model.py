@@ -180,18 +180,8 @@ class Model:
 
 def base_rows(model: Model, scene: Scene) -> Rows:
     """The base mixture in a scene, without effects."""
-    base = model.base
-    centre_cm = base.calibration.forward(scene.range_cm)
-    logs = base.log_weights(centre_cm)
-    return Rows(
-        centre_cm,
-        np.broadcast_to(base.sigma_cm(centre_cm), centre_cm.shape),
-        (logs[0], logs[1], logs[2], logs[3]),
-        base.parameters.unexpected_rate_per_m,
-        base.parameters.saturated_fraction,
-        model.sensor.minimum_cm,
-        model.sensor.maximum_cm,
-    )
+    base = vars(model.base.rows(scene.range_cm))
+    return Rows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)})
 
 
 def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:

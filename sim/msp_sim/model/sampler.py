@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.reading_model.kernel import Hit, Random, Short
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
 from msp_sim.model.model import Model, acts
@@ -61,7 +62,7 @@ class Sampler:
         base, streams = self._model.base, self._streams
         range_cm = context.get(TRUE_RANGE)
         centre_cm = math.nan if range_cm is None else base.calibration.forward(float(range_cm))
-        sigma_cm, (hit, nearer, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
+        sigma_cm, (hit, short, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
         if self._model.effects:
             scene = Scene(self._model.sensor, context)
             for each in self._model.effects:
@@ -70,14 +71,14 @@ class Sampler:
                 change = each.effect.act(scene, each.values)
                 centre_cm += change.bias_cm or 0.0
                 sigma_cm *= math.exp(change.log_spread or 0.0)
-                nearer += change.log_odds_short or 0.0
+                short += change.log_odds_short or 0.0
                 missed += change.log_odds_missed or 0.0
                 random += change.log_odds_random or 0.0
-        heard_cm = centre_cm + sigma_cm * streams["hit"].standard_normal()
+        heard_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
         kind, place = streams["kind"].random(), streams["place"].random()
         streams["race"].standard_exponential()
         saturated = streams["saturated"].random() < base.parameters.saturated_fraction
-        return self._reading_cm(heard_cm, centre_cm, kind, place, saturated, (hit, nearer, missed, random))
+        return self._reading_cm(heard_cm, centre_cm, kind, place, saturated, (hit, short, missed, random))
 
     def _reading_cm(
         self,
@@ -90,18 +91,16 @@ class Sampler:
     ) -> int:
         minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
         most = max(log_weights)
-        hit, nearer, missed, random = (math.exp(each - most) for each in log_weights)
-        kind *= hit + nearer + missed + random
+        hit, short, missed, random = (math.exp(each - most) for each in log_weights)
+        kind *= hit + short + missed + random
         if kind >= hit:
-            if kind < hit + nearer:
+            if kind < hit + short:
                 rate_per_cm = self._model.base.parameters.unexpected_rate_per_m / 100.0
-                end_cm = centre_cm if centre_cm < maximum_cm else maximum_cm
-                length_cm = max(end_cm - minimum_cm, 0.0)
-                heard_cm = minimum_cm - math.log1p(place * math.expm1(-rate_per_cm * length_cm)) / rate_per_cm
-            elif kind < hit + nearer + missed or random == 0.0:
+                heard_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
+            elif kind < hit + short + missed or random == 0.0:
                 heard_cm = maximum_cm
             else:
-                heard_cm = minimum_cm + math.floor(place * (maximum_cm - minimum_cm + 1))
+                heard_cm = float(Random.draw(place, minimum_cm, maximum_cm))
         if not heard_cm < maximum_cm:
             heard_cm = maximum_cm
         reading_cm = max(round(heard_cm), minimum_cm)

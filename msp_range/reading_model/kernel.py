@@ -1,0 +1,230 @@
+"""The four kinds of reading, one class each: probability, its derivatives, and the draw.
+
+Everything that draws, scores or fits readings is made of these: `Hit`, `Short`, `Missed` and `Random`, with Thrun's
+weights z_hit, z_short, z_max and z_rand (Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 6.3; report eq 9
+to 12). A reading is a whole step between the sensor's limits, so its probability is that of its interval, half a step
+to either side; `first` and `last` ask for the readings from one to another. All lengths have one unit, and rates are
+per that unit. By erratum 6 of the report each kind sums to 1 over what the sensor can report.
+
+The bridge's changepoint filter uses this file too, so that scipy is imported only where an interval of the normal
+distribution is asked for.
+"""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float64]
+
+FAR = 1e15
+"""Edge of an interval without an end. Finite, so that its products with a density of zero are zero."""
+UNHEARD = 1e12
+"""Centre of the hits of a surface that cannot be heard: beyond every sensor, and far before `FAR`."""
+ROOT_2_PI = float(np.sqrt(2.0 * np.pi))
+
+
+class Hit:
+    """A reading of the surface (z_hit, report eq 9): normal about the expected range.
+
+    ``p = Phi((b - z) / sigma) - Phi((a - z) / sigma)``. What is nearer than the minimum reads the minimum, so a = -inf
+    there; what is beyond the maximum reads as no echo, so b = +inf there.
+
+    Parameters
+    ----------
+    first, last
+        Readings, (n,).
+    top
+        Whether ``last`` is the no-echo code: True or False, or (n,).
+    centre
+        Expected range, (n,); NaN or infinite where nothing can be heard: then every hit reads as no echo.
+    sigma
+        Standard deviation before the reading is rounded, a number or (n,).
+    minimum
+        Shortest reading.
+    step
+        Of the readings.
+    """
+
+    def __init__(self, first: _Array, last: _Array, top: Any, centre: _Array, sigma: Any, minimum: float, step: float):
+        lower = np.where(first == minimum, -FAR, first - 0.5 * step)
+        upper = np.where(top, FAR, last + 0.5 * step)
+        # fmin and not minimum: it takes NaN, a surface that is not heard, out of reach.
+        centre = np.fmin(centre, UNHEARD)
+        self.sigma = sigma
+        self.a, self.b = (lower - centre) / sigma, (upper - centre) / sigma
+
+    @cached_property
+    def p(self) -> _Array:
+        """Probability, (n,); 0 where it is too small for a float."""
+        from scipy.special import ndtr
+
+        # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): on the left side of the bell both terms are small, and nothing cancels.
+        right = self.a > 0.0
+        found: _Array = ndtr(np.where(right, -self.a, self.b)) - ndtr(np.where(right, -self.b, self.a))
+        return found
+
+    @property
+    def log_p(self) -> _Array:
+        """Its logarithm, exact in the tails; several times slower than `p`."""
+        from scipy.special import log_ndtr
+
+        right = self.a > 0.0
+        low, high = log_ndtr(np.where(right, -self.b, self.a)), log_ndtr(np.where(right, -self.a, self.b))
+        with np.errstate(divide="ignore"):
+            found: _Array = high + np.log(-np.expm1(low - high))
+        return found
+
+    @cached_property
+    def at_ends(self) -> tuple[_Array, _Array]:
+        """Standard normal density at both ends of the interval."""
+        return np.exp(-0.5 * self.a * self.a) / ROOT_2_PI, np.exp(-0.5 * self.b * self.b) / ROOT_2_PI
+
+    @cached_property
+    def by_centre(self) -> _Array:
+        """Derivative of `p` by the centre."""
+        at_a, at_b = self.at_ends
+        found: _Array = (at_a - at_b) / self.sigma
+        return found
+
+    @cached_property
+    def by_log_sigma(self) -> _Array:
+        """Derivative of `p` by the logarithm of sigma; by the variance it is this / (2 sigma^2)."""
+        at_a, at_b = self.at_ends
+        found: _Array = self.a * at_a - self.b * at_b
+        return found
+
+    def second(self, variance: Any) -> tuple[_Array, _Array]:
+        """Second derivatives of `p` by the variance twice, and by centre and variance; by the centre twice it is twice
+        the first derivative by the variance."""
+        (at_a, at_b), a, b = self.at_ends, self.a, self.b
+        twice = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
+        mixed = ((a * a - 1.0) * at_a - (b * b - 1.0) * at_b) / (2.0 * variance * self.sigma)
+        return twice, mixed
+
+    @staticmethod
+    def draw(normal: Any, centre: Any, sigma: Any) -> Any:
+        """What is measured before it is rounded, from standard normal numbers; an array of these is used up."""
+        normal *= sigma
+        normal += centre
+        return normal
+
+    @staticmethod
+    def density(squared: Any, variance: Any) -> Any:
+        """Density at a squared distance from the centre."""
+        return np.exp(-0.5 * squared / variance) / np.sqrt(variance) / ROOT_2_PI
+
+
+class Short:
+    """A reading of something before the surface (z_short, report eq 10): exponential, and it ends at the surface.
+
+    By distances from the minimum, with the end at ``length`` and the part of the readings' interval before it from
+    ``near`` to ``far``: ``p = (exp(-lambda near) - exp(-lambda far)) / (1 - exp(-lambda length))``. Where the surface
+    is not beyond the minimum, all of it reads the minimum.
+
+    Parameters
+    ----------
+    first, last
+        Readings, (n,).
+    end
+        Expected range, (n,); NaN or beyond the maximum: it ends at the maximum.
+    rate
+        lambda, a number or (n,).
+    minimum, maximum, step
+        Shortest and longest reading, and the step of the readings.
+    """
+
+    def __init__(
+        self, first: _Array, last: _Array, end: _Array, rate: Any, minimum: float, maximum: float, step: float
+    ):
+        length = np.maximum(np.fmin(end, maximum) - minimum, 0.0)
+        near = np.minimum(np.maximum(first - (minimum + 0.5 * step), 0.0), length)
+        far = np.minimum(np.maximum(last - (minimum - 0.5 * step), near), length)
+        self.end_moves = end < maximum
+        # Without a length it is all in the first reading: as one that ends far away and has fallen off long before.
+        none = length == 0.0
+        if none.any():
+            near[none] = np.where(first[none] == minimum, 0.0, FAR)
+            far[none] = length[none] = FAR
+        self.near, self.far, self.length, self.rate = near, far, length, rate
+
+    @cached_property
+    def _parts(self) -> tuple[_Array, _Array, _Array]:
+        """exp(-lambda near), the share of the interval after it, and the norm."""
+        rate = self.rate
+        return (
+            np.exp(-rate * self.near),
+            -np.expm1(rate * (self.near - self.far)),
+            -np.expm1(-rate * self.length),
+        )
+
+    @cached_property
+    def p(self) -> _Array:
+        """Probability, (n,)."""
+        at_near, share, norm = self._parts
+        found: _Array = at_near * share / norm
+        return found
+
+    @cached_property
+    def by_rate(self) -> _Array:
+        """Derivative of `p` by the rate."""
+        at_near, share, norm = self._parts
+        at_far = at_near * (1.0 - share)
+        found: _Array = (self.far * at_far - self.near * at_near - self.p * self.length * (1.0 - norm)) / norm
+        return found
+
+    @property
+    def by_rate_twice(self) -> _Array:
+        """Second derivative of `p` by the rate."""
+        at_near, share, norm = self._parts
+        by_norm = self.length * (1.0 - norm)
+        top = self.near * self.near * at_near - self.far * self.far * at_near * (1.0 - share)
+        found: _Array = (top - 2.0 * self.by_rate * by_norm + self.p * self.length * by_norm) / norm
+        return found
+
+    @property
+    def by_end(self) -> _Array:
+        """Derivative of `p` by the expected range, where it ends: there is more where it ends, less everywhere else."""
+        at_near, share, norm = self._parts
+        at_end = np.where((self.near < self.far) & (self.far == self.length), at_near * (1.0 - share), 0.0)
+        found: _Array = np.where(self.end_moves, self.rate * (at_end - self.p * (1.0 - norm)) / norm, 0.0)
+        return found
+
+    @staticmethod
+    def draw(uniform: Any, end: Any, rate: Any, minimum: float, maximum: float) -> Any:
+        """What is measured before it is rounded, from uniform numbers below 1."""
+        length = np.maximum(np.fmin(end, maximum) - minimum, 0.0)
+        return minimum - np.log1p(uniform * np.expm1(-rate * length)) / rate
+
+    @staticmethod
+    def density(distance: Any, length: Any, rate: float) -> Any:
+        """Density at a distance from the minimum, before the end at ``length`` from it."""
+        return rate * np.exp(-rate * distance) / -np.expm1(-rate * length)
+
+
+class Missed:
+    """An echo that was missed (z_max, report eq 11): it reads the code for no echo, ``p = [last is the code]``."""
+
+    def __init__(self, top: Any):
+        self.p = np.asarray(top, dtype=np.float64)
+
+
+class Random:
+    """A reading that nothing explains (z_rand, report eq 12): any that the sensor can report, all as probable.
+
+    Parameters
+    ----------
+    first, last
+        Readings, (n,).
+    minimum, maximum, step
+        Shortest and longest reading, and the step of the readings.
+    """
+
+    def __init__(self, first: _Array, last: _Array, minimum: float, maximum: float, step: float):
+        self.p = (last - first + step) / (maximum - minimum + step)
+
+    @staticmethod
+    def draw(uniform: Any, minimum: float, maximum: float) -> Any:
+        """A whole reading, from uniform numbers below 1."""
+        return minimum + np.floor(uniform * (maximum - minimum + 1.0))

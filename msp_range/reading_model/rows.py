@@ -1,0 +1,200 @@
+"""The base mixture of n readings, each with its own parameters: probabilities, their derivatives, and draws.
+
+Centre, spread and weights of each row enter; probabilities of readings leave, or their derivatives, or readings. The
+kinds of reading are those of `msp_range.reading_model.kernel`. The base model (`mixture.ReadingModel`) is these rows;
+the simulator's effects change their numbers and mix in more.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.reading_model.kernel import Hit, Missed, Random, Short
+from msp_range.reading_model.sensor_model import SATURATED_CM
+
+_Array = NDArray[np.float64]
+Part: TypeAlias = Callable[[Any, _Array, _Array], _Array]
+"""Something linear in the probability of the readings from first to last of rows, shape (m, n)."""
+
+FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
+"""By what is derived; the first five are the channels through which effects act."""
+UNDERFLOW = 1e-290
+"""Below this a probability is no longer a float with all its digits, and that of the hits is taken by its logarithm."""
+
+
+def take(values: Any, rows: Any) -> Any:
+    """Some rows of a column; a number stays."""
+    return values[rows] if isinstance(values, np.ndarray) else values
+
+
+@dataclass(frozen=True)
+class MixtureRows:
+    """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has them.
+
+    Attributes
+    ----------
+    centre_cm, sigma_cm
+        Of the hits, (n,), or one sigma for all; a centre of NaN is not heard.
+    log_weights
+        Logarithms of the weights of hit, short, missed, random, but for a common summand: numbers or arrays.
+    rate_per_m, saturated_fraction, minimum_cm, maximum_cm
+        As in the sensor model.
+    """
+
+    centre_cm: _Array
+    sigma_cm: Any
+    log_weights: tuple[Any, Any, Any, Any]
+    rate_per_m: float
+    saturated_fraction: float
+    minimum_cm: int
+    maximum_cm: int
+
+    def __len__(self) -> int:
+        return self.centre_cm.size
+
+    def take(self, rows: Any) -> Self:
+        """Some of the rows."""
+        hit, short, missed, random = (take(each, rows) for each in self.log_weights)
+        return replace(
+            self,
+            centre_cm=self.centre_cm[rows],
+            sigma_cm=take(self.sigma_cm, rows),
+            log_weights=(hit, short, missed, random),
+        )
+
+    def log_prob(self, reading_cm: _Array) -> _Array:
+        """log of the probability of each reading; -inf for what cannot be read, such as fractions and NaN."""
+        p = self.of_readings(reading_cm, type(self).probability)[0]
+        with np.errstate(divide="ignore"):
+            log_p: _Array = np.log(p)
+        reportable = (reading_cm >= self.minimum_cm) & (reading_cm <= self.maximum_cm)
+        tail = np.flatnonzero((p < UNDERFLOW) & reportable & (np.rint(reading_cm) == reading_cm))
+        if tail.size:
+            rows, reading_cm = self.take(tail), reading_cm[tail]
+            log_share = rows.log_weights[0] - np.log(sum(rows.weights()))
+            log_p[tail] = np.maximum(log_p[tail], log_share + rows.hit(reading_cm, reading_cm).log_p)
+        return log_p
+
+    def log_below(self, reading_cm: _Array) -> _Array:
+        """log of the probability of all smaller readings, for the probability integral transform."""
+        last = np.ceil(reading_cm) - 1.0
+        with np.errstate(divide="ignore"):
+            log_p: _Array = np.log(self.arrives(np.full_like(last, -np.inf), last, type(self).probability)[0])
+        return log_p
+
+    def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
+        """What ``part`` is of each reading, (m, n); 0 for what is no whole centimetre."""
+        code = np.where(np.rint(reading_cm) == reading_cm, reading_cm, -1.0)
+        return self.arrives(code, code, part)
+
+    def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
+        """What ``part`` is of the mixture, as it is of the readings that arrive: some of M, the no-echo code, as 255.
+
+        With q of the mixture and the saturated fraction s, p(M) = (1 - s) q(M) and p(255) = q(255) + s q(M).
+        """
+        first, last = np.maximum(first, self.minimum_cm), np.minimum(last, self.maximum_cm)
+        inside = np.flatnonzero(first <= last)
+        if inside.size < first.size:
+            some = MixtureRows.arrives(self.take(inside), first[inside], last[inside], part)
+            parts = np.zeros((some.shape[0], first.size))
+            parts[:, inside] = some
+            return parts
+        parts = part(self, first, last)
+        has_max = last == self.maximum_cm
+        moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))
+        if moves.size:
+            top = np.full(moves.size, float(self.maximum_cm))
+            moved = part(self.take(moves), top, top) * np.where(has_max[moves], -1.0, 1.0)
+            parts[:, moves] += self.saturated_fraction * moved
+            if len(parts) > len(FREE):
+                parts[-1, moves] = moved[0]
+        return parts
+
+    def weights(self) -> list[Any]:
+        """Weights of hit, short, missed and random, numbers or (n,); their sum is not 1."""
+        return [np.exp(each) for each in self.log_weights]
+
+    def hit(self, first: _Array, last: _Array) -> Hit:
+        """The hits of the readings from first to last."""
+        top = last == self.maximum_cm
+        return Hit(first, last, top, self.centre_cm, self.sigma_cm, self.minimum_cm, 1.0)
+
+    def _others(self, first: _Array, last: _Array) -> tuple[Short, Missed, Random]:
+        lowest, highest = self.minimum_cm, self.maximum_cm
+        return (
+            Short(first, last, self.centre_cm, self.rate_per_m / 100.0, lowest, highest, 1.0),
+            Missed(last == highest),
+            Random(first, last, lowest, highest, 1.0),
+        )
+
+    def probability(self, first: _Array, last: _Array) -> _Array:
+        """Probability q of the readings from first to last, all within the limits, before saturation, (1, n)."""
+        weights = self.weights()
+        kinds: list[Hit | Short | Missed | Random] = [self.hit(first, last), *self._others(first, last)]
+        q = sum(weight * kind.p for weight, kind in zip(weights, kinds, strict=True) if np.any(weight))
+        return np.asarray(q / sum(weights))[None]
+
+    def slopes(self, first: _Array, last: _Array) -> _Array:
+        """q and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
+        of_hit, (of_short, of_missed, of_random) = self.hit(first, last), self._others(first, last)
+        weights = self.weights()
+        total = sum(weights)
+        hit, short, missed, random = (weight / total for weight in weights)
+        parts = np.zeros((1 + len(FREE), first.size))
+        q = parts[0]
+        q += hit * of_hit.p + missed * of_missed.p + random * of_random.p
+        parts[1], parts[2] = hit * of_hit.by_centre, hit * of_hit.by_log_sigma
+        if np.any(short):
+            q += short * of_short.p
+            parts[1] += short * of_short.by_end
+            parts[3] = short * (of_short.p - q)
+            parts[6] = short * of_short.rate * of_short.by_rate
+        parts[4], parts[5] = missed * (of_missed.p - q), random * (of_random.p - q)
+        return parts
+
+    def draw(self, normal: _Array, kind: _Array, place: _Array | None = None) -> _Array:
+        """Readings before saturation, from n standard normal and n uniform numbers.
+
+        Parameters
+        ----------
+        normal, kind
+            For the hit, and for the kind of reading; the normal numbers are used up.
+        place
+            Uniform numbers for where short and random readings lie; None: what is left of ``kind``.
+        """
+        reading_cm: _Array = Hit.draw(normal, self.centre_cm, self.sigma_cm)
+        np.rint(reading_cm, out=reading_cm)
+        # fmin and not minimum: it takes NaN, a surface that is not heard, to the maximum.
+        np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
+        np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
+        others = np.flatnonzero(kind >= self._below()[0])
+        reading_cm[others] = self.take(others)._draw_others(kind[others], None if place is None else place[others])
+        return reading_cm
+
+    def _below(self) -> tuple[Any, Any, Any]:
+        """Cumulative weights: a uniform number below the first is a hit, then short, then missed, then random."""
+        hit, short, missed, random = self.weights()
+        total = hit + short + missed + random
+        # The last share takes what rounding leaves, so it must be none where it has no weight.
+        below_missed = np.where(random > 0.0, (hit + short + missed) / total, 1.0)
+        return hit / total, (hit + short) / total, below_missed
+
+    def _draw_others(self, kind: _Array, place: _Array | None) -> _Array:
+        """Readings of the three rarer kinds."""
+        below_hit, below_short, below_missed = (np.broadcast_to(each, kind.shape) for each in self._below())
+        reading_cm = np.full(kind.size, float(self.maximum_cm))
+        short, random = np.flatnonzero(kind < below_short), np.flatnonzero(kind >= below_missed)
+
+        def uniform(rows: NDArray[np.intp], start: _Array, end: Any) -> _Array:
+            return place[rows] if place is not None else (kind[rows] - start[rows]) / (take(end, rows) - start[rows])
+
+        drawn = uniform(short, below_hit, below_short)
+        minimum, maximum = self.minimum_cm, self.maximum_cm
+        reading_cm[short] = np.rint(Short.draw(drawn, self.centre_cm[short], self.rate_per_m / 100.0, minimum, maximum))
+        reading_cm[random] = Random.draw(uniform(random, below_missed, 1.0), minimum, maximum)
+        # A share next to 1 can round up to it.
+        np.minimum(reading_cm, maximum, out=reading_cm)
+        return reading_cm
