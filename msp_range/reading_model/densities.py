@@ -1,19 +1,18 @@
-"""The densities of the base mixture on a grid of readings, with their derivatives by the parameters.
+"""The base mixture on a grid of readings, with its derivatives by the parameters that are fitted.
 
 Cells of readings enter with the range at which each is expected; their probabilities leave, and first and second
-derivatives. The probabilities are those of `msp_range.reading_model.mixture.ReadingModel`, on any `ReadingGrid`; that
-module has the equations and this one their derivatives.
+derivatives. The kinds of reading are those of `msp_range.reading_model.kernel`, mixed as `mixture.ReadingModel` says.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit, ndtr
+from scipy.special import expit, logit
 
 from msp_range.reading_model.grid import NO_ECHO, NOWHERE, SECOND_NO_ECHO, ReadingGrid
+from msp_range.reading_model.kernel import UNHEARD, Hit, Missed, Random, Short
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 _Array = NDArray[np.float64]
@@ -34,149 +33,91 @@ NAMES = (
 """Parameters in the order of every vector here."""
 U, R, M, T, L, S, V, G, B, C = range(len(NAMES))
 
-FAR_CM = 1e12
-"""Edge of an interval without an end. Finite, so that its products with a density of zero are zero."""
-UNHEARD_CM = 1e7
-"""Centre of the hits of a surface that cannot be heard: beyond every sensor."""
-
-
-@dataclass(frozen=True)
-class Cells:
-    """Rows of one kind, as the densities want them.
-
-    Attributes
-    ----------
-    lower, upper
-        Interval of a hit [cm].
-    centre
-        Expected range [cm].
-    maximum
-        The sensor's longest reading [cm].
-    near, far, length
-        Interval of the unexpected, and the length of its exponential, from the minimum on [cm].
-    random
-        Probability of a random reading's cell.
-    missed
-        1 where the cell is the no-echo code, otherwise 0.
-    """
-
-    lower: _Array
-    upper: _Array
-    centre: _Array
-    maximum: float
-    near: _Array
-    far: _Array
-    length: _Array
-    random: float | _Array
-    missed: float
-
-    @property
-    def within(self) -> _Array:
-        """Expected range within 0 ... maximum, on which spread and missed echoes may depend [cm]."""
-        return np.clip(self.centre, 0.0, self.maximum)
-
-
-def cells_of(grid: ReadingGrid, cell: NDArray[np.int64], expected_cm: _Array) -> Cells:
-    """Rows of readings on the grid (`cell` from 0 on), or of the no-echo code (all `NO_ECHO`)."""
-    m, r = grid.minimum_cm, grid.resolution_cm
-    missed = bool(cell.size) and bool(cell[0] == NO_ECHO)
-    # fmin and not minimum: it takes NaN and infinity, a surface that is not heard, out of reach.
-    centre = np.fmin(expected_cm, UNHEARD_CM)
-    length = np.clip(centre, m, grid.maximum_cm) - m
-    if missed:
-        cell = np.full(cell.size, grid.cells - 1 if grid.code_on_grid else grid.cells)
-    left = r * cell - r / 2
-    right = left + r
-    lower: _Array = np.where(cell == 0, -FAR_CM, left + m)
-    upper: _Array = np.where(missed, FAR_CM, right + m)
-    near = np.clip(left, 0.0, length)
-    far = np.clip(right, near, length)
-    # An exponential without a length is all in the first cell: one that ends far away and has fallen off long before.
-    none = length == 0.0
-    if none.any():
-        near[none] = np.where(cell[none] == 0, 0.0, FAR_CM)
-        far[none] = length[none] = FAR_CM
-    random = 0.0 if missed and not grid.code_on_grid else 1.0 / grid.cells
-    return Cells(lower, upper, centre, grid.maximum_cm, near, far, length, random, float(missed))
-
 
 class Terms:
-    """Probability q of each row's cell before the second code, its first derivatives, and sums of the second ones."""
+    """Probability q of each row's reading before the second code, its first derivatives, and sums of the second ones.
 
-    def __init__(self, cells: Cells, theta: _Array, free: frozenset[int]) -> None:
-        self.cells, self.theta, self.free = cells, theta, free
+    Parameters
+    ----------
+    grid
+        What the sensor can report.
+    cell, expected_cm
+        Cells of readings on the grid (from 0 on) or of the no-echo code (all `NO_ECHO`), and where hits are expected.
+    theta, free
+        Parameters, and those from sigma_growth on whose derivatives are asked for.
+    below
+        Ask for all readings on the grid up to each one, in place of itself.
+    """
+
+    def __init__(
+        self,
+        grid: ReadingGrid,
+        cell: NDArray[np.int64],
+        expected_cm: _Array,
+        theta: _Array,
+        free: frozenset[int],
+        below: bool = False,
+    ) -> None:
+        self.theta, self.free = theta, free
+        lowest, highest, step = grid.minimum_cm, grid.maximum_cm, grid.resolution_cm
+        is_code = bool(cell.size) and bool(cell[0] == NO_ECHO)
+        if is_code:
+            cell = np.full(cell.size, grid.cells - 1 if grid.code_on_grid else grid.cells)
+        last: _Array = np.asarray(lowest + step * cell, dtype=np.float64)
+        first: _Array = np.full(last.size, lowest, dtype=np.float64) if below else last
+        self.expected = np.fmin(expected_cm, UNHEARD)
+        # Spread and missed echoes may depend on the range within 0 ... maximum [cm].
+        self.within = np.clip(self.expected, 0.0, highest)
         variance = math.exp(2.0 * theta[T])
         self.variance: float | _Array = variance
         if theta[V] != 0.0 or V in free:
-            self.variance = variance + theta[V] * cells.within * cells.within
-        self.sigma = np.sqrt(self.variance)
-        centre = cells.centre if theta[B] == 0.0 and theta[C] == 1.0 else theta[B] + theta[C] * cells.centre
-        self.a = (cells.lower - centre) / self.sigma
-        self.b = (cells.upper - centre) / self.sigma
-        # On the left side of the bell both terms are small, and nothing cancels.
-        right = self.a + self.b > 0.0
-        self.hit = ndtr(np.where(right, -self.a, self.b)) - ndtr(np.where(right, -self.b, self.a))
-        rate = theta[L]
-        self.e_near = np.exp(-rate * cells.near)
-        self.e_width = np.expm1(rate * (cells.near - cells.far))
-        self.below = -np.expm1(-rate * cells.length)
-        self.unexpected = -self.e_near * self.e_width / self.below
+            self.variance = variance + theta[V] * self.within * self.within
+        centre = self.expected if theta[B] == 0.0 and theta[C] == 1.0 else theta[B] + theta[C] * self.expected
+        self.hit = Hit(first, last, is_code, centre, np.sqrt(self.variance), lowest, step)
+        self.short = Short(first, last, self.expected, theta[L], lowest, highest, step)
+        self.random = 0.0 if is_code and not grid.code_on_grid else Random(first, last, lowest, highest, step).p
+        self.missed = Missed(is_code).p
         if theta[G] == 0.0 and G not in free:
             self.max: float | _Array = theta[M]
         else:
-            self.max = expit(logit(theta[M]) + theta[G] * (cells.within - WEIGHTS_RANGE_CM))
+            self.max = expit(logit(theta[M]) + theta[G] * (self.within - WEIGHTS_RANGE_CM))
         self.weight_hit = 1.0 - theta[U] - theta[R]
-        self.rest = self.weight_hit * self.hit + theta[U] * self.unexpected + theta[R] * cells.random
+        self.rest = self.weight_hit * self.hit.p + theta[U] * self.short.p + theta[R] * self.random
         self.left = 1.0 - self.max
-        self.q = self.left * self.rest + self.max * cells.missed
+        self.q = self.left * self.rest + self.max * self.missed
 
     def first(self) -> list[tuple[int, _Array]]:
         """Derivatives of q, by number of the parameter; keeps what `second` needs."""
-        cells, theta, free = self.cells, self.theta, self.free
-        a, b, sigma, variance = self.a, self.b, self.sigma, self.variance
-        half_a = np.exp(-0.5 * a * a) * (1.0 / math.sqrt(2.0 * math.pi))
-        half_b = np.exp(-0.5 * b * b) * (1.0 / math.sqrt(2.0 * math.pi))
-        a_a, b_b = a * half_a, b * half_b
-        self.d_v = (a_a - b_b) / (2.0 * variance)
-        self.d_vv = ((a * a - 3.0) * a_a - (b * b - 3.0) * b_b) / (4.0 * variance * variance)
+        theta, free = self.theta, self.free
+        self.d_v = self.hit.by_log_sigma / (2.0 * self.variance)
         # Derivatives of the hit's variance and of its centre by their parameters.
         start = 2.0 * math.exp(2.0 * theta[T])
         self.by_variance: list[tuple[int, float | _Array]] = [(T, start)]
         if V in free:
-            self.by_variance.append((V, cells.within * cells.within))
+            self.by_variance.append((V, self.within * self.within))
         self.by_centre: list[tuple[int, float | _Array]] = []
         if B in free:
             self.by_centre.append((B, 1.0))
         if C in free:
-            self.by_centre.append((C, cells.centre))
-        if self.by_centre:
-            self.d_m = (half_a - half_b) / sigma
-            self.d_mv = ((a * a - 1.0) * half_a - (b * b - 1.0) * half_b) / (2.0 * variance * sigma)
-        e_far = self.e_near * (1.0 + self.e_width)
-        e_length = 1.0 - self.below
-        near_near, far_far = cells.near * self.e_near, cells.far * e_far
-        by_rate = cells.length * e_length
-        self.d_u = (far_far - near_near - self.unexpected * by_rate) / self.below
-        top = cells.near * near_near - cells.far * far_far
-        self.d_uu = (top - 2.0 * self.d_u * by_rate + self.unexpected * cells.length * by_rate) / self.below
+            self.by_centre.append((C, self.expected))
         self.shape = self.left * self.weight_hit
         self.d_max: list[tuple[int, float | _Array]] = [(M, 1.0)]
         if G in free:
             steep = self.max * self.left
             self.by_logit = 1.0 / (theta[M] * (1.0 - theta[M]))
-            self.d_max = [(M, steep * self.by_logit), (G, steep * (cells.within - WEIGHTS_RANGE_CM))]
+            self.d_max = [(M, steep * self.by_logit), (G, steep * (self.within - WEIGHTS_RANGE_CM))]
         elif theta[G] != 0.0:
             self.by_logit = 1.0 / (theta[M] * (1.0 - theta[M]))
             self.d_max = [(M, self.max * self.left * self.by_logit)]
-        self.to_unexpected = self.unexpected - self.hit
-        self.to_random = cells.random - self.hit
-        self.to_max = cells.missed - self.rest
+        self.to_short = self.short.p - self.hit.p
+        self.to_random = self.random - self.hit.p
+        self.to_max = self.missed - self.rest
         self.hits = [(i, each * self.d_v) for i, each in self.by_variance]
-        self.hits += [(i, each * self.d_m) for i, each in self.by_centre]
-        first: list[tuple[int, _Array]] = [(U, self.left * self.to_unexpected), (R, self.left * self.to_random)]
+        self.hits += [(i, each * self.hit.by_centre) for i, each in self.by_centre]
+        first: list[tuple[int, _Array]] = [(U, self.left * self.to_short), (R, self.left * self.to_random)]
         first += [(i, each * self.to_max) for i, each in self.d_max]
         first += [(i, self.shape * each) for i, each in self.hits]
-        first.append((L, self.left * theta[U] * self.d_u))
+        first.append((L, self.left * theta[U] * self.short.by_rate))
         return first
 
     def add_second(self, hessian: _Array, weight: _Array) -> None:
@@ -192,20 +133,21 @@ class Terms:
 
         add_with(U, -self.left, self.hits)
         add_with(R, -self.left, self.hits)
-        add(U, L, self.left * self.d_u)
-        add(L, L, self.left * theta[U] * self.d_uu)
+        add(U, L, self.left * self.short.by_rate)
+        add(L, L, self.left * theta[U] * self.short.by_rate_twice)
         for i, by in self.d_max:
-            add(i, U, -by * self.to_unexpected)
+            add(i, U, -by * self.to_short)
             add(i, R, -by * self.to_random)
-            add(i, L, -by * theta[U] * self.d_u)
+            add(i, L, -by * theta[U] * self.short.by_rate)
             add_with(i, -by * self.weight_hit, self.hits)
         if len(self.d_max) > 1 or theta[G] != 0.0:
             self._add_max(add)
+        d_vv, d_mv = self.hit.second(self.variance)
         for n, (i, by_i) in enumerate(self.by_variance):
             for j, by_j in self.by_variance[n:]:
-                add(i, j, self.shape * self.d_vv * by_i * by_j)
+                add(i, j, self.shape * d_vv * by_i * by_j)
             for j, by_j in self.by_centre:
-                add(i, j, self.shape * self.d_mv * by_i * by_j)
+                add(i, j, self.shape * d_mv * by_i * by_j)
         add(T, T, self.shape * self.d_v * (2.0 * self.by_variance[0][1]))
         for n, (i, by_i) in enumerate(self.by_centre):
             for j, by_j in self.by_centre[n:]:
@@ -218,7 +160,7 @@ class Terms:
         bent = -(1.0 - 2.0 * share) * self.by_logit**2
         add(M, M, self.to_max * (bend * self.by_logit**2 + steep * bent))
         if G in self.free:
-            beyond = self.cells.within - WEIGHTS_RANGE_CM
+            beyond = self.within - WEIGHTS_RANGE_CM
             add(M, G, self.to_max * bend * self.by_logit * beyond)
             add(G, G, self.to_max * bend * beyond * beyond)
 
@@ -237,17 +179,17 @@ def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected
     second_cm, share = grid.second_no_echo_cm, theta[S] if grid.second_no_echo_cm is not None else 0.0
     free = optional([number for number in (V, G) if theta[number] != 0.0])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-        missed = Terms(cells_of(grid, np.full_like(cell, NO_ECHO), expected_cm), theta, free).q
+        missed = Terms(grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free).q
         # The grid's own readings up to a place, which is between two of its cells also for a code outside of it.
         on_grid = grid.cells - 1 if grid.code_on_grid else grid.cells
         place = np.ceil((reading_cm - grid.minimum_cm) / grid.resolution_cm - 0.5)
         place = np.clip(place, 0, on_grid).astype(np.int64)
-        below = np.where(place > 0, _up_to(grid, theta, place - 1, expected_cm, free), 0.0)
+        up_to = Terms(grid, np.maximum(place - 1, 0), expected_cm, theta, free, below=True).q
+        below = np.where(place > 0, up_to, 0.0)
         own = np.where(cell == SECOND_NO_ECHO, -1 if grid.second_cell is None else grid.second_cell, cell)
         itself = np.zeros(reading_cm.size)
         ordinary = own >= 0
-        of_own = cells_of(grid, own[ordinary], expected_cm[ordinary])
-        itself[ordinary] = Terms(of_own, theta, free).q
+        itself[ordinary] = Terms(grid, own[ordinary], expected_cm[ordinary], theta, free).q
     below += np.where(reading_cm > grid.code_cm, (1.0 - share) * missed, 0.0)
     itself += np.where(cell == NO_ECHO, (1.0 - share) * missed, 0.0)
     if second_cm is not None:
@@ -255,22 +197,3 @@ def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected
         itself += np.where(cell == SECOND_NO_ECHO, share * missed, 0.0)
     itself[cell == NOWHERE] = 0.0
     return below, itself
-
-
-def _up_to(
-    grid: ReadingGrid, theta: _Array, cell: NDArray[np.int64], expected_cm: _Array, free: frozenset[int]
-) -> _Array:
-    """Probability of the cells from the first to `cell`, without those of the codes."""
-    cell = np.maximum(cell, 0)
-    cells = cells_of(grid, cell, expected_cm)
-    none = cells.length >= FAR_CM
-    near = np.zeros(cell.size)
-    wide = replace(
-        cells,
-        lower=np.full(cell.size, -FAR_CM),
-        near=near,
-        far=np.where(none, FAR_CM, cells.far),
-        random=(cell + 1.0) / grid.cells,
-    )
-    q: _Array = Terms(wide, theta, free).q
-    return q

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.densities import NAMES, S, Terms, cells_of
+from msp_range.reading_model.densities import NAMES, S, Terms
 from msp_range.reading_model.grid import NO_ECHO, SECOND_NO_ECHO, ReadingGrid
 
 _Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ class Likelihood:
         value, gradient, hessian = 0.0, np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
             for kind in (*self._ordinary.chunks(), *self._missed.chunks()):
-                terms = Terms(cells_of(self.grid, kind.cell, kind.expected_cm), theta, free)
+                terms = Terms(self.grid, kind.cell, kind.expected_cm, theta, free)
                 value += _add(terms, kind.times, gradient, hessian)
             if self.no_echoes:
                 first = 1.0 - theta[S]
@@ -111,14 +111,14 @@ class Likelihood:
     ) -> float:
         """Readings of the second code: p = q(its own cell) + s q(no echo)."""
         cell, expected_cm, count = kind
-        missed = Terms(cells_of(self.grid, np.full_like(cell, NO_ECHO), expected_cm), theta, free)
+        missed = Terms(self.grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free)
         p = theta[S] * missed.q
         by_missed = dict(missed.first())
         first = {i: theta[S] * each for i, each in by_missed.items()}
         own = None
         if self.grid.second_cell is not None:
             own_cell = np.full_like(cell, self.grid.second_cell)
-            own = Terms(cells_of(self.grid, own_cell, expected_cm), theta, free)
+            own = Terms(self.grid, own_cell, expected_cm, theta, free)
             p = p + own.q
             for i, each in own.first():
                 first[i] = first[i] + each
