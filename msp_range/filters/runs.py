@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.filters.normal import normal_cdf, normal_quantile
+from msp_range.reading_model.kernel import Hit, Short
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 HYPOTHESES = 24
@@ -60,7 +61,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Likelihood:
-    """What the filter needs of a reading model (`msp_range.reading_model.mixture`), in metres, for one reading with a
+    """What the filter needs of a reading model (`msp_range.reading_model.kernel`), in metres, for one reading with a
     range: no-echo codes do not come here, and the shares are those of the other three kinds.
 
     Attributes
@@ -110,10 +111,10 @@ class Likelihood:
         """Of the interval that the sensor can report [m]."""
         return self.maximum_m - self.minimum_m
 
-    def short_density(self, reading_m: _Array) -> _Array:
-        """lambda exp(-lambda (y - m)) times the share, without the norm that depends on the range [1/m]."""
-        rate = self.short_rate_per_m
-        density: _Array = (self.short * rate) * np.exp(-rate * (reading_m - self.minimum_m))
+    def short_density(self, reading_m: _Array, range_m: _Array) -> _Array:
+        """Share times density of a short reading before a surface at ``range_m`` [1/m]."""
+        reach_m = np.maximum(range_m - self.minimum_m, 1e-3)
+        density: _Array = self.short * Short.density(reading_m - self.minimum_m, reach_m, self.short_rate_per_m)
         return density
 
     def elsewhere(self, reading_m: _Array, range_m: _Array) -> _Array:
@@ -121,9 +122,7 @@ class Likelihood:
         density = self.random / self.length_m
         if self.short == 0.0:
             return np.full_like(range_m, density)
-        reach = np.maximum(range_m - self.minimum_m, 1e-3)
-        norm = -np.expm1(-self.short_rate_per_m * reach)
-        result: _Array = density + (reading_m < range_m) * (self.short_density(reading_m) / norm)
+        result: _Array = density + (reading_m < range_m) * self.short_density(reading_m, range_m)
         return result
 
     def anywhere(self, reading_m: _Array) -> _Array:
@@ -135,8 +134,7 @@ class Likelihood:
         density = np.full_like(reading_m, self.random / self.length_m)
         if self.short > 0.0:
             beyond = np.clip((self.maximum_m - reading_m) / self.length_m, 0.0, 1.0)
-            middle = np.maximum((reading_m + self.maximum_m) / 2 - self.minimum_m, 1e-3)
-            density += beyond * self.short_density(reading_m) / -np.expm1(-self.short_rate_per_m * middle)
+            density += beyond * self.short_density(reading_m, (reading_m + self.maximum_m) / 2)
         return density
 
 
@@ -225,7 +223,7 @@ class Runs:
         before, x, v, p_xx, p_xv, p_vv, _, _ = moved.runs
         spread = p_xx + noise
         off = reading - x
-        hit = likelihood.hit / math.sqrt(2 * math.pi) * np.exp(-0.5 * off * off / spread) / np.sqrt(spread)
+        hit = likelihood.hit * Hit.density(off * off, spread)
         elsewhere = likelihood.elsewhere(reading, x)
         wild = (before * elsewhere).sum(axis=1, keepdims=True)
         hits, soft = before * hit, 2 * HYPOTHESES
