@@ -164,10 +164,11 @@ class ReadingModel:
             return parameters.sigma_cm
         return np.hypot(parameters.sigma_cm, parameters.sigma_growth_cm_per_m / 100.0 * self._within(true_range_cm))
 
-    def max_weight(self, true_range_cm: Any) -> Any:
-        """Share of missed readings, for one range or an array of them [cm]; the others keep their proportions."""
-        weights = [np.exp(each) for each in self.log_weights(true_range_cm)]
-        return weights[2] / sum(weights)
+    def shares(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
+        """Shares of hit, short, missed and random, for one range or an array of them [cm]."""
+        hit, short, missed, random = (np.exp(each) for each in self.log_weights(true_range_cm))
+        total = hit + short + missed + random
+        return hit / total, short / total, missed / total, random / total
 
     def log_weights(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
         """log of the shares of hit, short, missed and random, but for a common summand: numbers or arrays."""

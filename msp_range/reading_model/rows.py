@@ -5,7 +5,7 @@ kinds of reading are those of `msp_range.reading_model.kernel`. The base model (
 the simulator's effects change their numbers and mix in more.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self, TypeAlias
 
@@ -75,7 +75,7 @@ class MixtureRows:
         if tail.size:
             rows, reading_cm = self.take(tail), reading_cm[tail]
             log_share = rows.log_weights[0] - np.log(sum(rows.weights()))
-            log_p[tail] = np.maximum(log_p[tail], log_share + rows.hit(reading_cm, reading_cm).log_p)
+            log_p[tail] = np.maximum(log_p[tail], log_share + rows.kinds(reading_cm, reading_cm)[0].log_p)
         return log_p
 
     def log_below(self, reading_cm: _Array) -> _Array:
@@ -117,29 +117,27 @@ class MixtureRows:
         """Weights of hit, short, missed and random, numbers or (n,); their sum is not 1."""
         return [np.exp(each) for each in self.log_weights]
 
-    def hit(self, first: _Array, last: _Array) -> Hit:
-        """The hits of the readings from first to last."""
-        top = last == self.maximum_cm
-        return Hit(first, last, top, self.centre_cm, self.sigma_cm, self.minimum_cm, 1.0)
-
-    def _others(self, first: _Array, last: _Array) -> tuple[Short, Missed, Random]:
+    def kinds(self, first: _Array, last: _Array) -> tuple[Hit, Short, Missed, Random]:
+        """Hit, short, missed and random readings from first to last."""
         lowest, highest = self.minimum_cm, self.maximum_cm
+        top = last == highest
         return (
+            Hit(first, last, top, self.centre_cm, self.sigma_cm, lowest, 1.0),
             Short(first, last, self.centre_cm, self.rate_per_m / 100.0, lowest, highest, 1.0),
-            Missed(last == highest),
+            Missed(top),
             Random(first, last, lowest, highest, 1.0),
         )
 
     def probability(self, first: _Array, last: _Array) -> _Array:
         """Probability q of the readings from first to last, all within the limits, before saturation, (1, n)."""
         weights = self.weights()
-        kinds: list[Hit | Short | Missed | Random] = [self.hit(first, last), *self._others(first, last)]
+        kinds: Sequence[Hit | Short | Missed | Random] = self.kinds(first, last)
         q = sum(weight * kind.p for weight, kind in zip(weights, kinds, strict=True) if np.any(weight))
         return np.asarray(q / sum(weights))[None]
 
     def slopes(self, first: _Array, last: _Array) -> _Array:
         """q and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
-        of_hit, (of_short, of_missed, of_random) = self.hit(first, last), self._others(first, last)
+        of_hit, of_short, of_missed, of_random = self.kinds(first, last)
         weights = self.weights()
         total = sum(weights)
         hit, short, missed, random = (weight / total for weight in weights)

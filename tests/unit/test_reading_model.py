@@ -125,14 +125,14 @@ def test_spread_and_missed_echoes_grow_with_range() -> None:
     # sqrt(1.5^2 + (0.4 * 5)^2) = 2.5
     assert at_500[503 - 20] == pytest.approx(norm.cdf(1.4) - norm.cdf(1.0), rel=1e-9)
     missing = model(0.5, 0.1, 0.2, 0.2, max_growth_per_m=0.5)
-    assert missing.max_weight(300.0) == pytest.approx(0.2, rel=1e-12)
+    assert missing.shares(300.0)[2] == pytest.approx(0.2, rel=1e-12)
     # Odds of 1 : 4 at 3 m, times e at 5 m.
     share = 0.25 * math.e / (1.0 + 0.25 * math.e)
     p = probabilities(missing, 500.0)
     assert p[-1] == pytest.approx(share + (1.0 - share) / 0.8 * 0.2 / 746, rel=1e-9)
     assert p[600 - 20] == pytest.approx((1.0 - share) / 0.8 * 0.2 / 746, rel=1e-9)
     # Nothing heard is as far as the sensor can reach.
-    assert missing.max_weight(math.nan) == missing.max_weight(2000.0) == missing.max_weight(765.0)
+    assert missing.shares(math.nan) == missing.shares(2000.0) == missing.shares(765.0)
 
 
 def test_a_hit_is_the_normal_probability_of_its_centimetre() -> None:

@@ -152,11 +152,8 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "max_growth_per_m" not in result.estimates:
         return told
-    weights = result.parameters.weights
     model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
-    missed = float(np.mean(model.max_weight(expected_cm)))
-    shares = {
-        name: getattr(weights, name) * (1.0 - missed) / (1.0 - weights.max) for name in ("hit", "unexpected", "random")
-    }
-    shown = ", ".join(f"{name} {share:.4f}" for name, share in (shares | {"max": missed}).items())
+    names = ("hit", "unexpected", "max", "random")
+    shares = zip(names, model.shares(expected_cm), strict=True)
+    shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
     return f"{told}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

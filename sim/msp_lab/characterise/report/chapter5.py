@@ -1,8 +1,8 @@
 """Pictures of the report's section 5.1 and 5.2.1: figures 5.1 to 5.6, and Table 5.1."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,20 +183,11 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
     apparent_cm = float(np.mean(rows.apparent_cm[chosen])) + set_up_error_cm(findings, condition, true_cm)
     contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
     whole = ReadingModel.of(rows.model)
-    weights = whole.parameters.weights
-    shares = {kind: float(getattr(weights, kind)) for kind in KINDS}
-    here = float(whole.max_weight(apparent_cm))
-    left = (1.0 - here) / (1.0 - shares["max"]) if shares["max"] < 1.0 else 1.0
-    density = {}
-    for kind in KINDS:
-        alone: dict[str, Any] = {"weights": weights.model_copy(update={each: float(each == kind) for each in KINDS})}
-        if kind != "max":
-            # The garbled code is drawn with the mass that it comes from.
-            alone["saturated_fraction"] = 0.0
-        model = ReadingModel.of(
-            rows.model.model_copy(update={"reading_model": rows.model.reading_model.model_copy(update=alone)})
-        )
-        density[kind] = np.exp(model.log_prob(k, contexts))
+    mixture = whole.rows(contexts["true_range_cm"])
+    hit, short, _, random = mixture.kinds(k, k)
+    # The garbled code is drawn with the mass that it comes from.
+    missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
+    density = dict(zip(KINDS, (hit.p, short.p, missed, random.p), strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = np.rint(rows.reading_cm[chosen])
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
@@ -206,7 +197,7 @@ def densities(findings: Findings, rows: Rows) -> tuple[Densities, NDArray[np.flo
         true_range_cm=peak_cm,
         reading_cm=k,
         density=density,
-        weight={kind: here if kind == "max" else share * left for kind, share in shares.items()},
+        weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
         counts=counts if readings.size else None,
     )
     return fitted, np.exp(whole.log_prob(k, contexts))
