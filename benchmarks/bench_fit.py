@@ -153,16 +153,16 @@ def _plain(sensor: SensorModel, reading_cm: _Array, true_cm: _Array) -> Callable
     def negative(x: _Array) -> float:
         theta = _theta(x)
         left = 1.0 - theta[mix.M]
-        unexpected, random = left * theta[mix.U], left * theta[mix.R]
+        short, random = left * theta[mix.U], left * theta[mix.R]
         parameters = {
             "weights": {
-                "hit": left - unexpected - random,
-                "unexpected": unexpected,
-                "max": theta[mix.M],
+                "hit": left - short - random,
+                "short": short,
+                "missed": theta[mix.M],
                 "random": random,
             },
             "sigma_cm": np.exp(x[3]),
-            "unexpected_rate_per_m": 100.0 * np.exp(x[4]),
+            "short_rate_per_m": 100.0 * np.exp(x[4]),
             "saturated_fraction": theta[mix.S],
         }
         model = ReadingModel(MixtureParameters.model_validate(parameters), sensor.minimum_cm, sensor.maximum_cm)

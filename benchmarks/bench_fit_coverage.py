@@ -18,11 +18,11 @@ SEEDS = 100
 """Chance alone moves the share of 100 by 2 %; 1500 seeds of `ReadingModel` gave 94.7 to 95.4 % for every parameter."""
 TRUTH = {
     "hit": 0.93,
-    "unexpected": 0.02,
-    "max": 0.03,
+    "short": 0.02,
+    "missed": 0.03,
     "random": 0.02,
     "sigma_cm": 1.6,
-    "unexpected_rate_per_m": 0.5,
+    "short_rate_per_m": 0.5,
     "saturated_fraction": 0.25,
 }
 
@@ -30,7 +30,7 @@ TRUTH = {
 def coverage(seeds: Iterable[int], readings: int = READINGS) -> dict[str, float]:
     """Share of the seeds whose interval holds the truth, by parameter."""
     sensor = PlainSensor(
-        **{name: TRUTH[name] for name in ("hit", "unexpected", "max", "random", "sigma_cm", "unexpected_rate_per_m")},
+        **{name: TRUTH[name] for name in ("hit", "short", "missed", "random", "sigma_cm", "short_rate_per_m")},
         second_share=TRUTH["saturated_fraction"],
     )
     grid = ReadingGrid(20, 765, second_no_echo_cm=255)

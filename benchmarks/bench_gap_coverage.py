@@ -55,9 +55,9 @@ def plain_model() -> Model:
     """The plain sampler's base as a model: its numbers are known, the effects are not."""
     sensor = load_sensor_model("configs/sensors/mb1242.yaml").model_dump()
     sensor["reading_model"] |= {
-        "weights": {name: getattr(BASE, name) for name in ("hit", "unexpected", "max", "random")},
+        "weights": {name: getattr(BASE, name) for name in ("hit", "short", "missed", "random")},
         "sigma_cm": BASE.sigma_cm,
-        "unexpected_rate_per_m": BASE.unexpected_rate_per_m,
+        "short_rate_per_m": BASE.short_rate_per_m,
         "saturated_fraction": BASE.second_share,
     }
     return Model.of(SensorModel.model_validate(sensor | {"effects": ()}))

@@ -22,6 +22,7 @@ from msp_range.geometry import Vector, angle_between, boresight
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
+from msp_range.reading_model.sensor_model import with_new_names
 from msp_range.sensor_on_bus import Name, SensorOnBus
 from msp_range.yaml_file import ConfigError, Section, load, load_named, read_config
 
@@ -352,7 +353,7 @@ def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
                 raise ConfigError(f"{source}: its airframe names {each}, outside of its folder; use --airframe")
             try:
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
-                (folder / path).write_text(text, encoding="utf-8")
+                (folder / path).write_text(with_new_names(text), encoding="utf-8")
             except (OSError, ValueError):
                 raise ConfigError(f"{source}: no file can have the name of the attached {each[:80]!r}") from None
         try:

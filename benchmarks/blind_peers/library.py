@@ -151,14 +151,14 @@ def _sum_to_one(mixture: MixtureParameters, shares: Mapping[str, float]) -> Weig
 def _changed(model: Model, by: Array) -> Model:
     """The model with its base's parameters changed by so much: the offset [cm], logarithms of the rest."""
     sensor, mixture = model.sensor, model.sensor.reading_model
-    factors = dict(zip(("hit", "unexpected", "max", "random"), np.exp([0.0, *by[2:5]]), strict=True))
+    factors = dict(zip(("hit", "short", "missed", "random"), np.exp([0.0, *by[2:5]]), strict=True))
     shares = {name: share * factors[name] for name, share in mixture.weights.model_dump().items()}
     saturated = expit(logit(mixture.saturated_fraction) + by[6])
     update = {
         "weights": _sum_to_one(mixture, shares),
         "sigma_cm": mixture.sigma_cm * np.exp(by[1]),
         "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * np.exp(by[1]),
-        "unexpected_rate_per_m": min(max(mixture.unexpected_rate_per_m * np.exp(by[5]), 1e-4), 1000.0),
+        "short_rate_per_m": min(max(mixture.short_rate_per_m * np.exp(by[5]), 1e-4), 1000.0),
         "saturated_fraction": min(max(saturated, LEAST_SATURATED), 1.0 - LEAST_SATURATED),
     }
     knots = [(knot.true_cm, knot.reading_cm) for knot in sensor.calibration] or [(100.0, 100.0), (200.0, 200.0)]

@@ -91,15 +91,15 @@ class Likelihood:
     def of(cls, model: MixtureParameters, minimum_cm: int, maximum_cm: int, resolution_cm: int) -> "Likelihood":
         """That of a sensor model file's section ``reading_model``."""
         weights = model.weights
-        heard = weights.hit + weights.unexpected + weights.random
+        heard = weights.hit + weights.short + weights.random
         if not weights.hit > 0.0:
             raise ValueError("filter changepoint: the reading model's weight of hits is 0, expected more")
         step_m = resolution_cm / 100.0
         return cls(
             hit=weights.hit / heard,
-            short=weights.unexpected / heard,
+            short=weights.short / heard,
             random=weights.random / heard,
-            short_rate_per_m=model.unexpected_rate_per_m,
+            short_rate_per_m=model.short_rate_per_m,
             minimum_m=minimum_cm / 100.0,
             maximum_m=maximum_cm / 100.0,
             variance_m2=(model.sigma_cm / 100.0) ** 2 + step_m**2 / 12.0,

@@ -19,14 +19,14 @@ _Array = NDArray[np.float64]
 _Add = Callable[[int, int, _Array], None]
 
 NAMES = (
-    "unexpected",  # share of the readings that are not max
+    "short",  # share of the readings that are not missed
     "random",  # likewise
-    "max",  # share, at the reference range
+    "missed",  # share, at the reference range
     "log_sigma",
     "rate",  # lambda [1/cm]
     "second",  # fraction of no-echo codes that arrive as the second code
     "sigma_growth",  # squared [cm^2/cm^2]
-    "max_growth",  # [1/cm]
+    "missed_growth",  # [1/cm]
     "offset",  # bias [cm]
     "scale",
 )
@@ -76,15 +76,15 @@ class Terms:
         self.hit = Hit(first, last, is_code, centre, np.sqrt(self.variance), lowest, step)
         self.short = Short(first, last, self.expected, theta[L], lowest, highest, step)
         self.random = 0.0 if is_code and not grid.code_on_grid else Random(first, last, lowest, highest, step).p
-        self.missed = Missed(is_code).p
+        self.at_code = Missed(is_code).p
         if theta[G] == 0.0 and G not in free:
-            self.max: float | _Array = theta[M]
+            self.share: float | _Array = theta[M]
         else:
-            self.max = expit(logit(theta[M]) + theta[G] * (self.within - WEIGHTS_RANGE_CM))
+            self.share = expit(logit(theta[M]) + theta[G] * (self.within - WEIGHTS_RANGE_CM))
         self.weight_hit = 1.0 - theta[U] - theta[R]
         self.rest = self.weight_hit * self.hit.p + theta[U] * self.short.p + theta[R] * self.random
-        self.left = 1.0 - self.max
-        self.q = self.left * self.rest + self.max * self.missed
+        self.left = 1.0 - self.share
+        self.q = self.left * self.rest + self.share * self.at_code
 
     def first(self) -> list[tuple[int, _Array]]:
         """Derivatives of q, by number of the parameter; keeps what `second` needs."""
@@ -101,21 +101,21 @@ class Terms:
         if C in free:
             self.by_centre.append((C, self.expected))
         self.shape = self.left * self.weight_hit
-        self.d_max: list[tuple[int, float | _Array]] = [(M, 1.0)]
+        self.by_share: list[tuple[int, float | _Array]] = [(M, 1.0)]
         if G in free:
-            steep = self.max * self.left
+            steep = self.share * self.left
             self.by_logit = 1.0 / (theta[M] * (1.0 - theta[M]))
-            self.d_max = [(M, steep * self.by_logit), (G, steep * (self.within - WEIGHTS_RANGE_CM))]
+            self.by_share = [(M, steep * self.by_logit), (G, steep * (self.within - WEIGHTS_RANGE_CM))]
         elif theta[G] != 0.0:
             self.by_logit = 1.0 / (theta[M] * (1.0 - theta[M]))
-            self.d_max = [(M, self.max * self.left * self.by_logit)]
+            self.by_share = [(M, self.share * self.left * self.by_logit)]
         self.to_short = self.short.p - self.hit.p
         self.to_random = self.random - self.hit.p
-        self.to_max = self.missed - self.rest
+        self.to_missed = self.at_code - self.rest
         self.hits = [(i, each * self.d_v) for i, each in self.by_variance]
         self.hits += [(i, each * self.hit.by_centre) for i, each in self.by_centre]
         first: list[tuple[int, _Array]] = [(U, self.left * self.to_short), (R, self.left * self.to_random)]
-        first += [(i, each * self.to_max) for i, each in self.d_max]
+        first += [(i, each * self.to_missed) for i, each in self.by_share]
         first += [(i, self.shape * each) for i, each in self.hits]
         first.append((L, self.left * theta[U] * self.short.by_rate))
         return first
@@ -135,13 +135,13 @@ class Terms:
         add_with(R, -self.left, self.hits)
         add(U, L, self.left * self.short.by_rate)
         add(L, L, self.left * theta[U] * self.short.by_rate_twice)
-        for i, by in self.d_max:
+        for i, by in self.by_share:
             add(i, U, -by * self.to_short)
             add(i, R, -by * self.to_random)
             add(i, L, -by * theta[U] * self.short.by_rate)
             add_with(i, -by * self.weight_hit, self.hits)
-        if len(self.d_max) > 1 or theta[G] != 0.0:
-            self._add_max(add)
+        if len(self.by_share) > 1 or theta[G] != 0.0:
+            self._add_share(add)
         d_vv, d_mv = self.hit.second(self.variance)
         for n, (i, by_i) in enumerate(self.by_variance):
             for j, by_j in self.by_variance[n:]:
@@ -153,16 +153,16 @@ class Terms:
             for j, by_j in self.by_centre[n:]:
                 add(i, j, self.shape * (2.0 * self.d_v) * by_i * by_j)
 
-    def _add_max(self, add: _Add) -> None:
-        """Second derivatives of the share of max, where it depends on range."""
-        share, steep = self.theta[M], self.max * self.left
-        bend = steep * (1.0 - 2.0 * self.max)
+    def _add_share(self, add: _Add) -> None:
+        """Second derivatives of the share of missed readings, where it depends on range."""
+        share, steep = self.theta[M], self.share * self.left
+        bend = steep * (1.0 - 2.0 * self.share)
         bent = -(1.0 - 2.0 * share) * self.by_logit**2
-        add(M, M, self.to_max * (bend * self.by_logit**2 + steep * bent))
+        add(M, M, self.to_missed * (bend * self.by_logit**2 + steep * bent))
         if G in self.free:
             beyond = self.within - WEIGHTS_RANGE_CM
-            add(M, G, self.to_max * bend * self.by_logit * beyond)
-            add(G, G, self.to_max * bend * beyond * beyond)
+            add(M, G, self.to_missed * bend * self.by_logit * beyond)
+            add(G, G, self.to_missed * bend * beyond * beyond)
 
 
 def optional(moving: Sequence[int]) -> frozenset[int]:

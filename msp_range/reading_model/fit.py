@@ -53,7 +53,7 @@ def fit(
     grid
         What the sensor can report.
     offset, scale
-        Fit offset_cm or scale of the hit's centre too. The unexpected still end at `expected_cm`.
+        Fit offset_cm or scale of the hit's centre too. Short readings still end at `expected_cm`.
     growth
         Try whether spread and missed echoes depend on range, and keep what BIC keeps. It takes readings for
         independent: where they are not, it keeps too much.
@@ -76,8 +76,8 @@ def fit(
     >>> result = fit(reading_cm, expected_cm, ReadingGrid(20, 765))
     >>> print(f"{result.estimates['sigma_cm']:.2f} {result.standard_errors['sigma_cm']:.2f}")
     1.49 0.02
-    >>> print("{:.3f} {:.3f}".format(*result.interval("max")), result.at_bound)
-    0.044 0.056 ('unexpected', 'random')
+    >>> print("{:.3f} {:.3f}".format(*result.interval("missed")), result.at_bound)
+    0.044 0.056 ('short', 'random')
     """
     reading, expected = columns(reading_cm, expected_cm)
     cell = _checked_cells(reading, expected, grid)
@@ -166,7 +166,7 @@ def _with_growth(
     threshold = 0.5 * math.log(rows.readings)
     trials, kept = [], []
     nearest_cm, farthest_cm = rows.ranges_cm
-    for name, number, start in (("sigma_growth_cm_per_m", mix.V, 1e-6), ("max_growth_per_m", mix.G, 0.0)):
+    for name, number, start in (("sigma_growth_cm_per_m", mix.V, 1e-6), ("missed_growth_per_m", mix.G, 0.0)):
         if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
             why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too alike to show it"
             trials.append(GrowthTrial(name, 0.0, False, why))

@@ -31,14 +31,14 @@ UNKNOWN_FALL = 3.0
 """A lambda is not known when its standard error is so many times both itself and 1 / (mean range)."""
 
 _NUMBERS = {
-    "unexpected": mix.U,
+    "short": mix.U,
     "random": mix.R,
-    "max": mix.M,
+    "missed": mix.M,
     "sigma_cm": mix.T,
-    "unexpected_rate_per_m": mix.L,
+    "short_rate_per_m": mix.L,
     "saturated_fraction": mix.S,
     "sigma_growth_cm_per_m": mix.V,
-    "max_growth_per_m": mix.G,
+    "missed_growth_per_m": mix.G,
     "offset_cm": mix.B,
     "scale": mix.C,
 }
@@ -49,7 +49,7 @@ BOUNDS = Bounds(
     stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01, 20.0, 0.2]),
     relative=np.arange(len(mix.NAMES)) == mix.L,
 )
-_SHARES = frozenset({"hit", "unexpected", "max", "random", "saturated_fraction"})
+_SHARES = frozenset({"hit", "short", "missed", "random", "saturated_fraction"})
 
 
 class FitError(ValueError):
@@ -97,7 +97,7 @@ class FitResult:
     at_bound
         Names of parameters on the end of what they can be, such as a weight of 0.
     not_identified
-        Names of parameters on which the readings say nothing, such as lambda where nothing was unexpected.
+        Names of parameters on which the readings say nothing, such as lambda where nothing read short.
     log_likelihood, readings, rows, iterations
         Sum of log probabilities; number of readings, of distinct rows among them, and of Newton steps on all rows.
     growth_trials
@@ -225,15 +225,15 @@ def result_of(
     everything = _named(theta)
     parameters = MixtureParameters.model_validate(
         {
-            "weights": {name: everything[name] for name in ("hit", "unexpected", "max", "random")},
+            "weights": {name: everything[name] for name in ("hit", "short", "missed", "random")},
             **{
                 name: everything[name]
                 for name in (
                     "sigma_cm",
-                    "unexpected_rate_per_m",
+                    "short_rate_per_m",
                     "saturated_fraction",
                     "sigma_growth_cm_per_m",
-                    "max_growth_per_m",
+                    "missed_growth_per_m",
                 )
             },
         }
@@ -263,17 +263,17 @@ def result_of(
 def _named(theta: _Array) -> dict[str, float]:
     """Parameters of the sensor model file from those of the likelihood."""
     left = 1.0 - theta[mix.M]
-    unexpected, random = left * theta[mix.U], left * theta[mix.R]
+    short, random = left * theta[mix.U], left * theta[mix.R]
     named = {
-        "hit": left - unexpected - random,
-        "unexpected": unexpected,
-        "max": theta[mix.M],
+        "hit": left - short - random,
+        "short": short,
+        "missed": theta[mix.M],
         "random": random,
         "sigma_cm": min(max(math.exp(theta[mix.T]), 0.01), 100.0),
-        "unexpected_rate_per_m": 100.0 * theta[mix.L],
+        "short_rate_per_m": 100.0 * theta[mix.L],
         "saturated_fraction": theta[mix.S],
         "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[mix.V]),
-        "max_growth_per_m": 100.0 * theta[mix.G],
+        "missed_growth_per_m": 100.0 * theta[mix.G],
         "offset_cm": theta[mix.B],
         "scale": theta[mix.C],
     }
@@ -285,15 +285,15 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     left = 1.0 - theta[mix.M]
     rows = {name: np.zeros(len(mix.NAMES)) for name in _named(theta)}
     rows["hit"][[mix.U, mix.R, mix.M]] = -left, -left, theta[mix.U] + theta[mix.R] - 1.0
-    rows["unexpected"][[mix.U, mix.M]] = left, -theta[mix.U]
+    rows["short"][[mix.U, mix.M]] = left, -theta[mix.U]
     rows["random"][[mix.R, mix.M]] = left, -theta[mix.R]
-    rows["max"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.B] = rows["scale"][mix.C] = 1.0
+    rows["missed"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.B] = rows["scale"][mix.C] = 1.0
     rows["sigma_cm"][mix.T] = math.exp(theta[mix.T])
-    rows["unexpected_rate_per_m"][mix.L] = rows["max_growth_per_m"][mix.G] = 100.0
+    rows["short_rate_per_m"][mix.L] = rows["missed_growth_per_m"][mix.G] = 100.0
     if theta[mix.V] > 0.0:
         rows["sigma_growth_cm_per_m"][mix.V] = 50.0 / math.sqrt(theta[mix.V])
     # A weight whose share is held at zero stays there.
-    for name, number in (("unexpected", mix.U), ("random", mix.R)):
+    for name, number in (("short", mix.U), ("random", mix.R)):
         if theta[number] == 0.0:
             rows[name][:] = 0.0
     return np.array([rows[name] for name in names])
@@ -317,7 +317,7 @@ def _ends(name: str) -> tuple[float, float]:
     for bounds in (BOUNDS.lower, BOUNDS.upper):
         theta[_NUMBERS[name]] = bounds[_NUMBERS[name]]
         ends.append(_named(theta)[name])
-    if name in ("offset_cm", "scale", "max_growth_per_m"):
+    if name in ("offset_cm", "scale", "missed_growth_per_m"):
         return -math.inf, math.inf
     return ends[0], ends[1]
 

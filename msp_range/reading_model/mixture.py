@@ -39,18 +39,18 @@ class ReadingModel:
 
     With m and M the sensor's shortest and longest reading and [a, b] the reading's interval, k - 1/2 to k + 1/2::
 
-        q(k) = w_hit hit(k) + w_unexpected unexpected(k) + w_max [k = M] + w_random random(k)
+        q(k) = w_hit hit(k) + w_short short(k) + w_missed [k = M] + w_random random(k)
 
         hit(k)         Phi((b - z*) / sigma) - Phi((a - z*) / sigma)                              (eq 9)
                        a = -inf for k = m: nearer than the minimum reads the minimum
                        b = +inf for k = M: beyond the maximum reads as no echo
-        unexpected(k)  (exp(-lambda (a' - m)) - exp(-lambda (b' - m))) / (1 - exp(-lambda (e - m)))   (eq 10)
+        short(k)       (exp(-lambda (a' - m)) - exp(-lambda (b' - m))) / (1 - exp(-lambda (e - m)))   (eq 10)
                        e = min(z*, M), and [a', b'] the part of [a, b] inside [m, e]; [k = m] where e <= m
         [k = M]        an echo missed (eq 11)
         random(k)      1 / (M - m + 1)                                                            (eq 12)
 
     z* is the true range as the calibration takes it to a reading, `Calibration.forward`. A surface that the beam cannot
-    hear is one at infinity: its hits read M, and something unexpected may be anywhere before M. M is the no-echo code,
+    hear is one at infinity: its hits read M, and a short reading may be anywhere before M. M is the no-echo code,
     and of all readings of M, whatever their cause, a fraction s arrives as 255::
 
         p(M) = (1 - s) q(M),    p(255) = q(255) + s q(M),    p(k) = q(k) otherwise
@@ -58,7 +58,7 @@ class ReadingModel:
     Two of the parameters may depend on the range r = z* within 0 ... M (M where nothing is heard)::
 
         sigma(r)^2 = sigma^2 + (g r)^2
-        w_max(r) / (1 - w_max(r)) = w_max / (1 - w_max) exp(h (r - 3 m)),  the other weights in their proportions
+        w_missed(r) / (1 - w_missed(r)) = w_missed / (1 - w_missed) exp(h (r - 3 m)),  the others in proportion
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ class ReadingModel:
 
     Examples
     --------
-    >>> weights = {"hit": 0.9, "unexpected": 0.03, "max": 0.05, "random": 0.02}
-    >>> parameters = {"weights": weights, "sigma_cm": 1.5, "unexpected_rate_per_m": 0.5, "saturated_fraction": 0.2}
+    >>> weights = {"hit": 0.9, "short": 0.03, "missed": 0.05, "random": 0.02}
+    >>> parameters = {"weights": weights, "sigma_cm": 1.5, "short_rate_per_m": 0.5, "saturated_fraction": 0.2}
     >>> model = ReadingModel(MixtureParameters.model_validate(parameters), minimum_cm=20, maximum_cm=765)
     >>> contexts = {"true_range_cm": np.array([300.0, 300.0])}
     >>> print(np.exp(model.log_prob(np.array([300, 765]), contexts)).round(4))
@@ -151,7 +151,7 @@ class ReadingModel:
             centre_cm,
             self.sigma_cm(centre_cm),
             self.log_weights(centre_cm),
-            self.parameters.unexpected_rate_per_m,
+            self.parameters.short_rate_per_m,
             self.parameters.saturated_fraction,
             self.minimum_cm,
             self.maximum_cm,
@@ -173,16 +173,16 @@ class ReadingModel:
     def log_weights(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
         """log of the shares of hit, short, missed and random, but for a common summand: numbers or arrays."""
         hit, short, missed, random = self._log_shares
-        if self.parameters.max_growth_per_m != 0.0:
+        if self.parameters.missed_growth_per_m != 0.0:
             beyond_m = (self._within(true_range_cm) - WEIGHTS_RANGE_CM) / 100.0
-            grown = np.clip(self.parameters.max_growth_per_m * beyond_m, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+            grown = np.clip(self.parameters.missed_growth_per_m * beyond_m, -MOST_LOG_ODDS, MOST_LOG_ODDS)
             missed = missed + grown
         return hit, short, missed, random
 
     @cached_property
     def _log_shares(self) -> tuple[float, float, float, float]:
         weights = self.parameters.weights
-        hit, short, missed, random = map(_log, (weights.hit, weights.unexpected, weights.max, weights.random))
+        hit, short, missed, random = map(_log, (weights.hit, weights.short, weights.missed, weights.random))
         return hit, short, missed, random
 
     def _within(self, true_range_cm: Any) -> Any:

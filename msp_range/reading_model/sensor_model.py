@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import yaml
 from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
 from pydantic_core import CoreSchema
 
@@ -17,12 +18,21 @@ from msp_range.acoustics.beam import BreakawayTable
 from msp_range.correction.calibration import Calibration
 from msp_range.sensors.table import driver_names, find_driver
 from msp_range.yaml_file import Section, load
+from msp_range.yaml_loader import load_yaml
 
 SATURATED_CM = 255
 """What a no-echo code reads where its two bytes are OR-ed (0x02 | 0xFD for 765) or it saturates to eight bits [cm]."""
 
 WEIGHTS_RANGE_CM = 300.0
-"""Range at which the share of `max` is the one in `weights`, where it changes with range: the report's usual [cm]."""
+"""Range at which the share of missed echoes is the one in `weights`, where it changes with range [cm]."""
+
+_NEW_NAMES = {
+    "unexpected": "short",
+    "max": "missed",
+    "unexpected_rate_per_m": "short_rate_per_m",
+    "max_growth_per_m": "missed_growth_per_m",
+}
+"""Keys of ``reading_model`` and its weights that had another name in version 0.1; recordings made with it hold them."""
 
 UNUSED_TEMPERATURE_C = 20.0
 """`calibration_temperature_c` of a sensor of light, where the file has none [deg C]. Any value will do: its ranges are
@@ -83,20 +93,20 @@ class Weights(Section):
     """Shares of the four kinds of reading; their sum is 1."""
 
     hit: Probability
-    """Share of readings of the surface itself."""
+    """Share of readings of the surface itself: Thrun's z_hit."""
 
-    unexpected: Probability
-    """Share of readings of something nearer than the surface."""
+    short: Probability
+    """Share of readings of something nearer than the surface: Thrun's z_short."""
 
-    max: Probability
-    """Share of echoes missed, which read the maximum."""
+    missed: Probability
+    """Share of echoes missed, which read the maximum: Thrun's z_max."""
 
     random: Probability
-    """Share of readings that nothing explains."""
+    """Share of readings that nothing explains: Thrun's z_rand."""
 
     @model_validator(mode="after")
     def _sum_to_one(self) -> "Weights":
-        total = self.hit + self.unexpected + self.max + self.random
+        total = self.hit + self.short + self.missed + self.random
         # Six digits are what a person or a fit writes.
         if abs(total - 1.0) > 1e-6:
             raise ValueError(f"expected weights whose sum is 1, found a sum of {total:.7g}")
@@ -107,13 +117,13 @@ class MixtureParameters(Section):
     """Parameters of the base mixture (report eq 9-12); `msp_range.reading_model.mixture` has the equations."""
 
     weights: Weights
-    """Shares of hit, unexpected, max and random readings."""
+    """Shares of hit, short, missed and random readings."""
 
     sigma_cm: float = Field(ge=0.01, le=100.0)
-    """Standard deviation of a hit before it is rounded to whole centimetres [cm]."""
+    """Standard deviation of a hit before it is rounded to whole centimetres: Thrun's sigma_hit [cm]."""
 
-    unexpected_rate_per_m: float = Field(gt=0.0, le=1000.0)
-    """Rate at which unexpected readings get rarer with range [1/m]."""
+    short_rate_per_m: float = Field(gt=0.0, le=1000.0)
+    """Rate at which short readings get rarer with range: Thrun's lambda_short [1/m]."""
 
     saturated_fraction: Probability
     """Share of no-echo readings that arrive as 255."""
@@ -121,8 +131,16 @@ class MixtureParameters(Section):
     sigma_growth_cm_per_m: float = Field(0.0, ge=0.0, le=100.0)
     """Growth of the standard deviation with range z: sigma^2 = sigma_cm^2 + (growth z)^2 [cm/m]."""
 
-    max_growth_per_m: float = Field(0.0, ge=-100.0, le=100.0)
-    """Growth of the log odds of `max` against the other kinds with range; `weights` are those at 3 m [1/m]."""
+    missed_growth_per_m: float = Field(0.0, ge=-100.0, le=100.0)
+    """Growth of the log odds of a missed echo against the other kinds with range; `weights` are those at 3 m [1/m]."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_old_keys(cls, content: Any) -> Any:
+        renamed = [f"{key} is called {_NEW_NAMES[key]} now" for _, key in _old_keys(content)]
+        if renamed:
+            raise ValueError(f"found keys of an earlier version: {', '.join(renamed)}")
+        return content
 
 
 class SensorModel(Section):
@@ -258,6 +276,25 @@ class SensorModel(Section):
 
         on_axis_m = None if self.heard_on_axis_cm is None else self.heard_on_axis_cm / 100.0
         return extended_beam(_beam(self.breakaway), self.maximum_cm / 100.0, self.frequency_hz, on_axis_m)
+
+
+def _old_keys(reading_model: Any) -> list[tuple[dict[str, Any], str]]:
+    """Old keys in a file's section ``reading_model`` and in its weights, each with the mapping that holds it."""
+    weights = reading_model.get("weights") if isinstance(reading_model, dict) else None
+    sections = [each for each in (weights, reading_model) if isinstance(each, dict)]
+    return [(section, key) for section in sections for key in _NEW_NAMES if key in section]
+
+
+def with_new_names(text: str) -> str:
+    """The text of a recorded sensor model file with new names for its old keys; any other text as it is."""
+    try:
+        content = load_yaml(text)
+    except yaml.YAMLError:
+        return text
+    old = _old_keys(content.get("reading_model")) if isinstance(content, dict) else []
+    for section, key in old:
+        section[_NEW_NAMES[key]] = section.pop(key)
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True) if old else text
 
 
 def load_sensor_model(path: Path | str) -> SensorModel:

@@ -15,7 +15,7 @@ NAMES = Path(__file__).parent / "names.csv"
 
 IN_THE_BASE = {
     "spread_with_range": "sigma_growth_cm_per_m",
-    "missed_with_range": "max_growth_per_m",
+    "missed_with_range": "missed_growth_per_m",
 }
 """Names that the base model has a parameter for: said as a calibration, they are said."""
 

@@ -214,7 +214,7 @@ def test_another_model_flies(tmp_path: Path) -> None:
     """A sensor model without outliers, with little noise: nothing is rejected but each sensor's first."""
     model = (SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text()
     model = model.replace(
-        "{hit: 0.96, unexpected: 0.01, max: 0.02, random: 0.01}", "{hit: 1.0, unexpected: 0.0, max: 0.0, random: 0.0}"
+        "{hit: 0.96, short: 0.01, missed: 0.02, random: 0.01}", "{hit: 1.0, short: 0.0, missed: 0.0, random: 0.0}"
     ).replace("sigma_cm: 1.9445", "sigma_cm: 0.3")
     (tmp_path / "quiet.yaml").write_text(model)
     run("fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")

@@ -125,22 +125,22 @@ def test_offsets_between_runs_are_named_with_their_size(tmp_path: Path) -> None:
 
 
 def test_another_spread_offset_and_share_are_calibration_and_nothing_is_missing(tmp_path: Path) -> None:
-    columns = readings(3000, seed=7, bias=lambda _: 0.8, sigma_cm=1.2 * SIGMA_CM, hit=0.91, max=0.07)
+    columns = readings(3000, seed=7, bias=lambda _: 0.8, sigma_cm=1.2 * SIGMA_CM, hit=0.91, missed=0.07)
     findings = found(tmp_path, columns)
     assert (findings.effects, findings.unknown) == ((), ())
     assert findings.verdict == "nothing missing"
     numbers = {each.name: each for each in findings.calibration}
-    assert set(numbers) == {"offset_cm", "sigma_cm", "weights.max"}
-    for name, truth in (("offset_cm", 0.8), ("sigma_cm", 1.2 * SIGMA_CM), ("weights.max", 0.07)):
+    assert set(numbers) == {"offset_cm", "sigma_cm", "weights.missed"}
+    for name, truth in (("offset_cm", 0.8), ("sigma_cm", 1.2 * SIGMA_CM), ("weights.missed", 0.07)):
         each = numbers[name]
         assert each.low is not None
         assert each.high is not None
         # Odds of max are told as a share of the model's: 0.07 / 0.91 against 0.02 / 0.96.
-        assert each.low < (truth if name != "weights.max" else truth / 0.91 * 0.96) < each.high
+        assert each.low < (truth if name != "weights.missed" else truth / 0.91 * 0.96) < each.high
     # What flies is calibrated.
     mixture = load_model(tmp_path / "out" / "model.yaml").sensor.reading_model
     assert mixture.sigma_cm == pytest.approx(1.2 * SIGMA_CM, rel=0.06)
-    assert mixture.weights.max == pytest.approx(0.07, abs=0.02)
+    assert mixture.weights.missed == pytest.approx(0.07, abs=0.02)
 
 
 def test_readings_off_the_grid_are_calibration_and_nothing_is_missing(tmp_path: Path) -> None:

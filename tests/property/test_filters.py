@@ -71,7 +71,7 @@ SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "
 QUIET = SENSOR.model_copy(
     update={
         "reading_model": SENSOR.reading_model.model_copy(
-            update={"weights": Weights(hit=0.97, unexpected=0.0, max=0.02, random=0.01)}
+            update={"weights": Weights(hit=0.97, short=0.0, missed=0.02, random=0.01)}
         )
     }
 )

@@ -50,9 +50,9 @@ def test_known_parameters_come_back(ranges_cm: NDArray[np.float64] | None) -> No
     result = fit(reading_cm, true_cm, MB1242)
     recovered(result, ROUGH)
     assert result.at_bound == result.not_identified == ()
-    assert sum(result.estimates[name] for name in ("hit", "unexpected", "max", "random")) == pytest.approx(1.0)
+    assert sum(result.estimates[name] for name in ("hit", "short", "missed", "random")) == pytest.approx(1.0)
     # The weights' sum is known.
-    ones = np.array([name in ("hit", "unexpected", "max", "random") for name in result.names], dtype=float)
+    ones = np.array([name in ("hit", "short", "missed", "random") for name in result.names], dtype=float)
     assert ones @ result.covariance @ ones == pytest.approx(0.0, abs=1e-12)
 
 
@@ -76,11 +76,11 @@ def test_offset_and_scale_come_back() -> None:
 
 
 def test_growth_with_range_comes_back_and_is_kept() -> None:
-    sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.2, 0.7, 0.25, sigma_growth_cm_per_m=0.5, max_growth_per_m=0.4)
+    sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.2, 0.7, 0.25, sigma_growth_cm_per_m=0.5, missed_growth_per_m=0.4)
     result = fit(*drawn(sensor, 20_000, 4), MB1242, growth=True)
     assert [trial.kept for trial in result.growth_trials] == [True, True]
     recovered(result, sensor)
-    assert result.parameters.max_growth_per_m == result.estimates["max_growth_per_m"]
+    assert result.parameters.missed_growth_per_m == result.estimates["missed_growth_per_m"]
 
 
 def test_the_error_of_growth_is_what_it_scatters_by() -> None:
@@ -100,7 +100,7 @@ def test_the_error_of_growth_is_what_it_scatters_by() -> None:
 def test_growth_that_is_not_there_is_left_out() -> None:
     result = fit(*drawn(ROUGH, 20_000, 5), MB1242, growth=True)
     assert [trial.kept for trial in result.growth_trials] == [False, False]
-    assert result.parameters.sigma_growth_cm_per_m == result.parameters.max_growth_per_m == 0.0
+    assert result.parameters.sigma_growth_cm_per_m == result.parameters.missed_growth_per_m == 0.0
     one_range = fit(*drawn(ROUGH, 5_000, 5, np.array([300.0])), MB1242, growth=True)
     assert "too alike" in one_range.growth_trials[0].why
 
@@ -125,23 +125,23 @@ def test_ranges_at_which_nothing_is_heard_count_as_missed() -> None:
 def test_a_weight_of_nothing_has_an_upper_limit() -> None:
     clean = PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5)
     result = fit(*drawn(clean, 5_000, 8), MB1242)
-    assert set(result.at_bound) == {"unexpected", "max", "random"}
-    assert set(result.not_identified) == {"unexpected_rate_per_m", "saturated_fraction"}
+    assert set(result.at_bound) == {"short", "missed", "random"}
+    assert set(result.not_identified) == {"short_rate_per_m", "saturated_fraction"}
     assert result.parameters.weights.hit == 1.0
-    for name in ("max", "random"):
+    for name in ("missed", "random"):
         low, high = result.interval(name)
         # None of n: the likelihood drops by 1.92 at about 1.92 / n.
         assert low == 0.0
         assert 1.8 / 5_000 < high < 2.5 / 5_000
     assert result.interval("hit") == (pytest.approx(1.0 - 1.92 / 5_000, abs=1e-5), 1.0)
     assert result.interval("saturated_fraction") == (0.0, 1.0)
-    assert math.isnan(result.standard_errors["max"])
+    assert math.isnan(result.standard_errors["missed"])
 
 
 def test_a_few_of_a_kind_have_an_interval_that_is_not_symmetric() -> None:
     reading_cm, true_cm = drawn(PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5), 5_000, 9)
     reading_cm[:3] = 765.0
-    low, high = fit(reading_cm, true_cm, MB1242).interval("max")
+    low, high = fit(reading_cm, true_cm, MB1242).interval("missed")
     # Likelihood-ratio limits of a Poisson mean with 3 seen: 0.75 and 7.75.
     assert (5_000 * low, 5_000 * high) == pytest.approx((0.75, 7.75), rel=0.05)
 
@@ -213,10 +213,10 @@ def test_the_mixture_of_a_measured_lidar() -> None:
     # 51.05 m is no echo, and 13 of 40,000 say 51.10.
     reading_cm = np.where(measured_cm > 5102.5, 5105.0, grid.nearest(measured_cm))
     result = fit(reading_cm, 100.0 * columns["expected_m"], grid, offset=True)
-    assert result.estimates["unexpected"] == pytest.approx(0.127, abs=0.002)
-    assert result.estimates["max"] == pytest.approx(0.007, abs=0.0005)
-    # What is unexpected here hardly gets rarer with range.
-    assert result.interval("unexpected_rate_per_m")[1] < 0.03
+    assert result.estimates["short"] == pytest.approx(0.127, abs=0.002)
+    assert result.estimates["missed"] == pytest.approx(0.007, abs=0.0005)
+    # What reads short here hardly gets rarer with range.
+    assert result.interval("short_rate_per_m")[1] < 0.03
     assert result.interval("saturated_fraction") == (0.0, 0.0)
     good = goodness_of_fit(result, reading_cm, 100.0 * columns["expected_m"], np.random.default_rng(1))
     assert good.ks_p_value < 1e-6
@@ -240,7 +240,7 @@ def test_awkward_sensors_are_fitted_at_least_as_well_as_by_the_truth(seed: int) 
     result = fit(reading_cm, true_cm, MB1242, offset=bool(rng.integers(2)), growth=bool(rng.integers(2)))
     truth = np.zeros(len(NAMES))
     truth[[U, R, M]] = weights[1] / (1.0 - weights[2]), weights[3] / (1.0 - weights[2]), weights[2]
-    truth[[T, L, S, C]] = np.log(sensor.sigma_cm), sensor.unexpected_rate_per_m / 100.0, sensor.second_share, 1.0
+    truth[[T, L, S, C]] = np.log(sensor.sigma_cm), sensor.short_rate_per_m / 100.0, sensor.second_share, 1.0
     of_truth = np.log(probabilities(MB1242, truth, reading_cm, true_cm)[1]).sum()
     assert result.log_likelihood > of_truth - 0.01
     for name, value in result.estimates.items():

@@ -251,11 +251,11 @@ def _calibration(points) -> found.Calibration:
 def _mixture(data) -> found.Mixture:
     parameters = (
         ("weights.hit", 0.963, 0.003, "", 0.96),
-        ("weights.unexpected", 0.004, 0.001, "", 0.01),
-        ("weights.max", 0.03, 0.0025, "", 0.02),
+        ("weights.short", 0.004, 0.001, "", 0.01),
+        ("weights.missed", 0.03, 0.0025, "", 0.02),
         ("weights.random", 0.003, 0.001, "", 0.01),
         ("sigma_cm", 1.4, 0.015, "cm", 1.9445),
-        ("unexpected_rate_per_m", 0.12, 0.1, "1/m", 0.5),
+        ("short_rate_per_m", 0.12, 0.1, "1/m", 0.5),
         ("saturated_fraction", 0.25, 0.03, "", 0.25),
     )
     counts = np.random.default_rng(3).multinomial(20000, np.full(20, 0.05))

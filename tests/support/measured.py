@@ -15,11 +15,11 @@ def sensor(**changes: float) -> PlainSensor:
     """The sensor of mb1242.yaml as the plain sampler has it."""
     usual = {
         "hit": 0.96,
-        "unexpected": 0.01,
-        "max": 0.02,
+        "short": 0.01,
+        "missed": 0.02,
         "random": 0.01,
         "sigma_cm": 1.9445,
-        "unexpected_rate_per_m": 0.5,
+        "short_rate_per_m": 0.5,
         "second_share": 0.25,
     }
     return PlainSensor(**(usual | changes))

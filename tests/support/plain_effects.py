@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from tests.support.plain_sampler import PlainSensor
 
 BASE = PlainSensor(
-    hit=0.93, unexpected=0.03, max=0.02, random=0.02, sigma_cm=1.6, unexpected_rate_per_m=0.5, second_share=0.25
+    hit=0.93, short=0.03, missed=0.02, random=0.02, sigma_cm=1.6, short_rate_per_m=0.5, second_share=0.25
 )
 CALIBRATED_C = 22.5
 
@@ -123,13 +123,13 @@ def _reading(row: Row, hidden: Mapping[str, Values], chance: random.Random) -> f
     for name, values in hidden.items():
         EFFECTS[name](ping, row, values)
     if chance.random() < ping.twice:
-        echo = replace(ping.sensor, hit=1.0, unexpected=0.0, max=0.0, random=0.0, sigma_cm=ping.twice_sigma_cm)
+        echo = replace(ping.sensor, hit=1.0, short=0.0, missed=0.0, random=0.0, sigma_cm=ping.twice_sigma_cm)
         reading_cm = echo.reading(2.0 * true_cm, chance)
     else:
         odds = {
             "hit": ping.sensor.hit,
-            "unexpected": ping.sensor.unexpected * ping.short_odds,
-            "max": ping.sensor.max * ping.missed_odds,
+            "short": ping.sensor.short * ping.short_odds,
+            "missed": ping.sensor.missed * ping.missed_odds,
             "random": ping.sensor.random,
         }
         total = sum(odds.values())

@@ -15,14 +15,14 @@ class PlainSensor:
     """A range finder with known parameters; `math.inf` is a range at which nothing is heard."""
 
     hit: float
-    unexpected: float
-    max: float
+    short: float
+    missed: float
     random: float
     sigma_cm: float
-    unexpected_rate_per_m: float
+    short_rate_per_m: float
     second_share: float = 0.0
     sigma_growth_cm_per_m: float = 0.0
-    max_growth_per_m: float = 0.0
+    missed_growth_per_m: float = 0.0
     offset_cm: float = 0.0
     scale: float = 1.0
     minimum_cm: float = 20.0
@@ -39,17 +39,19 @@ class PlainSensor:
     def reading(self, true_cm: float, chance: Random) -> float:
         """One reading."""
         reach_cm = min(max(true_cm, 0.0), self.maximum_cm)
-        max_odds = self.max / (1.0 - self.max) * math.exp(self.max_growth_per_m * (reach_cm - 300.0) / 100.0)
-        if chance.random() < max_odds / (1.0 + max_odds):
+        missed_odds = (
+            self.missed / (1.0 - self.missed) * math.exp(self.missed_growth_per_m * (reach_cm - 300.0) / 100.0)
+        )
+        if chance.random() < missed_odds / (1.0 + missed_odds):
             return self._no_echo(chance)
-        kind = chance.choices(("hit", "unexpected", "random"), (self.hit, self.unexpected, self.random))[0]
+        kind = chance.choices(("hit", "short", "random"), (self.hit, self.short, self.random))[0]
         if kind == "hit":
             if true_cm == math.inf:
                 return self._no_echo(chance)
             sigma_cm = math.sqrt(self.sigma_cm**2 + (self.sigma_growth_cm_per_m * reach_cm / 100.0) ** 2)
             heard_cm = chance.gauss(self.offset_cm + self.scale * true_cm, sigma_cm)
-        elif kind == "unexpected":
-            heard_cm = self._unexpected_cm(min(true_cm, self.maximum_cm), chance)
+        elif kind == "short":
+            heard_cm = self._short_cm(min(true_cm, self.maximum_cm), chance)
         else:
             steps = round((self.maximum_cm - self.minimum_cm) / self.step_cm)
             heard_cm = self.minimum_cm + self.step_cm * chance.randint(0, steps)
@@ -60,12 +62,12 @@ class PlainSensor:
             return self._no_echo(chance)
         return reading_cm
 
-    def _unexpected_cm(self, end_cm: float, chance: Random) -> float:
+    def _short_cm(self, end_cm: float, chance: Random) -> float:
         """An exponential from the shortest reading on; what lies beyond the expected range is drawn again."""
         if end_cm <= self.minimum_cm:
             return self.minimum_cm
         while True:
-            heard_cm = self.minimum_cm + chance.expovariate(self.unexpected_rate_per_m / 100.0)
+            heard_cm = self.minimum_cm + chance.expovariate(self.short_rate_per_m / 100.0)
             if heard_cm <= end_cm:
                 return heard_cm
 

@@ -48,9 +48,9 @@ def test_a_class_may_not_hold_what_the_data_tell_apart() -> None:
 
 def test_a_base_parameter_counts_as_said() -> None:
     exhaust = {"kind": "one", "hidden": [{"mechanism": "exhaust", "wanted": 10.0}]}
-    outcome = judge(exhaust, said(calibration=[{"parameter": "max_growth_per_m"}]), NAMES)
+    outcome = judge(exhaust, said(calibration=[{"parameter": "missed_growth_per_m"}]), NAMES)
     assert outcome.exact
-    assert outcome.said == ("max_growth_per_m",)
+    assert outcome.said == ("missed_growth_per_m",)
 
 
 def test_an_unknown_effect_has_channel_and_variables() -> None:

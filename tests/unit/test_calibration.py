@@ -96,9 +96,9 @@ def test_mistakes_in_the_file_are_told(tmp_path: Path, knots: list[dict[str, flo
 
 def test_the_readings_of_the_model_are_about_the_curve() -> None:
     content = {
-        "weights": {"hit": 1, "unexpected": 0, "max": 0, "random": 0},
+        "weights": {"hit": 1, "short": 0, "missed": 0, "random": 0},
         "sigma_cm": 1.0,
-        "unexpected_rate_per_m": 1,
+        "short_rate_per_m": 1,
         "saturated_fraction": 0,
     }
     sensor = load_sensor_model(MB1242)

@@ -66,7 +66,7 @@ def test_a_bench_becomes_a_sensor_model_that_flies(tmp_path: Path) -> None:
     assert (model.oblique_reading, model.heard_on_axis_cm) == ("slant", 480.0)
     weights = model.reading_model.weights
     assert model.reading_model.sigma_cm == pytest.approx(0.8, abs=0.05)
-    assert weights.max == pytest.approx(0.03, abs=0.01)
+    assert weights.missed == pytest.approx(0.03, abs=0.01)
     assert model.reading_model.saturated_fraction == pytest.approx(1 / 3, abs=0.1)
     (evidence,) = model.evidence
     assert evidence["date"] == "2026-10-05"
@@ -179,9 +179,9 @@ def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> 
     assert "no air_temperature_c" in result.output
     model, started = load_sensor_model(out), load_sensor_model(SENSOR)
     assert model.calibration == ()
-    # Nothing was unexpected, so how such readings fall off is still as it was.
-    assert model.reading_model.weights.unexpected == 0.0
-    assert model.reading_model.unexpected_rate_per_m == started.reading_model.unexpected_rate_per_m
+    # Nothing read short, so how such readings fall off is still as it was.
+    assert model.reading_model.weights.short == 0.0
+    assert model.reading_model.short_rate_per_m == started.reading_model.short_rate_per_m
 
 
 def test_the_beam_of_one_sensor_is_not_put_beside_the_noise_of_another(tmp_path: Path) -> None:
@@ -241,6 +241,6 @@ def test_angles_of_a_real_sensor(tmp_path: Path) -> None:
 def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:
     output, out = on_real_data(tmp_path, "carmen-fhw/fhw-pairs-derived.csv.gz", "carmen-fhw.yaml", "lidar_sick.yaml")
     weights = load_sensor_model(out).reading_model.weights
-    assert weights.unexpected == pytest.approx(0.127, abs=0.02)
+    assert weights.short == pytest.approx(0.127, abs=0.02)
     assert "max 0.0069" in output
     assert "hits look better than they are" in output

@@ -140,7 +140,7 @@ def test_one_reading_at_a_time_is_drawn_as_many_are(name: str) -> None:
 
 def test_one_reading_at_a_time_is_missed_more_often_far_away() -> None:
     of = sensor()
-    grown = of.reading_model.model_copy(update={"sigma_growth_cm_per_m": 1.0, "max_growth_per_m": 1.5})
+    grown = of.reading_model.model_copy(update={"sigma_growth_cm_per_m": 1.0, "missed_growth_per_m": 1.5})
     model = Model.of(of.model_copy(update={"reading_model": grown}))
     sampler, streams = Sampler(model, np.random.default_rng(7)), Streams(np.random.default_rng(7))
     readings_cm = np.array([sampler.sample_one({"true_range_cm": 600.0}) for _ in range(400)])

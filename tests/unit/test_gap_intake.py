@@ -169,7 +169,7 @@ def test_a_fault_at_one_range_is_no_code(tmp_path: Path) -> None:
 
 
 def test_declared_codes_and_far_offsets_are_no_undeclared_codes(tmp_path: Path) -> None:
-    columns = readings(1000, max=0.2, hit=0.78)
+    columns = readings(1000, missed=0.2, hit=0.78)
     assert taken(tmp_path, columns).calibration == ()
     columns = readings(1000, seed=2, bias=lambda _: 40.0)
     assert read_readings([_written(tmp_path, columns)], MODEL_GIVEN).calibration == ()

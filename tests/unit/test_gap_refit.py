@@ -33,11 +33,11 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0, **changes: 
     weights = mixture.weights
     usual = {
         "hit": weights.hit,
-        "unexpected": weights.unexpected,
-        "max": weights.max,
+        "short": weights.short,
+        "missed": weights.missed,
         "random": weights.random,
         "sigma_cm": mixture.sigma_cm,
-        "unexpected_rate_per_m": mixture.unexpected_rate_per_m,
+        "short_rate_per_m": mixture.short_rate_per_m,
         "second_share": mixture.saturated_fraction,
     }
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float) + bias_cm

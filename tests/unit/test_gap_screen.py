@@ -180,11 +180,11 @@ def plain(contexts: dict[str, NDArray[np.generic]], seed: int) -> Array:
     weights = mixture.weights
     sensor = PlainSensor(
         hit=weights.hit,
-        unexpected=weights.unexpected,
-        max=weights.max,
+        short=weights.short,
+        missed=weights.missed,
         random=weights.random,
         sigma_cm=mixture.sigma_cm,
-        unexpected_rate_per_m=mixture.unexpected_rate_per_m,
+        short_rate_per_m=mixture.short_rate_per_m,
         second_share=mixture.saturated_fraction,
     )
     return np.array(sensor.readings(np.asarray(contexts["true_range_cm"], dtype=float).tolist(), seed))

@@ -44,10 +44,10 @@ def read(
     rng = np.random.default_rng([seed, 7])
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
     n, mixture = true_cm.size, SENSOR.reading_model
-    shares = np.array([mixture.weights.hit, mixture.weights.unexpected, mixture.weights.max, mixture.weights.random])
+    shares = np.array([mixture.weights.hit, mixture.weights.short, mixture.weights.missed, mixture.weights.random])
     kind = rng.choice(4, n, p=shares / shares.sum())
     reading_cm = np.round(true_cm + bias_cm + mixture.sigma_cm * wider * rng.standard_normal(n))
-    rate, length = mixture.unexpected_rate_per_m / 100.0, true_cm - SENSOR.minimum_cm
+    rate, length = mixture.short_rate_per_m / 100.0, true_cm - SENSOR.minimum_cm
     short = SENSOR.minimum_cm - np.log(1.0 - rng.random(n) * (1.0 - np.exp(-rate * length))) / rate
     reading_cm = np.where(kind == 1, np.round(short), reading_cm)
     reading_cm = np.where(kind == 2, SENSOR.maximum_cm, reading_cm)
@@ -275,8 +275,8 @@ def test_what_the_halves_disagree_about_is_no_calibration() -> None:
     fewer = np.where((reading_cm == SENSOR.maximum_cm) | (reading_cm == 255.0), true_cm, reading_cm)
     in_both = explained(contexts, more)
     in_one = explained(contexts, np.where(confirm, fewer, more))
-    assert "weights.max" in [each.name for each in in_both.calibration]
-    assert "weights.max" not in [each.name for each in in_one.calibration]
+    assert "weights.missed" in [each.name for each in in_both.calibration]
+    assert "weights.missed" not in [each.name for each in in_one.calibration]
 
 
 def test_errors_of_dependent_readings_are_those_of_runs() -> None:

@@ -22,7 +22,7 @@ GRIDS = {
     "code_below": ReadingGrid(20, 120, no_echo_cm=-5, second_no_echo_cm=900),
 }
 RANGES_CM = np.array([-3.0, 5.0, 19.7, 20.3, 57.2, 255.3, 399.9, 411.0, 764.7, 790.0, math.inf])
-WEIGHTS = {"hit": 0.8, "unexpected": 0.1, "max": 0.06, "random": 0.04}
+WEIGHTS = {"hit": 0.8, "short": 0.1, "missed": 0.06, "random": 0.04}
 
 
 def theta(growing: bool = False, moved: bool = False) -> NDArray[np.float64]:
@@ -40,10 +40,10 @@ def model(growing: bool) -> ReadingModel:
     parameters = {
         "weights": WEIGHTS,
         "sigma_cm": 1.7,
-        "unexpected_rate_per_m": 0.5,
+        "short_rate_per_m": 0.5,
         "saturated_fraction": 0.25,
         "sigma_growth_cm_per_m": 0.4 if growing else 0.0,
-        "max_growth_per_m": 0.3 if growing else 0.0,
+        "missed_growth_per_m": 0.3 if growing else 0.0,
     }
     return ReadingModel(MixtureParameters.model_validate(parameters), 20, 765)
 

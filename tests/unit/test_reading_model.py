@@ -20,25 +20,25 @@ RANGES_CM = [-3.0, 18.7, 20.0, 20.4, 21.3, 57.2, 254.6, 300.0, 762.9, 764.6, 765
 
 def model(
     hit: float = 1.0,
-    unexpected: float = 0.0,
-    max_: float = 0.0,
+    short: float = 0.0,
+    missed: float = 0.0,
     random: float = 0.0,
     sigma_cm: float = 1.9,
-    unexpected_rate_per_m: float = 0.7,
+    short_rate_per_m: float = 0.7,
     saturated_fraction: float = 0.0,
     sigma_growth_cm_per_m: float = 0.0,
-    max_growth_per_m: float = 0.0,
+    missed_growth_per_m: float = 0.0,
 ) -> ReadingModel:
     """Reading model with an MB1242's limits."""
-    weights = Weights(hit=hit, unexpected=unexpected, max=max_, random=random)
+    weights = Weights(hit=hit, short=short, missed=missed, random=random)
     return ReadingModel(
         MixtureParameters(
             weights=weights,
             sigma_cm=sigma_cm,
-            unexpected_rate_per_m=unexpected_rate_per_m,
+            short_rate_per_m=short_rate_per_m,
             saturated_fraction=saturated_fraction,
             sigma_growth_cm_per_m=sigma_growth_cm_per_m,
-            max_growth_per_m=max_growth_per_m,
+            missed_growth_per_m=missed_growth_per_m,
         ),
         minimum_cm=20,
         maximum_cm=765,
@@ -46,7 +46,7 @@ def model(
 
 
 ROUGH = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3)
-GROWING = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3, sigma_growth_cm_per_m=1.2, max_growth_per_m=0.4)
+GROWING = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3, sigma_growth_cm_per_m=1.2, missed_growth_per_m=0.4)
 
 
 def probabilities(of: ReadingModel, true_range_cm: float) -> NDArray[np.float64]:
@@ -124,7 +124,7 @@ def test_spread_and_missed_echoes_grow_with_range() -> None:
     at_500 = probabilities(model(sigma_cm=1.5, sigma_growth_cm_per_m=0.4), 500.0)
     # sqrt(1.5^2 + (0.4 * 5)^2) = 2.5
     assert at_500[503 - 20] == pytest.approx(norm.cdf(1.4) - norm.cdf(1.0), rel=1e-9)
-    missing = model(0.5, 0.1, 0.2, 0.2, max_growth_per_m=0.5)
+    missing = model(0.5, 0.1, 0.2, 0.2, missed_growth_per_m=0.5)
     assert missing.shares(300.0)[2] == pytest.approx(0.2, rel=1e-12)
     # Odds of 1 : 4 at 3 m, times e at 5 m.
     share = 0.25 * math.e / (1.0 + 0.25 * math.e)
@@ -155,8 +155,8 @@ def test_a_hit_far_from_the_truth_keeps_a_finite_score() -> None:
     assert far == pytest.approx([norm.logsf(99.5)] * 2, rel=1e-9)
 
 
-def test_an_unexpected_reading_is_the_exponential_cut_at_the_expected_range() -> None:
-    p = probabilities(model(hit=0.0, unexpected=1.0, unexpected_rate_per_m=0.7), 300.3)
+def test_a_short_reading_is_the_exponential_cut_at_the_expected_range() -> None:
+    p = probabilities(model(hit=0.0, short=1.0, short_rate_per_m=0.7), 300.3)
     cut = 1.0 - math.exp(-0.007 * 280.3)
     assert p[0] == pytest.approx((1.0 - math.exp(-0.007 * 0.5)) / cut, rel=1e-9)
     assert p[100] == pytest.approx((math.exp(-0.007 * 99.5) - math.exp(-0.007 * 100.5)) / cut, rel=1e-9)
@@ -165,21 +165,21 @@ def test_an_unexpected_reading_is_the_exponential_cut_at_the_expected_range() ->
 
 
 @pytest.mark.parametrize("true_range_cm", [20.0, 12.0])
-def test_nothing_is_unexpected_nearer_than_the_minimum(true_range_cm: float) -> None:
-    assert probabilities(model(hit=0.0, unexpected=1.0), true_range_cm)[0] == 1.0
+def test_nothing_reads_short_nearer_than_the_minimum(true_range_cm: float) -> None:
+    assert probabilities(model(hit=0.0, short=1.0), true_range_cm)[0] == 1.0
 
 
 def test_random_readings_are_alike_and_missed_echoes_are_a_code() -> None:
-    p = probabilities(model(hit=0.0, max_=0.4, random=0.6), 300.0)
+    p = probabilities(model(hit=0.0, missed=0.4, random=0.6), 300.0)
     assert p[:-1] == pytest.approx(np.full(745, 0.6 / 746), rel=1e-12)
     assert p[-1] == pytest.approx(0.4 + 0.6 / 746, rel=1e-12)
 
 
 def test_where_nothing_can_be_heard_hits_read_as_no_echo() -> None:
-    p = probabilities(model(0.5, 0.2, 0.2, 0.1, unexpected_rate_per_m=0.7), math.nan)
+    p = probabilities(model(0.5, 0.2, 0.2, 0.1, short_rate_per_m=0.7), math.nan)
     cut = 1.0 - math.exp(-0.007 * 745.0)
-    last_unexpected = (math.exp(-0.007 * 744.5) - math.exp(-0.007 * 745.0)) / cut
-    assert p[-1] == pytest.approx(0.7 + 0.1 / 746 + 0.2 * last_unexpected, rel=1e-12)
+    last_short = (math.exp(-0.007 * 744.5) - math.exp(-0.007 * 745.0)) / cut
+    assert p[-1] == pytest.approx(0.7 + 0.1 / 746 + 0.2 * last_short, rel=1e-12)
     nearer = (math.exp(-0.007 * 99.5) - math.exp(-0.007 * 100.5)) / cut
     assert p[100] == pytest.approx(0.2 * nearer + 0.1 / 746, rel=1e-12)
 

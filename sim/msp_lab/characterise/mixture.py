@@ -28,9 +28,9 @@ ENOUGH_HITS = 50
 
 UNIT = {
     "sigma_cm": "cm",
-    "unexpected_rate_per_m": "1/m",
+    "short_rate_per_m": "1/m",
     "sigma_growth_cm_per_m": "cm/m",
-    "max_growth_per_m": "1/m",
+    "missed_growth_per_m": "1/m",
 }
 
 
@@ -134,7 +134,7 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters) -> Mixtu
         UNIT.get(name, ""),
         result.readings,
     )
-    is_weight = name in ("hit", "unexpected", "max", "random")
+    is_weight = name in ("hit", "short", "missed", "random")
     started = getattr(before.weights if is_weight else before, name, None)
     return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started)
 
@@ -142,7 +142,10 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters) -> Mixtu
 def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     grown = [
         text
-        for name, text in (("sigma_growth_cm_per_m", "the spread"), ("max_growth_per_m", "the odds of a missed echo"))
+        for name, text in (
+            ("sigma_growth_cm_per_m", "the spread"),
+            ("missed_growth_per_m", "the odds of a missed echo"),
+        )
         if result.estimates.get(name, 0.0) != 0.0
     ]
     if not result.growth_trials:
@@ -150,10 +153,10 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     if not grown:
         return "nothing depends on range (by BIC)"
     told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
-    if "max_growth_per_m" not in result.estimates:
+    if "missed_growth_per_m" not in result.estimates:
         return told
     model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
-    names = ("hit", "unexpected", "max", "random")
+    names = ("hit", "short", "missed", "random")
     shares = zip(names, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
     return f"{told}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

@@ -22,7 +22,7 @@ SET_CM = (275.0, 225.0, 350.0, 325.0)
 RANDOM_CM = (230.0, 360.0)
 NOISE_CM2 = 3.7811
 """Variance of the noise: the report's measured one, which it also takes for R (table 5.2) [cm^2]."""
-WILD_WEIGHTS = {"hit": 0.90, "unexpected": 0.03, "max": 0.05, "random": 0.02}
+WILD_WEIGHTS = {"hit": 0.90, "short": 0.03, "missed": 0.05, "random": 0.02}
 """Shares of readings where some are not of the surface: 5 % no echo, 3 % short, 2 % random."""
 SHORT_RATE_PER_M = 0.5
 """As in the model file of the MB1242 [1/m]."""
@@ -72,7 +72,7 @@ def wild_readings(runs: Runs, rng: np.random.Generator) -> Runs:
 
 def gaussian_parameters() -> MixtureParameters:
     """The reading model of the report's noise."""
-    return _parameters({"hit": 1.0, "unexpected": 0.0, "max": 0.0, "random": 0.0})
+    return _parameters({"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0})
 
 
 def wild_parameters() -> MixtureParameters:
@@ -85,7 +85,7 @@ def _parameters(weights: dict[str, float]) -> MixtureParameters:
         {
             "weights": weights,
             "sigma_cm": NOISE_CM2**0.5,
-            "unexpected_rate_per_m": SHORT_RATE_PER_M,
+            "short_rate_per_m": SHORT_RATE_PER_M,
             "saturated_fraction": 0.0,
         }
     )

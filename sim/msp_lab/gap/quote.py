@@ -21,7 +21,7 @@ from msp_sim.model.model import Active, Model
 _Array = NDArray[np.float64]
 SURE_Z = 4.0
 """Standard errors by which a base parameter has to move to be told as calibration."""
-UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "unexpected_rate_per_m": "1/m"}
+UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
 
 
 def told(
@@ -108,10 +108,10 @@ def calibrated(
     shares = mixture.weights
     covariance = last.covariance(search.some_unit if search.by_run else None)
     # Of the shares' sum, which is 1 again in the file.
-    total = shares.hit + float(np.array([shares.unexpected, shares.max, shares.random]) @ np.exp(quoted.base[2:5]))
+    total = shares.hit + float(np.array([shares.short, shares.missed, shares.random]) @ np.exp(quoted.base[2:5]))
     found = []
-    names = ("offset_cm", "sigma_cm", "weights.unexpected", "weights.max", "weights.random", "unexpected_rate_per_m")
-    starts = (0.0, mixture.sigma_cm, shares.unexpected, shares.max, shares.random, mixture.unexpected_rate_per_m)
+    names = ("offset_cm", "sigma_cm", "weights.short", "weights.missed", "weights.random", "short_rate_per_m")
+    starts = (0.0, mixture.sigma_cm, shares.short, shares.missed, shares.random, mixture.short_rate_per_m)
     for k, (key, start) in enumerate(zip(names, starts, strict=True)):
         error = float(np.sqrt(max(covariance[k, k], 0.0) / search.scale))
         z = float(last.base[k] / error) if error > 0.0 else 0.0

@@ -228,7 +228,7 @@ def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
     sensor = model.sensor
     mixture = sensor.reading_model
     weights = mixture.weights
-    factors = {"hit": 1.0, "unexpected": np.exp(base[2]), "max": np.exp(base[3]), "random": np.exp(base[4])}
+    factors = {"hit": 1.0, "short": np.exp(base[2]), "missed": np.exp(base[3]), "random": np.exp(base[4])}
     least = dict(zip(factors, (0.0, *np.where(base[2:5] != 0.0, 1e-6, 0.0)), strict=True))
     odds = {name: max(getattr(weights, name), least[name]) * float(factor) for name, factor in factors.items()}
     total = sum(odds.values())
@@ -244,7 +244,7 @@ def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
         "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}),
         "sigma_cm": mixture.sigma_cm * factor,
         "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * factor,
-        "unexpected_rate_per_m": mixture.unexpected_rate_per_m * float(np.exp(base[5])),
+        "short_rate_per_m": mixture.short_rate_per_m * float(np.exp(base[5])),
         "saturated_fraction": float(np.clip(mixture.saturated_fraction + base[6], 0.0, 1.0)),
     }
     sensor = SensorModel.model_validate(

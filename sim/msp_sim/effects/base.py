@@ -134,7 +134,7 @@ class Change:
     run_offset_cm
         Standard deviation of an offset that all readings of one run share [cm].
     log_odds_short, log_odds_missed, log_odds_random
-        Added to the logarithm of the odds of an unexpected, a missed or a random reading against a hit.
+        Added to the logarithm of the odds of a short, a missed or a random reading against a hit.
     component, share
         One more component of the mixture, and the share of the readings that it gets when it is alone.
     fault, fault_share

@@ -19,5 +19,5 @@ MISSED = Effect(
     channels=("missed",),
     experiment="a thousand readings of a wall at 1 m",
     act=_act,
-    base="reading_model.weights.max",
+    base="reading_model.weights.missed",
 )

@@ -25,5 +25,5 @@ MISSED_WITH_RANGE = Effect(
     channels=("missed",),
     experiment="a wall at growing range until its echo is lost",
     act=_act,
-    base="reading_model.max_growth_per_m",
+    base="reading_model.missed_growth_per_m",
 )

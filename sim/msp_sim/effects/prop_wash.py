@@ -12,7 +12,7 @@ def _act(scene: Scene, values: Mapping[str, float]) -> Change:
 PROP_WASH = Effect(
     name="prop_wash",
     sentence="With more throttle the rotors' noise is taken for an echo more often, and the sensor reads short.",
-    physics="log odds of an unexpected (short) reading grow in proportion to the throttle",
+    physics="log odds of a short reading grow in proportion to the throttle",
     source="field reports: climbs in altitude hold, fine on the bench; rotor noise gives short readings",
     parameters=(Parameter("log_odds", "1", "log odds at full throttle over those at none", -10.0, 10.0),),
     needs=("throttle",),

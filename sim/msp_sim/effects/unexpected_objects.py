@@ -12,12 +12,12 @@ def _act(scene: Scene, values: Mapping[str, float]) -> Change:
 UNEXPECTED_OBJECTS = Effect(
     name="unexpected_objects",
     sentence="More (or fewer) things than usual get into the beam before the ground does.",
-    physics="log odds of an unexpected reading against a hit",
+    physics="log odds of a short reading against a hit",
     source="report eq 10",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
     needs=(),
     channels=("short",),
     experiment="an empty hall and a furnished one",
     act=_act,
-    base="reading_model.weights.unexpected",
+    base="reading_model.weights.short",
 )

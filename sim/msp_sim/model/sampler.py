@@ -95,7 +95,7 @@ class Sampler:
         kind *= hit + short + missed + random
         if kind >= hit:
             if kind < hit + short:
-                rate_per_cm = self._model.base.parameters.unexpected_rate_per_m / 100.0
+                rate_per_cm = self._model.base.parameters.short_rate_per_m / 100.0
                 heard_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
             elif kind < hit + short + missed or random == 0.0:
                 heard_cm = maximum_cm

@@ -15,10 +15,10 @@ from msp_lab.characterise.report.draw.mixture import (
     KINDS,
     Densities,
     draw_hit,
-    draw_max,
+    draw_missed,
     draw_mixture,
     draw_random,
-    draw_unexpected,
+    draw_short,
 )
 from msp_lab.characterise.report.rows import Absent, Drawn, Rows, sentence, set_up_error_cm, summary
 from msp_lab.characterise.temperature import REPORT_TABLE
@@ -29,11 +29,21 @@ from msp_sim.page.page import Table
 
 _MIXTURE_PARAMETERS = {
     "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
-    "unexpected": ("weights.unexpected", "unexpected_rate_per_m"),
-    "max": ("weights.max", "saturated_fraction", "max_growth_per_m"),
+    "short": ("weights.short", "short_rate_per_m"),
+    "missed": ("weights.missed", "saturated_fraction", "missed_growth_per_m"),
     "random": ("weights.random",),
 }
 """Kind of reading -> its parameters, by their names in the sensor model file."""
+
+_SYMBOLS = {
+    "weights.hit": "z_hit",
+    "weights.short": "z_short",
+    "weights.missed": "z_max",
+    "weights.random": "z_rand",
+    "sigma_cm": "σ_hit",
+    "short_rate_per_m": "λ_short",
+}
+"""Parameter -> its symbol in Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
 
 
 def entries() -> Iterator[Entry]:
@@ -47,8 +57,8 @@ def entries() -> Iterator[Entry]:
     yield "table_5_1_compensation", "Table 5.1 as a picture: what compensation takes away", _table_picture
     for number, kind, title in (
         (3, "hit", "measurement noise density"),
-        (4, "unexpected", "unexpected obstacles density"),
-        (5, "max", "maximum range density"),
+        (4, "short", "unexpected obstacles density"),
+        (5, "missed", "maximum range density"),
         (6, "random", "random measurement density"),
     ):
         yield f"figure_5_{number:02d}_{kind}", f"Figure 5.{number}: {title}", partial(_density, kind=kind)
@@ -223,12 +233,12 @@ def _density(findings: Findings, rows: Rows, kind: str) -> Drawn:
     if kind == "hit":
         figure = draw_hit(fitted)
         caption += " Report eq 9; here the probability of a whole centimetre is the integral over it (erratum 6)."
-    elif kind == "unexpected":
-        figure = draw_unexpected(fitted)
+    elif kind == "short":
+        figure = draw_short(fitted)
         caption += " Report eq 10; here it ends at the expected range and is normalised up to there (erratum 6)."
-    elif kind == "max":
+    elif kind == "missed":
         codes = _codes(rows)
-        figure = draw_max(fitted, {code: float(total[fitted.reading_cm == code][0]) for code in codes})
+        figure = draw_missed(fitted, {code: float(total[fitted.reading_cm == code][0]) for code in codes})
         caption += " Report eq 11; here a point mass, since a missed echo is a code and not a narrow interval."
     else:
         figure = draw_random(fitted)
@@ -260,9 +270,14 @@ def mixture_table(mixture: Mixture) -> Table:
     return Table(
         name="mixture_parameters",
         title="Parameters of the mixture",
-        header=("parameter", "fitted, 95 % interval", "before"),
+        header=("parameter", "Thrun", "fitted, 95 % interval", "before"),
         rows=tuple(
-            (each.name, interval(each.fitted), "–" if each.before is None else f"{each.before:.4g}")
+            (
+                each.name,
+                _SYMBOLS.get(each.name, "–"),
+                interval(each.fitted),
+                "–" if each.before is None else f"{each.before:.4g}",
+            )
             for each in mixture.parameters
         ),
         caption=" ".join(

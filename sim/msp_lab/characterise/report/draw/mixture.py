@@ -15,9 +15,9 @@ from msp_sim.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, lege
 
 _Array = NDArray[np.float64]
 
-KINDS = ("hit", "unexpected", "max", "random")
+KINDS = ("hit", "short", "missed", "random")
 
-_LOOKS = {"hit": (OURS, "-"), "unexpected": (ORANGE, "--"), "max": (PURPLE, "-"), "random": (GREEN, "-.")}
+_LOOKS = {"hit": (OURS, "-"), "short": (ORANGE, "--"), "missed": (PURPLE, "-"), "random": (GREEN, "-.")}
 
 NO_WEIGHT = 1e-7
 """A smaller weight is that of a kind that was not seen."""
@@ -77,24 +77,24 @@ def draw_hit(densities: Densities) -> Figure:
     return _finish(figure, axes, "probability of a centimetre")
 
 
-def draw_unexpected(densities: Densities) -> Figure:
+def draw_short(densities: Densities) -> Figure:
     """Unexpected obstacles (5.4): the exponential that ends at the expected range."""
     figure, axes = _axes()
-    k, p = densities.reading_cm, densities.density["unexpected"]
+    k, p = densities.reading_cm, densities.density["short"]
     inside = k <= densities.true_range_cm + 0.5
     axes.fill_between(k[inside], 0.0, p[inside], step="mid", color=ORANGE, alpha=0.35, linewidth=0)
     axes.step(k[inside], p[inside], where="mid", color=ORANGE, label="fitted, if a reading is of this kind")
     # Where the hits begin nothing else can be told from them.
     hits = _bulk(densities.density["hit"], 1e-7)
-    _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "unexpected")
-    if densities.weight["unexpected"] < NO_WEIGHT:
+    _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "short")
+    if densities.weight["short"] < NO_WEIGHT:
         note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(0.0, (0.5 + densities.true_range_cm) * 1.06)
     return _finish(figure, axes, "probability of a centimetre")
 
 
-def draw_max(densities: Densities, codes: dict[float, float]) -> Figure:
+def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
     """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one.
 
     Parameters
@@ -185,7 +185,7 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
     k = densities.reading_cm
     is_code = np.isin(k, codes)
     parts = {kind: densities.weight[kind] * densities.density[kind] for kind in KINDS}
-    plain = np.concatenate([p[~is_code & (p > 0.0)] for kind, p in parts.items() if kind in ("random", "unexpected")])
+    plain = np.concatenate([p[~is_code & (p > 0.0)] for kind, p in parts.items() if kind in ("random", "short")])
     least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
     if densities.counts is not None:
         n = float(np.sum(densities.counts))
@@ -209,7 +209,7 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
     for kind, p in parts.items():
         colour, dashes = _LOOKS[kind]
         label = f"{kind}, weight {densities.weight[kind]:.3g}"
-        if kind == "max":
+        if kind == "missed":
             axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=label, zorder=3)
         else:
             axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=label, zorder=3)
@@ -301,7 +301,7 @@ def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: st
     if densities.counts is None:
         return
     parts = {each: densities.weight[each] * densities.density[each] for each in KINDS}
-    where = where & (parts["max"] == 0.0)
+    where = where & (parts["missed"] == 0.0)
     n, weight = float(np.sum(densities.counts)), densities.weight[kind]
     places = np.flatnonzero(where)
     if places.size < 2 or weight < NO_WEIGHT:
