@@ -123,12 +123,6 @@ class FitResult:
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[int, ...] = field(repr=False, compare=False)
 
-    def log_prob(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> _Array:
-        """Natural logarithm of each reading's probability, (n,); -inf for what the sensor cannot report."""
-        with np.errstate(divide="ignore"):
-            log_p: _Array = np.log(self.below(reading_cm, expected_cm)[1])
-        return log_p
-
     def below(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)

@@ -28,12 +28,11 @@ class Hits:
 class Component(Protocol):
     """One more component of the mixture."""
 
-    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        """Probability of the codes from first to last, for n readings."""
-        ...
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
+        """Probability of the codes from first to last, for n readings, (1, n).
 
-    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        """That probability, and its derivatives by the hits' centre [1/cm] and the log of their spread, (3, n)."""
+        With ``slopes`` its derivatives by the hits' centre [1/cm] and the log of their spread too, (3, n).
+        """
         ...
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
@@ -62,11 +61,10 @@ class Normal:
     from_hit: bool = False
     wider: float = 1.0
 
-    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        return self._hit(first_cm, last_cm, hits).p
-
-    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        hit = self._hit(first_cm, last_cm, hits)
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
+        hit = Hit(first_cm, last_cm, last_cm == hits.maximum_cm, *self._place(hits), hits.minimum_cm, 1.0)
+        if not slopes:
+            return hit.p[None]
         # What does not move with the hits does not change with them.
         return np.stack([hit.p, hit.by_centre * self.from_hit, hit.by_log_sigma * (self.sigma_cm is None)])
 
@@ -77,9 +75,6 @@ class Normal:
 
     def take(self, rows: Any) -> "Normal":
         return Normal(take(self.location_cm, rows), self.sigma_cm, self.from_hit, self.wider)
-
-    def _hit(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> Hit:
-        return Hit(first_cm, last_cm, last_cm == hits.maximum_cm, *self._place(hits), hits.minimum_cm, 1.0)
 
     def _place(self, hits: Hits) -> tuple[_Array, float | _Array]:
         origin_cm = hits.centre_cm if self.from_hit else 0.0
@@ -99,12 +94,10 @@ class FirstBefore:
 
     rate_per_m: Any
 
-    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        return self._short(first_cm, last_cm, hits).p
-
-    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        short = self._short(first_cm, last_cm, hits)
-        return np.stack([short.p, short.by_end, np.zeros(first_cm.size)])
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
+        lowest, highest = hits.minimum_cm, hits.maximum_cm
+        short = Short(first_cm, last_cm, hits.centre_cm, self._rate_per_cm, lowest, highest, 1.0)
+        return np.stack([short.p, short.by_end, np.zeros(first_cm.size)]) if slopes else short.p[None]
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         share, lowest, highest = rng.random(hits.centre_cm.size), hits.minimum_cm, hits.maximum_cm
@@ -114,10 +107,6 @@ class FirstBefore:
 
     def take(self, rows: Any) -> "FirstBefore":
         return FirstBefore(take(self.rate_per_m, rows))
-
-    def _short(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> Short:
-        lowest, highest = hits.minimum_cm, hits.maximum_cm
-        return Short(first_cm, last_cm, hits.centre_cm, self._rate_per_cm, lowest, highest, 1.0)
 
     @property
     def _rate_per_cm(self) -> Any:
@@ -130,13 +119,9 @@ class Code:
 
     code_cm: Any
 
-    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        inside = (self.code_cm >= first_cm) & (self.code_cm <= last_cm)
-        return np.asarray(inside, dtype=np.float64)
-
-    def slopes(self, first_cm: _Array, last_cm: _Array, hits: Hits) -> _Array:
-        found = np.zeros((3, first_cm.size))
-        found[0] = self.prob(first_cm, last_cm, hits)
+    def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
+        found = np.zeros((3 if slopes else 1, first_cm.size))
+        found[0] = (self.code_cm >= first_cm) & (self.code_cm <= last_cm)
         return found
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:

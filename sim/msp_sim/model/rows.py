@@ -3,7 +3,7 @@
 Centres, spreads and weights that effects have changed enter, with what they mix in; probabilities leave, and readings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -135,23 +135,23 @@ class Rows(MixtureRows):
 
     def probability(self, first: _Array, last: _Array) -> _Array:
         """Probability g of the codes from first to last, within the limits, before saturation and faults, (1, n)."""
-        return self._mixed_in(super().probability(first, last), first, last, lambda each: each.prob)
+        return self._mixed_in(super().probability(first, last), first, last)
 
     def slopes(self, first: _Array, last: _Array) -> _Array:
         """g and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
-        return self._mixed_in(super().slopes(first, last), first, last, lambda each: each.slopes)
+        return self._mixed_in(super().slopes(first, last), first, last)
 
-    def _mixed_in(self, parts: _Array, first: _Array, last: _Array, of: Callable[[Component], Any]) -> _Array:
-        """What ``of`` gives for the components, with the mixture's."""
+    def _mixed_in(self, parts: _Array, first: _Array, last: _Array) -> _Array:
+        """The mixture's probability, or this and its slopes, with those of the components."""
         if not self.added:
             return parts
         hits, odds = Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm), 1.0
         for each, component, _ in self.added:
             odds = odds + each
             with np.errstate(invalid="ignore"):
-                own = of(component)(first, last, hits)
+                own = component.prob(first, last, hits, slopes=len(parts) > 1)
             # Where it has no share, its parameters may be unknown.
-            parts[: 3 if own.ndim > 1 else 1] += np.where(each > 0.0, each * own, 0.0)
+            parts[: len(own)] += np.where(each > 0.0, each * own, 0.0)
         return np.asarray(parts / odds)
 
     def last_added(self, first: _Array, last: _Array) -> _Array:
@@ -160,4 +160,4 @@ class Rows(MixtureRows):
         with np.errstate(invalid="ignore"):
             found = self.added[-1].component.prob(first, last, hits)
         # Where it has no share, its parameters may be unknown.
-        return np.nan_to_num(found)[None]
+        return np.nan_to_num(found)
