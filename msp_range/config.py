@@ -24,7 +24,7 @@ from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation
 from msp_range.mavlink.transport.url import parse_url
 from msp_range.reading_model.sensor_model import with_new_names
 from msp_range.sensor_on_bus import Name, SensorOnBus
-from msp_range.yaml_file import ConfigError, Section, load, load_named, read_config
+from msp_range.yaml_file import ConfigError, Section, config_path, load, load_named, read_config
 
 AIRFRAME_NAME = "airframe.yaml"
 
@@ -316,11 +316,11 @@ def load_airframe(path: Path | str) -> Airframe:
     ConfigError
         The file cannot be read or used; one line a mistake.
     """
-    path = Path(path)
+    path = config_path(path, "")
     airframe = load(path, Airframe)
     files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
-        files[sensor.model] = read_config(path.parent / sensor.model)
+        files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
     airframe.keep_files(files)
     return airframe
 
@@ -328,7 +328,7 @@ def load_airframe(path: Path | str) -> Airframe:
 def _load_named(named: Any, info: ValidationInfo) -> Airframe:
     if not isinstance(named, str):
         raise ValueError("expected the path of an airframe file, relative to this file")
-    return load_named(info, named, load_airframe)
+    return load_named(info, named, "", load_airframe)
 
 
 NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]

@@ -32,7 +32,7 @@ class SensorOnBus(Section):
 
     @model_validator(mode="after")
     def _load_model(self, info: ValidationInfo) -> "SensorOnBus":
-        self._model = load_named(info, self.model, load_sensor_model)
+        self._model = load_named(info, self.model, "sensors", load_sensor_model)
         driver = find_driver(self._model.driver)
         if driver is None:
             raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")

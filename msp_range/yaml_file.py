@@ -19,6 +19,8 @@ from msp_range.descriptions import descriptions
 from msp_range.input_file import printable, read_text
 from msp_range.yaml_loader import load_yaml
 
+SHIPPED = Path(__file__).parent / "configs"
+"""Configuration files that come with the package: airframes, and folders of the other kinds."""
 LARGEST_FILE_BYTES = 2**20
 """A configuration file that is larger is something else: those of this project have 6 kB at most. Reading one of this
 size takes 0.1 s."""
@@ -128,19 +130,54 @@ def folder_of(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", Path()))
 
 
-def load_named(info: ValidationInfo, name: str, read: Callable[[Path], ReadT]) -> ReadT:
+def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
+    """The configuration file that a person means: a path, or the name of one that comes with the package.
+
+    Parameters
+    ----------
+    name
+        A path from ``folder``; or a word without an ending, such as ``mb1242``, where there is no such file.
+    kind
+        Folder of `SHIPPED` in which names are looked for.
+    folder
+        Where a relative path begins.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, and none of this name comes with the package.
+
+    Examples
+    --------
+    >>> config_path("mb1242", "sensors").name
+    'mb1242.yaml'
+    """
+    path = folder / name
+    word = str(name)
+    if "/" in word or "." in word or path.exists():
+        return path
+    known = {each.stem: each for each in (SHIPPED / kind).glob("*.yaml")}
+    if word not in known:
+        raise ConfigError(
+            f"{path}: no such file, and none of this name comes with the package.{_near(word, list(known))} "
+            f"Known names: {_join(sorted(known))}"
+        )
+    return known[word]
+
+
+def load_named(info: ValidationInfo, name: str, kind: str, read: Callable[[Path], ReadT]) -> ReadT:
     """What ``read`` makes of the file that a value of the file being read names; read once, however often it is named.
 
     Raises
     ------
     ConfigError
-        ``read`` did.
+        ``read`` did, or there is no such file, see `config_path`.
     """
     known: dict[Any, Any] = (info.context or {}).get("read", {})
     key = (read, name)
     if key not in known:
         try:
-            known[key] = read(folder_of(info) / name)
+            known[key] = read(config_path(name, kind, folder_of(info)))
         except ConfigError as error:
             known[key] = error
     if isinstance(known[key], ConfigError):

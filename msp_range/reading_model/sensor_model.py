@@ -17,7 +17,7 @@ from pydantic_core import CoreSchema
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.correction.calibration import Calibration
 from msp_range.sensors.table import driver_names, find_driver
-from msp_range.yaml_file import Section, load
+from msp_range.yaml_file import Section, config_path, load
 from msp_range.yaml_loader import load_yaml
 
 SATURATED_CM = 255
@@ -305,7 +305,7 @@ def load_sensor_model(path: Path | str) -> SensorModel:
     ConfigError
         The file cannot be read or says something impossible; one line a mistake.
     """
-    return load(path, SensorModel)
+    return load(config_path(path, "sensors"), SensorModel)
 
 
 def _beam(points: tuple[BreakawayPoint, ...]) -> BreakawayTable:

@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from msp_range.correction.temperature import FileSource
 from msp_range.sensor_on_bus import Name, SensorOnBus
-from msp_range.yaml_file import Section, folder_of, load, read_config
+from msp_range.yaml_file import Section, config_path, folder_of, load, read_config
 
 RangeCm = Annotated[float, Field(gt=0, le=2000)]
 AngleDeg = Annotated[float, Field(gt=-90, lt=90)]
@@ -67,7 +67,7 @@ class Sensor(SensorOnBus):
 
     @model_validator(mode="after")
     def _name_simulator(self, info: ValidationInfo) -> "Sensor":
-        self._simulated_by = folder_of(info) / (self.simulator or self.model)
+        self._simulated_by = config_path(self.simulator or self.model, "sensors", folder_of(info))
         return self
 
     @property
@@ -249,10 +249,10 @@ def load_campaign(path: Path | str) -> Campaign:
     ConfigError
         The file cannot be read or used; one line a mistake.
     """
-    path = Path(path)
+    path = config_path(path, "campaigns")
     campaign = load(path, Campaign)
     files = {"campaign.yaml": read_config(path)}
     for sensor in campaign.sensors:
-        files[sensor.model] = read_config(path.parent / sensor.model)
+        files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
     campaign.keep_files(files)
     return campaign

@@ -23,7 +23,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
 from msp_range.sensor_on_bus import Name
-from msp_range.yaml_file import Section, load, read_yaml
+from msp_range.yaml_file import Section, config_path, load, read_yaml
 
 GAP_S = 1.0
 """Between two values of the reference that are farther apart, the truth is not known [s]."""
@@ -78,7 +78,7 @@ def load_flights(path: Path | str) -> FlightCampaign:
     ConfigError
         The file cannot be read or used; one line a mistake.
     """
-    return load(path, FlightCampaign)
+    return load(config_path(path, "campaigns"), FlightCampaign)
 
 
 def is_of_flights(path: Path | str) -> bool:
@@ -89,7 +89,7 @@ def is_of_flights(path: Path | str) -> bool:
     ConfigError
         It cannot be read.
     """
-    content = read_yaml(Path(path))
+    content = read_yaml(config_path(path, "campaigns"))
     return isinstance(content, dict) and "flights" in content
 
 

@@ -15,7 +15,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
 from msp_range.terminal import console
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.flight import show
 from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
@@ -38,6 +38,7 @@ def fly_scenario(
     force: bool,
 ) -> None:
     """Fly a scenario; the parameters are the options of the command."""
+    scenario_file = config_path(scenario_file, "scenarios")
     scenario = load_scenario(scenario_file)
     scenario_text = scenario_file.read_bytes()
     sensor_model = load_sensor_model(model) if model is not None else None

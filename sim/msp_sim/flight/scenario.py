@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from msp_range.config import NamedAirframe
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.yaml_file import Section, load
+from msp_range.yaml_file import Section, config_path, load
 from msp_sim.device import device
 from msp_sim.device.table import emulated_kind
 from msp_sim.world.profiles import Positive
@@ -236,4 +236,4 @@ def load_scenario(path: Path | str) -> Scenario:
     ConfigError
         The file cannot be read or used; one line a mistake.
     """
-    return load(path, Scenario)
+    return load(config_path(path, "scenarios"), Scenario)
