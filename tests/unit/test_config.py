@@ -427,7 +427,9 @@ def test_sensors_that_look_outwards_look_to_the_side_on_which_they_sit(name: str
         assert inner == pytest.approx(outwards * looks)
 
 
-def test_a_file_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_comes_with_the_package_is_found_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert load_airframe("quad_pallet").vehicle == "quad pallet"
     text = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
@@ -437,13 +439,15 @@ def test_a_file_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path,
     assert set(own.files) == {"airframe.yaml", "mb1242"}, "a recording keeps it under that name"
     # A file of that name next to it is the one that is meant.
     (tmp_path / "mb1242").write_text((CONFIGS / "sensors" / "hcsr04.yaml").read_text())
-    with pytest.raises(ConfigError, match="address|driver|sensor"):
+    with pytest.raises(ConfigError, match=r"address|driver|sensor"):
         load_airframe("own.yaml")
 
 
 def test_a_name_that_nobody_knows_has_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"quad_palet: no such file.*Did you mean 'quad_pallet'\? Known names: canted"):
+    with pytest.raises(
+        ConfigError, match=r"quad_palet: no such file.*Did you mean 'quad_pallet'\? Known names: canted"
+    ):
         load_airframe("quad_palet")
     with pytest.raises(ConfigError, match=r"own.yaml: no such file$"):
         load_airframe("own.yaml")
