@@ -136,14 +136,13 @@ class Start:
     ) -> Found | None:
         agreeing = [each for each in heights if self._agrees(each, newest, rate_m_s)]
         since_s = newest.time_s - self._windows.fresh_s
-        against = [
-            each
-            for each in heights
-            if each.time_s >= since_s and each not in agreeing and not self._is_garbled(each, newest)
-        ]
-        if any(self._is_garbled(newest, each) for each in against):
-            return None
         sensors = {each.sensor for each in agreeing}
+        others = [each for each in heights if each.time_s >= since_s and each not in agreeing]
+        garbled = {each.sensor for each in others if self._is_garbled(each, newest)}
+        against = [each for each in others if each.sensor not in garbled]
+        # More garbled answers than good ones may as well be good ones, and this one off by the value of a byte.
+        if len(garbled) > len(sensors) or any(self._is_garbled(newest, each) for each in against):
+            return None
         needed = READINGS
         if rate_m_s is not None and abs(rate_m_s) > SURE_M_S:
             needed += 1

@@ -271,3 +271,11 @@ def test_a_garbled_reading_is_compared_along_the_climb() -> None:
     found = later.see(0.6, "c", 6.23)
     assert found is not None
     assert not found.in_doubt
+
+
+def test_three_answers_that_may_be_garbled_forms_of_one_are_not_overruled_by_it() -> None:
+    """One sensor that is 2.56 m off looks like the ground of which the others have lost the high byte."""
+    begin = First(4)
+    for i in range(16):
+        height_m, *garbled_m = (2.78,) if i % 4 == 0 else (0.22, 2.78)
+        assert begin.see(SLOT_S * i, "abcd"[i % 4], height_m, *garbled_m) is None
