@@ -29,13 +29,16 @@ Prepare = Callable[[Path], Check]
 
 FOLDER = Path("build/fuzz")
 SLOW_S = 2.0
-"""Longest time that one input may take [s of processor time, so that a busy machine is no finding]; issue goal."""
+"""Longest time that one input may take [s of processor time, so that a busy machine is no finding]: what a
+person waits before he takes a program for dead."""
 STUCK_S = 20.0
 """A child that has not answered for so long [s] waits for something and is ended."""
 MEMORY_MB = 200.0
-"""Memory that reading one input may take beyond what the program has after its start; the issue's goal."""
+"""Memory that reading one input may take beyond what the program has after its start: a small computer
+has that much to spare."""
 GROWTH_MB = 20.0
-"""Growth of the child's memory over the whole run that is a failure; the issue's goal."""
+"""Growth of the child's memory over the whole run that is a failure: more than caches, and
+less than a leak of a byte for each byte read."""
 WARM_UP_CASES = 100
 """Cases before the memory is measured for the first time, and between two measurements: caches fill first. More hides
 slow leaks in short runs."""

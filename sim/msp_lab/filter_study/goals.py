@@ -26,7 +26,7 @@ class Goal:
 
 
 def goals(study: Study) -> Sequence[Goal]:
-    """All figures, in the order of the issue that set the goals."""
+    """All figures, in the order of the report's chapter."""
     found: list[Goal] = []
     for name in NAMES:
         compared = study.report_noise[name]
