@@ -138,10 +138,11 @@ class Start:
         since_s = newest.time_s - self._windows.fresh_s
         sensors = {each.sensor for each in agreeing}
         others = [each for each in heights if each.time_s >= since_s and each not in agreeing]
-        garbled = {each.sensor for each in others if self._is_garbled(each, newest)}
-        against = [each for each in others if each.sensor not in garbled]
+        garbled = [each for each in others if self._is_garbled(each, newest)]
+        against = [each for each in others if each not in garbled]
         # More garbled answers than good ones may as well be good ones, and this one off by the value of a byte.
-        if len(garbled) > len(sensors) or any(self._is_garbled(newest, each) for each in against):
+        outnumbered = len({each.sensor for each in garbled}) > len(sensors)
+        if outnumbered or any(self._is_garbled(newest, each) for each in against):
             return None
         needed = READINGS
         if rate_m_s is not None and abs(rate_m_s) > SURE_M_S:
