@@ -24,7 +24,8 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_range.recording.writer import Recorder
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, Timing
+from msp_sim.device.device import Timing
+from msp_sim.device.mb1242 import MB1242, NO_ECHO_CM, TIMING
 
 AIRFRAME = Path(__file__).parents[1] / "configs" / "quad_pallet.yaml"
 ROUNDS = 15
@@ -64,17 +65,16 @@ def latency() -> list[dict[str, Any]]:
     """End of a ranging to the fused message handed to the link, in real time."""
     clock = SystemClock()
     ends: dict[int, float] = {}
-    timing = Timing()
     delays_ms = []
     with _sink() as sink:
         transport = _Watched(open_transport(_url(sink), clock), lambda: delays_ms.append(1e3 * (clock.now() - ends[0])))
 
         def echo(ping_s: float) -> int:
             reading_cm = 100 + int(ping_s * 100) % 400
-            ends[0] = ping_s + timing.ranging_s(reading_cm)
+            ends[0] = ping_s + TIMING.ranging_s(reading_cm, NO_ECHO_CM)
             return reading_cm
 
-        bus = EmulatedBus([MB1242(address, clock.now, echo, timing) for address in range(0x70, 0x74)], clock.now)
+        bus = EmulatedBus([MB1242(address, clock.now, echo) for address in range(0x70, 0x74)], clock.now)
         bridge = Bridge(load_airframe(AIRFRAME), bus, clock, transport)
         stop_s = clock.now() + LATENCY_S
         while clock.now() < stop_s:
@@ -108,7 +108,7 @@ def _bridge(sink: socket.socket, folder: Path) -> tuple[Callable[[], float], lis
     clock = VirtualClock()
     ranges = itertools.cycle(range(140, 161))
     # They are done when they are first asked: thirty tries in between would cool the caches, and the floors have none.
-    at_once = Timing(ready_s=0.0, s_per_cm=1e-6)
+    at_once = Timing(ready_s=0.0, s_per_cm=1e-6, no_echo_s=TIMING.no_echo_s)
     devices = [MB1242(address, clock.now, lambda _: next(ranges), at_once) for address in range(0x70, 0x74)]
     recorder = _Keeping(Recorder(folder / "bridge.mcap", clock))
     transport = open_transport(_url(sink), SystemClock())

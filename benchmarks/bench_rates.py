@@ -8,7 +8,7 @@ from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.mavlink.transport import TransportStats
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242
+from msp_sim.device.mb1242 import MB1242
 
 FLOWN_S = 60.0
 LOOPBACK = AIRFRAME.with_name("loopback.yaml")

@@ -21,9 +21,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-MB1242 = Path("configs/sensors/mb1242.yaml")
-"""In the repository's folder."""
-
 
 @app.command()
 @tell_mistakes
@@ -97,8 +94,12 @@ def characterise(
         Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
     ] = None,
     sensor: Annotated[
-        Path, typer.Option(metavar="SENSOR.yaml", help="starting model: limits, codes, and what the data do not say")
-    ] = MB1242,
+        Path | None,
+        typer.Option(
+            metavar="SENSOR.yaml",
+            help="starting model: limits, codes, and what the data do not say; left out: the first driver's own",
+        ),
+    ] = None,
     column_map: Annotated[
         list[str] | None,
         typer.Option(
@@ -134,14 +135,15 @@ def characterise(
     from msp_lab.readings.gather import gather
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.sensors.table import DRIVERS
     from msp_range.terminal import PlainConsole
+    from msp_range.yaml_file import config_path
 
     check_free(out, report)
     if date is not None and not _is_date(date):
         raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
-    if sensor == MB1242 and not sensor.exists():
-        raise ConfigError(f"{sensor}: not in this folder; go to the repository's, or name the file with --sensor")
-    started = load_sensor_model(sensor)
+    starting_model = sensor or config_path(next(iter(DRIVERS)), "sensors")
+    started = load_sensor_model(starting_model)
     mapping = load_map(column_map) if column_map else None
     progress = PlainConsole(stderr=True)
     with progress.status("reading") as status:
@@ -156,7 +158,7 @@ def characterise(
             say=status.update,
         )
         model = changed(started, findings, changes)
-        write_model(out, model, findings, changes, sensor.name)
+        write_model(out, model, findings, changes, starting_model.name)
         if report is not None:
             status.update("drawing the report")
             page = publish(findings, gathered.data, model, report)

@@ -16,7 +16,7 @@ from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242
+from msp_sim.device.mb1242 import MB1242
 from tests.support.bench import CONFIGS
 from tests.support.mavlink_ends import Component
 from tests.support.transports import free_port

@@ -15,7 +15,7 @@ from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import ThreadReader
 from msp_range.mavlink.transport import Nowhere
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242
+from msp_sim.device.mb1242 import MB1242
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
 
 HEIGHT_CM = 500

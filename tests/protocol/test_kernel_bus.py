@@ -6,14 +6,16 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import pytest
 
-from msp_sim.device.device import PART_INFO, Fault, Timing
+from msp_sim.device.device import Fault
+from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, TIMING
 from tests.support.kernel_bus import HWMON_FILE, IIO_FILE, KernelTestbed, Other, Sonar, kernel_bus
 
 FRONT, REAR = 0x70, 0x71
-LONG = Timing(ready_s=60.0)
+LONG = replace(TIMING, ready_s=60.0)
 """A ranging that does not end within a test."""
 
 PROGRAM_START = """
@@ -87,14 +89,14 @@ def test_nothing_is_acknowledged_while_ranging() -> None:
 
 
 def test_the_ranging_lasts_as_long_as_the_timing_says() -> None:
-    timing = Timing(ready_s=0.1)
+    timing = replace(TIMING, ready_s=0.1)
     with kernel_bus([Sonar(FRONT, [500], timing=timing)]) as testbed:
         program(testbed, 'bus.write(0x70, b"\\x51"); read_when_ready(0x70)')
         ping, *polls = testbed.journal()
         assert polls[-1].errno == 0
         assert all(poll.errno == errno.EREMOTEIO for poll in polls[:-1])
         # The margin is for a server that loses the processor between noting the time and asking the device.
-        assert polls[-1].time_s - ping.time_s > timing.ranging_s(500) - 0.05
+        assert polls[-1].time_s - ping.time_s > timing.ranging_s(500, NO_ECHO_CM) - 0.05
 
 
 @pytest.mark.parametrize("nack_errno", [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV])
@@ -114,7 +116,7 @@ def test_absent_device_and_absent_bus(nack_errno: int) -> None:
 
 
 def test_address_change() -> None:
-    with kernel_bus([Sonar(FRONT, timing=Timing(address_change_s=0.4))]) as testbed:
+    with kernel_bus([Sonar(FRONT, timing=replace(TIMING, address_change_s=0.4))]) as testbed:
         shown = program(
             testbed,
             """

@@ -23,10 +23,11 @@ from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, Fault, PlainDevice
+from msp_sim.device.device import Fault, PlainDevice
 from msp_sim.device.device import Timing as DeviceTiming
 from msp_sim.device.emulated import emulated_bus
 from msp_sim.device.lidar_lite_v3 import LidarLiteV3 as Emulated
+from msp_sim.device.mb1242 import MB1242
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.world.surfaces import Box, Ground

@@ -13,13 +13,14 @@ import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import pytest
 
-from msp_sim.device.device import DEFAULT_ADDRESS, Fault, Timing
+from msp_sim.device.device import Fault, Timing
+from msp_sim.device.mb1242 import DEFAULT_ADDRESS, TIMING
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 WRAPPER = "umockdev-wrapper"
@@ -41,7 +42,7 @@ class Sonar:
     address: int = DEFAULT_ADDRESS
     readings_cm: Sequence[int] = (300,)
     faults: Sequence[Fault] = ()
-    timing: Timing = field(default_factory=Timing)
+    timing: Timing = TIMING
     kind: str = "mb1242"
 
 

@@ -11,7 +11,8 @@ from msp_range.sensors.addressing import change_address, check_new_address, scan
 from msp_range.sensors.base import AddressError, Found
 from msp_range.sensors.mb1242 import MB1242 as DRIVER
 from msp_sim.device.bus import Device, EmulatedBus
-from msp_sim.device.device import MB1242, Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.device import Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.mb1242 import MB1242
 
 NACK_ERRNOS = [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV]
 Making = Callable[[VirtualClock], Device]

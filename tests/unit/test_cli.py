@@ -21,7 +21,7 @@ from msp_range.extras import EXTRAS
 from msp_range.mistakes import tell_mistakes
 from msp_sim.cli import app as sim_app
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242
+from msp_sim.device.mb1242 import MB1242
 from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -14,7 +14,8 @@ import pytest
 import msp_sim.device.device
 from msp_range.bus.base import Bus, BusError
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import MB1242, PART_INFO, RANGE_COMMAND, Fault, NotAcknowledged, PlainDevice, Timing
+from msp_sim.device.device import Fault, NotAcknowledged, PlainDevice, Timing
+from msp_sim.device.mb1242 import MB1242, NO_ECHO_CM, PART_INFO, RANGE_COMMAND
 
 AFTER_ANY_RANGING_S = 0.07
 FOR_EVER = float("inf")
@@ -279,8 +280,6 @@ def test_probability(kind: str) -> None:
         ({"start_s": 2.0}, "after start_s 2.0"),
         ({"probability": 0.0}, "more than 0"),
         ({"kind": "locked_up", "probability": 0.5}, "always happens"),
-        ({"kind": "impossible", "word": 765}, "neither a range"),
-        ({"kind": "impossible", "word": 0x8014}, "neither a range"),
         ({"kind": "impossible", "word": 0x10000}, "16 bits"),
         ({"kind": "noisy", "spread_cm": 0.0}, "more than 0"),
     ],
@@ -288,6 +287,12 @@ def test_probability(kind: str) -> None:
 def test_a_fault_that_makes_no_sense_is_refused(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Fault(**{"kind": "silent", "start_s": 1.0, "end_s": 2.0, **arguments})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("word", [20, 765, 0x8014])
+def test_a_word_that_a_healthy_sensor_gives_is_not_impossible(word: int) -> None:
+    with pytest.raises(ValueError, match=f"word: found 0x{word:x}, which is a range"):
+        Bench(faults=[Fault("impossible", 1.0, 2.0, word=word)])
 
 
 @pytest.mark.parametrize("fault", [Fault("silent", 0.0, 1.0, 0.5), Fault("noisy", 0.0, 1.0)])
@@ -404,5 +409,5 @@ def test_a_lock_up_that_nobody_saw_begin_still_needs_a_reopen() -> None:
 
 def test_timing_is_a_parameter() -> None:
     timing = Timing(ready_s=0.001, s_per_cm=1e-4, no_echo_s=0.5)
-    assert timing.ranging_s(100) == pytest.approx(0.011)
-    assert timing.ranging_s(765) == 0.5
+    assert timing.ranging_s(100, NO_ECHO_CM) == pytest.approx(0.011)
+    assert timing.ranging_s(765, NO_ECHO_CM) == 0.5

@@ -22,7 +22,8 @@ from msp_range.bus import Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Fault, Timing
+from msp_sim.device.device import Fault
+from msp_sim.device.emulated import ranging_timing
 from msp_sim.device.table import emulated_kind
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import Streams
@@ -137,13 +138,13 @@ class SimulatedBench:
         for name, of_sensor in zip(point.setup.sensors, for_sensors, strict=True):
             for_readings, for_faults = of_sensor.spawn(2)
             sensor = self._campaign.sensor(name)
-            timing = sensor.sensor_model.timing
+            kind = emulated_kind(sensor.sensor_model.driver)
             devices.append(
-                emulated_kind(sensor.sensor_model.driver)(
+                kind(
                     sensor.address,
                     self._clock.now,
                     scene.echo_of(name, self._models(name, default_rng(for_readings))),
-                    Timing(timing.ready_s, timing.s_per_cm, timing.cycle_s),
+                    ranging_timing(kind, sensor.sensor_model),
                     self._faults.get(name, ()),
                     random.Random(int(for_faults.generate_state(1)[0])),
                 )

@@ -1,9 +1,8 @@
-"""One MB1242 (I2CXL-MaxSonar-EZ4) seen from the bus, with the faults that real ones show, and what all kinds share.
+"""What all emulated range finders share, seen from the bus, and the faults that real ones show.
 
-Bytes written by the master and the readings of an imitated world enter, acknowledged bytes leave. Commands, busy
-time and address change follow the datasheet; where it is silent the choice is a parameter or is said to be a guess.
-Only the standard library is used, so that the same device answers in a virtual flight and behind an emulated kernel
-interface under the system's own Python. Every time is seconds on the ``now`` clock that the device is given.
+Bytes written by the master and the readings of a simulated world enter, acknowledged bytes leave. Only the standard
+library is used, so that the same device answers in a virtual flight and behind an emulated kernel interface under the
+system's own Python. Every time is seconds on the ``now`` clock that the device is given.
 """
 
 import math
@@ -11,21 +10,8 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-DEFAULT_ADDRESS = 0x70
-"""7-bit address from the factory; 0xE0 in the 8-bit form of the datasheet."""
-
-RANGE_COMMAND = b"\x51"
-ADDRESS_COMMAND = b"\xaa\xa5"
-ILLEGAL_ADDRESSES_8BIT = frozenset({0, 80, 164, 170})
-"""New addresses, in 8-bit form, that the sensor ignores."""
-
-MIN_CM = 20
-NO_ECHO_CM = 765
-
-PART_INFO = b"\x01\x2c"
-"""What is read before the first ranging. The real bytes are not documented: these look like 300 cm."""
-
 CLOCK_FAULT_BIT = 0x8000
+"""What a read too early sets in a 16-bit answer."""
 
 
 class NotAcknowledged(Exception):
@@ -34,26 +20,25 @@ class NotAcknowledged(Exception):
 
 @dataclass(frozen=True)
 class Timing:
-    """How long the sensor does not answer.
+    """How long a sensor ranges, and for how long an address change keeps it busy.
 
     Attributes
     ----------
     ready_s, s_per_cm
-        A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm]. The second is the way there and
-        back at 22.5 deg C; the first is an assumption.
+        A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm].
     no_echo_s
-        A ranging without an echo takes this long [s]; the part's full cycle is about 67 ms.
+        A ranging without an echo takes this long [s], and none takes longer.
     address_change_s
-        After an address change [s], from the datasheet.
+        After an address change [s].
     """
 
-    ready_s: float = 0.020
-    s_per_cm: float = 58e-6
-    no_echo_s: float = 0.067
-    address_change_s: float = 0.125
+    ready_s: float
+    s_per_cm: float
+    no_echo_s: float
+    address_change_s: float = 0.0
 
-    def ranging_s(self, reading_cm: int, no_echo_cm: int = NO_ECHO_CM) -> float:
-        """Time from the ping until the sensor answers again [s]."""
+    def ranging_s(self, reading_cm: int, no_echo_cm: int) -> float:
+        """Time from the ping until the ranging has ended [s]."""
         # A word that is no range, such as one behind a clock fault, takes no longer than the cycle.
         whole_s = self.ready_s + self.s_per_cm * reading_cm
         return self.no_echo_s if reading_cm == no_echo_cm else min(whole_s, self.no_echo_s)
@@ -61,13 +46,13 @@ class Timing:
 
 FAULT_KINDS = {
     "clock_fault": "bit 15 reads as one: the master samples while the sensor still stretches the clock",
-    "or_ed": "the two bytes are OR-ed into one, a shift lost by the driver: 765 reads 255",
-    "saturated": "the reading saturates to eight bits: 765 reads 255",
-    "lost_high_byte": "range modulo 256: 765 reads 253",
+    "or_ed": "the two bytes are OR-ed into one, a shift lost by the driver: 300 reads 45",
+    "saturated": "the reading saturates to eight bits: 300 reads 255",
+    "lost_high_byte": "range modulo 256: 300 reads 44",
     "impossible": "the answer is `word`, which no healthy sensor gives",
     "missed_read": "one read of a ranging is not acknowledged, the next one is",
     "stuck": "pings are accepted and the last reading stays",
-    "no_echo": "the ranging receives no echo: it takes the whole cycle and reads 765",
+    "no_echo": "the ranging receives no echo: it takes the whole cycle and reads the code for it",
     "noisy": "ranges scatter about the true one, normally distributed with `spread_cm`",
     "offset": "ranges are off by `offset_cm`",
     "silent": "nothing is acknowledged",
@@ -103,8 +88,7 @@ class Fault:
     Raises
     ------
     ValueError
-        An unknown kind, a window that does not last, a word that another kind stands for, or a spread that is not
-        positive.
+        An unknown kind, a window that does not last, a word of more than 16 bits, or a spread that is not positive.
     """
 
     kind: str
@@ -123,11 +107,8 @@ class Fault:
         if not 0.0 < self.probability <= 1.0 or (self.kind in _ALWAYS and self.probability != 1.0):
             expected = "1, it always happens" if self.kind in _ALWAYS else "more than 0 and at most 1"
             raise ValueError(f"fault {self.kind}: probability {self.probability}: expected {expected}")
-        if not 0 <= self.word <= 0xFFFF or MIN_CM <= self.word & ~CLOCK_FAULT_BIT <= NO_ECHO_CM:
-            raise ValueError(
-                f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits that are neither a range nor, with bit 15 "
-                'set, a range behind a clock fault (that is the kind "clock_fault")'
-            )
+        if not 0 <= self.word <= 0xFFFF:
+            raise ValueError(f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits")
         if not self.spread_cm > 0:
             raise ValueError(f"fault {self.kind}: spread_cm {self.spread_cm}: expected more than 0")
 
@@ -145,7 +126,7 @@ class RangeFinder:
         Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, from the sensor's
         shortest to `no_echo_cm`, which says that there was no echo.
     timing
-        How long it does not answer.
+        How long it is busy; None: as its kind is.
     faults
         What is wrong with it, and when.
     chance
@@ -159,6 +140,8 @@ class RangeFinder:
         Range commands accepted so far.
     minimum_cm, no_echo_cm : int
         Shortest reading, and the one of no echo [cm].
+    default_timing : Timing
+        Of its kind.
     fault_kinds : frozenset
         Those of `FAULT_KINDS` that this kind of sensor can show.
 
@@ -170,6 +153,7 @@ class RangeFinder:
 
     minimum_cm: int
     no_echo_cm: int
+    default_timing: Timing
     fault_kinds = frozenset(FAULT_KINDS)
 
     def __init__(
@@ -177,7 +161,7 @@ class RangeFinder:
         address: int,
         now: Callable[[], float],
         echo: Callable[[float], int],
-        timing: Timing = Timing(),
+        timing: Timing | None = None,
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
     ) -> None:
@@ -186,17 +170,34 @@ class RangeFinder:
                 "a fault has a probability below one, or is noisy: pass the random.Random that draws for it as chance"
             )
         for fault in faults:
-            if fault.kind not in self.fault_kinds:
-                raise ValueError(f"fault kind {fault.kind!r}: expected one of {', '.join(sorted(self.fault_kinds))}")
+            self.check_fault(fault)
         self.address = address
         self.faults = tuple(faults)
         self.pings = 0
         self._now = now
         self._echo = echo
-        self._timing = timing
+        self._timing = timing or self.default_timing
         self._chance = chance
         self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
         self.power_cycle()
+
+    @classmethod
+    def check_fault(cls, fault: Fault) -> None:
+        """Check that this kind of sensor can show a fault.
+
+        Raises
+        ------
+        ValueError
+            It cannot, or the word of the kind "impossible" is one that a healthy sensor gives.
+        """
+        if fault.kind not in cls.fault_kinds:
+            raise ValueError(f"kind: found {fault.kind!r}; expected one of {', '.join(sorted(cls.fault_kinds))}")
+        # With bit 15 set, a range is one behind a clock fault where the sensor shows those: that kind stands for it.
+        value = fault.word & ~CLOCK_FAULT_BIT if "clock_fault" in cls.fault_kinds else fault.word
+        if fault.kind == "impossible" and cls.minimum_cm <= value <= cls.no_echo_cm:
+            raise ValueError(
+                f"word: found 0x{fault.word:x}, which is a range; expected a word that is none, such as 0xffff"
+            )
 
     def power_cycle(self) -> None:
         """Lose the last ranging and whatever was going on."""
@@ -290,73 +291,10 @@ _MISRANGINGS: dict[str, Callable[[Fault, random.Random | None], float]] = {
 """What a fault adds to a reading [cm]."""
 
 
-class MB1242(RangeFinder):
-    """One sensor on the bus; parameters, attributes and errors are those of `RangeFinder`.
-
-    Examples
-    --------
-    >>> time_s = 0.0
-    >>> sonar = MB1242(0x70, lambda: time_s, lambda ping_time_s: 258)
-    >>> sonar.write(RANGE_COMMAND)
-    >>> sonar.read(2)
-    Traceback (most recent call last):
-        ...
-    msp_sim.device.device.NotAcknowledged
-    >>> time_s = 0.1
-    >>> sonar.read(2).hex()
-    '0102'
-    """
-
-    minimum_cm = MIN_CM
-    no_echo_cm = NO_ECHO_CM
-
-    def power_cycle(self) -> None:
-        """Lose the last ranging and whatever was going on; the address stays."""
-        super().power_cycle()
-        self._answer = PART_INFO
-
-    def write(self, data: bytes) -> None:
-        """Take ``data`` from the master.
-
-        One range command pings, an address command changes the address, anything else is acknowledged and ignored.
-
-        Raises
-        ------
-        NotAcknowledged
-            It ranges, changes its address, or a fault keeps it silent.
-        """
-        now_s = self._acknowledge()
-        if data == RANGE_COMMAND:
-            self._ping(now_s)
-        elif len(data) == 3 and data.startswith(ADDRESS_COMMAND):
-            self._change_address(data[2], now_s)
-
-    def read(self, count: int) -> bytes:
-        """Return ``count`` bytes: the last ranging, most significant byte first, or part info before the first one.
-
-        Bytes beyond the second are those of a released line, 0xFF: a guess. Raises NotAcknowledged as `write` does.
-        """
-        answer = self._read_answer(self._acknowledge())
-        return answer if count == 2 else answer.ljust(count, b"\xff")[:count]
-
-    def _acknowledge(self) -> float:
-        """Return the time [s] of a transfer that the sensor takes part in."""
-        now_s = self._with_power()
-        if now_s < self._busy_until_s:
-            raise NotAcknowledged
-        return now_s
-
-    def _change_address(self, new_8bit: int, now_s: float) -> None:
-        new_8bit &= ~1
-        if new_8bit not in ILLEGAL_ADDRESSES_8BIT:
-            self.address = new_8bit >> 1
-            self._busy_until_s = now_s + self._timing.address_change_s
-
-
 class PlainDevice:
     """Something else on the bus: it acknowledges everything and answers with the same bytes.
 
-    An SHTC3, a PCA9685 and a TCA9548A all answer at 0x70, and none of them is a sonar.
+    An SHTC3, a PCA9685 and a TCA9548A share addresses with range finders, and none of them is one.
 
     Parameters
     ----------
@@ -365,7 +303,7 @@ class PlainDevice:
     answer
         What it sends, followed by 0xFF for as long as the master asks.
     faults
-        Only "locked_up" has an effect: a device other than a sonar can hold the bus.
+        Only "locked_up" has an effect: a device other than a range finder can hold the bus.
     """
 
     def __init__(self, address: int, answer: bytes = b"", faults: Sequence[Fault] = ()) -> None:

@@ -5,6 +5,7 @@ An airframe, a world, a pose over time and sensor models enter; a bus leaves, be
 
 import random
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 from numpy.random import Generator, SeedSequence, default_rng
@@ -14,7 +15,7 @@ from msp_range.config import Airframe, Sensor
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import Fault, Timing
-from msp_sim.device.table import emulated_kind
+from msp_sim.device.table import EmulatedKind, emulated_kind
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
@@ -92,6 +93,14 @@ class EmulatedSensor:
         return reading_cm
 
 
+def ranging_timing(kind: EmulatedKind, model: SensorModel) -> Timing:
+    """How long a sensor of this kind and model is busy."""
+    of_model = model.timing
+    return replace(
+        kind.default_timing, ready_s=of_model.ready_s, s_per_cm=of_model.s_per_cm, no_echo_s=of_model.cycle_s
+    )
+
+
 def emulated_bus(
     airframe: Airframe,
     models: dict[str, SensorModel],
@@ -109,8 +118,8 @@ def emulated_bus(
         model = models[sensor.name]
         for_readings, for_faults = of_sensor.spawn(2)
         emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
-        timing = Timing(model.timing.ready_s, model.timing.s_per_cm, model.timing.cycle_s)
         chance = random.Random(int(for_faults.generate_state(1)[0]))
         kind = emulated_kind(sensor.sensor_model.driver)
+        timing = ranging_timing(kind, model)
         devices.append(kind(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
     return EmulatedBus(devices, now)

@@ -5,12 +5,13 @@ point of the group `GROUP`. Only the standard library is used, as in the devices
 """
 
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from typing import Protocol
 
-from msp_sim.device.device import MB1242, Fault, Timing
+from msp_sim.device.device import Fault, Timing
 from msp_sim.device.lidar_lite_v3 import LidarLiteV3
+from msp_sim.device.mb1242 import MB1242
 
 GROUP = "msp_sim.devices"
 """Entry points of installed packages that are emulated range finders."""
@@ -35,8 +36,12 @@ class EmulatedKind(Protocol):
     """Makes one: address, time [s], reading [cm] by the time of a ping [s], timing, faults, chance of the faults."""
 
     @property
-    def fault_kinds(self) -> Collection[str]:
-        """Those of `msp_sim.device.device.FAULT_KINDS` that such a sensor can show."""
+    def default_timing(self) -> Timing:
+        """How long such a sensor is busy."""
+        ...
+
+    def check_fault(self, fault: Fault) -> None:
+        """Raise ValueError where such a sensor cannot show a fault."""
         ...
 
     def __call__(
@@ -44,7 +49,7 @@ class EmulatedKind(Protocol):
         address: int,
         now: Callable[[], float],
         echo: Callable[[float], int],
-        timing: Timing = ...,
+        timing: Timing | None = ...,
         faults: Sequence[Fault] = ...,
         chance: random.Random | None = ...,
     ) -> EmulatedRangeFinder: ...

@@ -178,11 +178,10 @@ class Scenario(Section):
         for i, fault in enumerate(self.faults):
             if fault.sensor not in names:
                 raise ValueError(f"faults[{i}].sensor: found {fault.sensor!r}; expected one of {', '.join(names)}")
-            if fault.kind not in kinds[fault.sensor].fault_kinds:
-                raise ValueError(
-                    f"faults[{i}].kind: found {fault.kind!r}; expected one that {fault.sensor} can show: "
-                    f"{', '.join(sorted(kinds[fault.sensor].fault_kinds))}"
-                )
+            try:
+                kinds[fault.sensor].check_fault(fault.on_device())
+            except ValueError as error:
+                raise ValueError(f"faults[{i}].{error}, for {fault.sensor}") from None
             if fault.from_s >= self.duration_s:
                 raise ValueError(
                     f"faults[{i}].from_s: found {fault.from_s:g}; expected a time before the end, duration_s "
