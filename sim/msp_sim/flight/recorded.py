@@ -50,6 +50,7 @@ def recorded_flight(path: Path) -> Flight:
             fused.time_s.append(message["time_s"] - start_s)
             fused.truth_m.append(None)
             fused.filtered_m.append(message["range_m"])
+            fused.why.append(None)
     if not tracks:
         raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
     return Flight(dict(tracks), fused, [])

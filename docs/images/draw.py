@@ -1,0 +1,168 @@
+"""Draw the pictures of the README and of docs/: ``.venv/bin/python docs/images/draw.py [NAME ...]``.
+
+Without names all are drawn, in some two minutes. The pallet is drawn here, from its airframe file and the sensor's
+measured beam; the others are pictures that the product's own commands make, copied under their names in the documents.
+"""
+
+import math
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Polygon, Rectangle
+
+from msp_range.config import load_airframe
+from msp_sim.page.style import BLUE, GREY, INK, ORANGE, PALE, legend_below, new_figure, png, style
+
+IMAGES = Path(__file__).parent
+ROOT = IMAGES.parent.parent
+BIN = ROOT / ".venv/bin"
+HEIGHT_M = 2.0
+"""Height of the pallet's sensors above the ground in the picture [m]."""
+BOX_M = (0.42, 0.80, 0.40)
+"""The box in the picture: from and to, forward of the vehicle's middle, and its height [m]."""
+
+
+def main() -> None:
+    """Draw what the command line names, or everything."""
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name](IMAGES / f"{name}.png")
+        print(f"written: {IMAGES / name}.png")
+
+
+def draw_pallet(path: Path) -> None:
+    """The four sensors under a pallet with their beams: from the side, and as circles on the ground."""
+    airframe = load_airframe(ROOT / "configs/quad_pallet.yaml")
+    beam = airframe.sensors[0].sensor_model.beam
+    with style():
+        figure = new_figure(3.7)
+        side, below = figure.subplots(1, 2, width_ratios=(1.5, 1))
+        _draw_vehicle(side)
+        ranges_m = np.linspace(0.02, HEIGHT_M, 60)
+        reach_m = ranges_m * np.tan(beam.half_angle_rad(ranges_m))
+        for forward_m, colour in ((0.25, ORANGE), (-0.25, BLUE)):
+            left = [(forward_m - wide, HEIGHT_M - far) for far, wide in zip(ranges_m, reach_m, strict=True)]
+            right = [(forward_m + wide, HEIGHT_M - far) for far, wide in zip(ranges_m, reach_m, strict=True)]
+            side.add_patch(Polygon(left + right[::-1], color=colour, alpha=0.25, linewidth=0))
+            side.plot([forward_m], [HEIGHT_M], "v", color=colour, markersize=7)
+        start_m, end_m, height_m = BOX_M
+        side.add_patch(Rectangle((start_m, 0), end_m - start_m, height_m, facecolor=PALE, edgecolor=GREY, zorder=2))
+        side.text((start_m + end_m) / 2, height_m / 2, "box", ha="center", va="center")
+        side.axhline(0.0, color=INK, linewidth=1.5)
+        side.annotate("", (0.0, 0.0), (0.0, HEIGHT_M), arrowprops={"arrowstyle": "<->", "color": INK})
+        side.text(-0.06, 0.9, "one fused\ndistance to\nthe ground", ha="right", va="center")
+        side.annotate(
+            "only the front sensors\nsee the box: reported\nas an object",
+            ((start_m + end_m) / 2, height_m),
+            (1.28, 1.15),
+            ha="center",
+            va="center",
+            arrowprops={"arrowstyle": "->", "color": GREY},
+        )
+        side.set(xlim=(-0.95, 1.85), ylim=(-0.1, 2.75), xlabel="forward [m]", ylabel="above the ground [m]")
+        side.set_title("from the side")
+        side.set_aspect("equal")
+        below.add_patch(
+            Rectangle((-0.3, -0.3), 0.6, 0.6, facecolor="none", edgecolor=INK, linewidth=1.5, label="pallet")
+        )
+        spot_m = HEIGHT_M * math.tan(float(beam.half_angle_rad(HEIGHT_M)))
+        for sensor in airframe.sensors:
+            forward_m, right_m, _ = sensor.position_m
+            colour = ORANGE if forward_m > 0 else BLUE
+            below.add_patch(Circle((right_m, forward_m), spot_m, facecolor=colour, alpha=0.22, linewidth=0))
+            below.add_patch(Circle((right_m, forward_m), spot_m, facecolor="none", edgecolor=colour))
+            below.plot([right_m], [forward_m], "v", color=colour, markersize=7)
+        below.set(xticks=(-0.5, 0, 0.5), xlim=(-0.85, 0.85), ylim=(-0.9, 0.9), xlabel="right [m]", ylabel="forward [m]")
+        below.set_title(f"beams on the ground, {HEIGHT_M:g} m below")
+        below.set_aspect("equal")
+        handles = [
+            below.plot([], [], "v", color=ORANGE, label="front sensors and beams")[0],
+            below.plot([], [], "v", color=BLUE, label="rear sensors and beams")[0],
+            below.patches[0],
+        ]
+        legend_below(figure, handles)
+        path.write_bytes(png(figure))
+
+
+def _draw_vehicle(axes: Axes) -> None:
+    """A quadcopter from the side: pallet, legs, body, and two rotors."""
+    top_m = HEIGHT_M + 0.06
+    axes.add_patch(Rectangle((-0.3, top_m - 0.03), 0.6, 0.05, color=GREY))
+    for forward_m in (-0.2, 0.2):
+        axes.plot([forward_m, forward_m / 2], [top_m, top_m + 0.28], color=GREY, linewidth=2)
+    axes.add_patch(Rectangle((-0.18, top_m + 0.26), 0.36, 0.12, color=INK))
+    axes.plot([-0.5, 0.5], [top_m + 0.34, top_m + 0.34], color=INK, linewidth=3)
+    for forward_m in (-0.5, 0.5):
+        axes.plot([forward_m, forward_m], [top_m + 0.34, top_m + 0.44], color=INK, linewidth=2)
+        axes.plot([forward_m - 0.27, forward_m + 0.27], [top_m + 0.44, top_m + 0.44], color=GREY, linewidth=2)
+    axes.text(0.36, HEIGHT_M + 0.03, "pallet with 4 sensors", va="center", color=INK)
+
+
+def draw_flight(path: Path) -> None:
+    """The flight of ``make demo``."""
+    _fly("configs/scenarios/demo.yaml", path)
+
+
+def draw_boxes(path: Path) -> None:
+    """A flight over boxes."""
+    _fly("configs/scenarios/boxes.yaml", path)
+
+
+def _fly(scenario: str, path: Path) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        _run("msp-sim", "fly", scenario, "--out", f"{folder}/flight")
+        shutil.copy(f"{folder}/flight/flight.png", path)
+
+
+def draw_gap(path: Path) -> None:
+    """Readings against the model, before and after an effect was added: the README's six flights."""
+    with tempfile.TemporaryDirectory() as folder:
+        recordings = []
+        for seed in "123456":
+            recordings.append(f"{folder}/{seed}/flight.mcap")
+            hidden = ("--model", "configs/sensors/mb1242_in_flight.yaml")
+            _run(
+                "msp-sim", "fly", "configs/scenarios/terrain.yaml", "--seed", seed, "--out", f"{folder}/{seed}", *hidden
+            )
+        _run("msp-lab", "gap", *recordings, "--model", "configs/sensors/mb1242.yaml", "--out", f"{folder}/gap")
+        shutil.copy(f"{folder}/gap/residuals.png", path)
+
+
+def draw_characterised(path: Path) -> None:
+    """A picture of the page that `msp-lab characterise` makes of the report's campaign on the simulator."""
+    with tempfile.TemporaryDirectory() as folder:
+        campaign = "configs/campaigns/table_4_1.yaml"
+        _run("msp-lab", "collect", campaign, "--simulate", "--out", f"{folder}/campaign")
+        report = ("--out", f"{folder}/model.yaml", "--report", f"{folder}/report")
+        _run("msp-lab", "characterise", f"{folder}/campaign/readings.csv", *report)
+        shutil.copy(f"{folder}/report/{path.name}", path)
+
+
+def draw_filters(path: Path) -> None:
+    """Figure 5.15 of the filter study: the Kalman filters and the changepoint filter."""
+    with tempfile.TemporaryDirectory() as folder:
+        _run("msp-lab", "filters", "--out", f"{folder}/study")
+        shutil.copy(f"{folder}/study/{path.name}", path)
+
+
+def _run(command: str, *arguments: str) -> None:
+    subprocess.run([BIN / command, *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+
+
+PICTURES: dict[str, Callable[[Path], None]] = {
+    "pallet": draw_pallet,
+    "flight": draw_flight,
+    "boxes": draw_boxes,
+    "gap": draw_gap,
+    "field_of_view": draw_characterised,
+    "questions": draw_characterised,
+    "kalman_and_changepoint": draw_filters,
+}
+
+if __name__ == "__main__":
+    main()
