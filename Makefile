@@ -1,9 +1,9 @@
 # make demo   fly a simulated flight with the real bridge, and draw it
 # make test   run the tests
 # make check  what CI runs: format, lint, types, layers, then the tests
-# make bench  measure, and write benchmarks/results.json
-# make fuzz   read changed files and link bytes for SECONDS=600 an area, by SEED=1; what fails is in build/fuzz
-# make blind  hide effects in N=200 tables by SEED=1, look for them by the gap workflow, and score what it says
+# make bench  run all benchmarks, and write the table in docs/figures.md
+# make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
+# make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
@@ -37,7 +37,7 @@ fuzz: .venv/.installed-test compile
 
 N ?= 200
 blind: .venv/.installed-test compile
-	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED)
+	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md
 
 FLIGHTS ?= 700
 faults: .venv/.installed-test compile

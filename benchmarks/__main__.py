@@ -1,7 +1,13 @@
-"""Run every benchmark, print one table, and write ``results.json`` beside this file: {key, value, unit, goal, met}."""
+"""Run every benchmark, print one table, and write it: into docs/figures.md, and as ``results.json`` in this folder.
+
+Each figure is {key, value, unit, goal, met}.
+"""
 
 import json
+import os
+import platform
 from pathlib import Path
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -21,6 +27,7 @@ from benchmarks import (
     bench_start,
     bench_virtual_flight,
 )
+from benchmarks.document import FIGURES, replace_section
 
 PARTS = (
     bench_reading_model,
@@ -38,8 +45,22 @@ PARTS = (
 RESULTS = Path(__file__).parent / "results.json"
 
 
+def as_markdown(figures: list[dict[str, Any]]) -> str:
+    """The figures as a table for docs/figures.md, with the machine that they were measured on."""
+    lines = [
+        f"Measured on {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}.",
+        "",
+        "| figure | value | unit | goal | met |",
+        "|---|---|---|---|---|",
+    ]
+    for figure in figures:
+        met = {True: "yes", False: "**no**", None: ""}[figure["met"]]
+        lines.append(f"| `{figure['key']}` | {figure['value']:g} | {figure['unit']} | {figure['goal'] or ''} | {met} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
-    """Measure, show, write."""
+    """Run all benchmarks, print the table, and write both files."""
     console = Console()
     figures = []
     with Progress(console=console, transient=True) as progress:
@@ -56,7 +77,9 @@ def main() -> None:
         table.add_row(figure["key"], f"{figure['value']:g}", figure["unit"], figure["goal"] or "", met)
     console.print(table)
     RESULTS.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    console.print(f"written: {RESULTS.relative_to(Path.cwd()) if RESULTS.is_relative_to(Path.cwd()) else RESULTS}")
+    replace_section(FIGURES, "bench", as_markdown(figures))
+    for path in (RESULTS, FIGURES):
+        console.print(f"written: {path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}")
 
 
 if __name__ == "__main__":

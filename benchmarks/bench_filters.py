@@ -44,12 +44,12 @@ def run() -> list[dict[str, Any]]:
 
 
 def _update_us() -> tuple[float, float]:
-    """Median CPU time of an update in the first and the last readings of a long flight with wild readings."""
+    """Median CPU time of an update in the first and the last readings of a long flight with outliers."""
     one = ChangepointParameters(filter="changepoint").make(load_sensor_model(SENSOR))
     rng = np.random.default_rng(1)
     height_m = 3.0 + 1.5 * np.sin(np.arange(UPDATES) / 80.0)
-    wild = rng.random(UPDATES) < 0.05
-    readings = np.where(wild, rng.uniform(0.2, 7.6, UPDATES), height_m + rng.normal(0.0, 0.02, UPDATES)).round(2)
+    outliers = rng.random(UPDATES) < 0.05
+    readings = np.where(outliers, rng.uniform(0.2, 7.6, UPDATES), height_m + rng.normal(0.0, 0.02, UPDATES)).round(2)
     spent_ns = []
     for number, range_m in enumerate(readings.tolist()):
         started_ns = time.thread_time_ns()

@@ -1,6 +1,6 @@
 """How well the fused height is known on simulated flights, what faults cost it, and how soon objects are found.
 
-The raw stream is one sensor's readings as they come, at the times of their echoes; 'hits' leaves its wild readings out,
+The raw stream is one sensor's readings as they come, at the times of their echoes; 'hits' leaves its outliers out,
 which no receiver can. The single stream through the same filter is an airframe whose fused stream has that sensor only.
 """
 
@@ -60,7 +60,7 @@ def heights() -> list[dict[str, Any]]:
     return [
         _figure("fused_error_rms", 100 * rms_m, "cm, five kinds of ground", None, None),
         _figure("fused_over_best_raw", max(of_raw), "worst ground", "at most 0.5", max(of_raw) <= 0.5),
-        _figure("fused_over_best_raw_hits", max(of_hits), "worst ground, wild readings left out", None, None),
+        _figure("fused_over_best_raw_hits", max(of_hits), "worst ground, outliers left out", None, None),
         _figure(
             "fused_over_best_single", max(of_one), "worst ground, same filter", "at most 0.75", max(of_one) <= 0.75
         ),

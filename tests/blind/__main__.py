@@ -9,6 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from benchmarks.document import replace_section
 from tests.blind.flight import REGIMES
 from tests.blind.report import score
 from tests.blind.run import Campaign, draw, draw_base, run
@@ -31,6 +32,7 @@ def main() -> None:
     parser.add_argument("--until", choices=("name", "add", "show"), default="add", help="last step of msp-lab gap")
     parser.add_argument("--nulls-until", choices=("name", "add", "show"), default="name", help="the same for nulls")
     parser.add_argument("--step", choices=("all", "draw", "run", "score"), default="all")
+    parser.add_argument("--figures", type=Path, help="write the scores into this document's section 'blind' too")
     given = parser.parse_args()
     campaign = Campaign(given.out, given.seed, given.until, given.nulls_until)
     if given.step != "score":
@@ -52,7 +54,11 @@ def main() -> None:
         except KeyboardInterrupt:
             sys.exit(130)
     if given.step in ("all", "score"):
-        print(score(given.out))
+        scores = score(given.out)
+        print(scores)
+        if given.figures:
+            arguments = " ".join(word for word in sys.argv[1:] if word != "--figures" and word != str(given.figures))
+            replace_section(given.figures, "blind", f"    python -m tests.blind {arguments}\n\n{scores}")
 
 
 if __name__ == "__main__":

@@ -75,19 +75,19 @@ def counts(scored: Group) -> list[Count]:
     group: Group
     for regime in sorted({each.answer["regime"] for each in scored if each.kind == "null"}):
         group = [each for each in scored if each.kind == "null" and each.answer["regime"] == regime]
-        row(f"null, {regime}: a name", group, lambda o: o.named)
-        row(f"null, {regime}: an unknown curve", group, lambda o: o.unknown)
+        row(f"nothing hidden, {regime}: a name", group, lambda o: o.named)
+        row(f"nothing hidden, {regime}: an unknown curve", group, lambda o: o.unknown)
     for kind, many in (("one", "one effect"), ("three", "three effects")):
         for size, group in _by_size(scored, kind):
             row(f"{many}, {size:g} s.e.: exact set", group, lambda o: o.exact)
             row(f"{many}, {size:g} s.e.: a wrong name", group, lambda o: o.wrong)
     for size, group in _by_size(scored, "unknown"):
-        row(f"in no catalogue, {size:g} s.e.: called unknown, channel and variable right", group, _found)
-        row(f"in no catalogue, {size:g} s.e.: a wrong name", group, lambda o: o.wrong)
-        row(f"in no catalogue, {size:g} s.e.: nothing said", group, lambda o: not o.said)
+        row(f"not in the catalogue, {size:g} s.e.: called unknown, channel and variable right", group, _found)
+        row(f"not in the catalogue, {size:g} s.e.: a wrong name", group, lambda o: o.wrong)
+        row(f"not in the catalogue, {size:g} s.e.: nothing reported", group, lambda o: not o.said)
     group = [each for each in scored if each.kind == "confounded"]
-    row("confounded pair: resolved wrongly", group, lambda o: o.resolved_wrongly)
-    row("confounded pair: both in one class, with the experiment", group, lambda o: o.both)
+    row("two indistinguishable effects: resolved wrongly", group, lambda o: o.resolved_wrongly)
+    row("two indistinguishable effects: both named, with the experiment", group, lambda o: o.both)
     row("all tables: a wrong name", scored, lambda o: o.wrong)
     return rows
 
@@ -107,12 +107,12 @@ def _by_size(scored: Group, kind: str) -> Iterable[tuple[float, Group]]:
 def closed(scored: Group) -> list[str]:
     """Rows on the share of the gap that is closed."""
     rows = []
-    for what, kinds in (("one or three effects", ("one", "three")), ("in no catalogue", ("unknown",))):
+    for what, kinds in (("one or three effects", ("one", "three")), ("not in the catalogue", ("unknown",))):
         group = [each.outcome.closed for each in scored if each.kind in kinds and each.wanted >= STRONG]
-        told = [each for each in group if each is not None]
+        known_shares = [each for each in group if each is not None]
         for label, shares in (
-            ("of the excess over chance (95 % of twins)", [each.over_floor for each in told]),
-            ("of the whole gap, nothing taken off for chance's scatter", [each.of_all for each in told]),
+            ("of the excess over the noise floor (95 % of simulated replicates)", [each.over_floor for each in known_shares]),
+            ("of the whole gap, with random variation in it", [each.of_all for each in known_shares]),
         ):
             known = np.array([share for share in shares if share is not None])
             if known.size < 2:
@@ -120,7 +120,7 @@ def closed(scored: Group) -> list[str]:
             for name, q in (("median", 50), ("10th percentile", 10)):
                 value, low, high = _quantile(known, q)
                 rows.append(
-                    f"| gap closed, {what}, {STRONG:g} s.e. or more, {label}: {name} | {known.size} of {len(told)} "
+                    f"| gap closed, {what}, {STRONG:g} s.e. or more, {label}: {name} | {known.size} of {len(known_shares)} "
                     f"| {value:.3f} | {low:.3f} to {high:.3f} |"
                 )
     return rows
@@ -152,7 +152,7 @@ def by_mechanism(scored: Group) -> list[str]:
             if outcome.separable:
                 said += f" (separable: {', '.join(outcome.separable)})"
             groups[each.kind, hidden[0], each.wanted].append((right, said))
-    lines = ["| kind | mechanism | s.e. | right | of | said instead |", "|---|---|---|---|---|---|"]
+    lines = ["| kind | mechanism | s.e. | right | of | reported instead |", "|---|---|---|---|---|---|"]
     for (kind, name, size), went in sorted(
         groups.items(), key=lambda item: (sum(right for right, _ in item[1]) / len(item[1]), item[0])
     ):
@@ -177,7 +177,7 @@ def show(scored: Group, missing: Sequence[str] = ()) -> str:
     for kinds in (("one",), ("three",), ("confounded",)):
         sizes = [size for each in scored if each.kind in kinds for size in each.outcome.class_sizes]
         if sizes:
-            lines.append(f"Names in a class, mean, {kinds[0]}: {np.mean(sizes):.2f}")
+            lines.append(f"Names given as alternatives to each other, mean, {kinds[0]}: {np.mean(sizes):.2f}")
     spent = [each.seconds for each in scored]
     if spent:
         lines.append(f"{len(scored)} tables; {np.mean(spent):.1f} s each")
@@ -185,7 +185,7 @@ def show(scored: Group, missing: Sequence[str] = ()) -> str:
         lines.append(f"Without a result, and not counted: {', '.join(missing)}")
     wrong = by_mechanism(scored)
     if len(wrong) > 2:
-        lines += ["", "Where it was not right:", "", *wrong]
+        lines += ["", "Wrong answers by mechanism:", "", *wrong]
     return "\n".join(lines)
 
 

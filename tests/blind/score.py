@@ -37,7 +37,7 @@ class Closed:
     Attributes
     ----------
     over_floor
-        Of the excess over what simulated twins show in 95 of 100; None where the gap was not over it to begin with.
+        Of the excess over the noise floor (what 95 % of simulated replicates show); None where the gap was not over it to begin with.
     of_all
         Of the gap, of which what chance adds is taken off in the mean only: on 2000 readings it scatters by about
         0.003 nats, and what is left by that scatter counts as not closed. None where nothing was there.
@@ -67,7 +67,7 @@ class Outcome:
     separable
         Rivals in a class with a right name that stand `SEPARABLE` standard errors or more from it.
     found_unknown
-        Called unknown, with the right channel and variable, and no wrong name beside it.
+        Called unknown, with the right channel and variable, and no wrong name with it.
     resolved_wrongly
         A name is given, alone or with others, and what is hidden is not among them.
     both

@@ -120,15 +120,15 @@ def test_the_table_counts_what_was_said(tmp_path: Path) -> None:
     scored, missing = collect(tmp_path)
     assert missing == ["0007"]
     assert {what: (count, of) for what, count, of in counts(scored)} == {
-        "null, ar1: a name": (1, 3),
-        "null, ar1: an unknown curve": (1, 3),
+        "nothing hidden, ar1: a name": (1, 3),
+        "nothing hidden, ar1: an unknown curve": (1, 3),
         "one effect, 10 s.e.: exact set": (1, 2),
         "one effect, 10 s.e.: a wrong name": (1, 2),
         "three effects, 20 s.e.: exact set": (0, 1),
         "three effects, 20 s.e.: a wrong name": (0, 1),
-        "in no catalogue, 20 s.e.: called unknown, channel and variable right": (0, 1),
-        "in no catalogue, 20 s.e.: a wrong name": (0, 1),
-        "in no catalogue, 20 s.e.: nothing said": (1, 1),
+        "not in the catalogue, 20 s.e.: called unknown, channel and variable right": (0, 1),
+        "not in the catalogue, 20 s.e.: a wrong name": (0, 1),
+        "not in the catalogue, 20 s.e.: nothing reported": (1, 1),
         "all tables: a wrong name": (2, 7),
     }
     assert "2 of 2 | 1.000 | 1.000 to 1.000" in closed(scored)[0]
