@@ -111,7 +111,10 @@ def closed(scored: Group) -> list[str]:
         group = [each.outcome.closed for each in scored if each.kind in kinds and each.wanted >= STRONG]
         known_shares = [each for each in group if each is not None]
         for label, shares in (
-            ("of the excess over the noise floor (95 % of simulated replicates)", [each.over_floor for each in known_shares]),
+            (
+                "of the excess over the noise floor (95 % of simulated replicates)",
+                [each.over_floor for each in known_shares],
+            ),
             ("of the whole gap, with random variation in it", [each.of_all for each in known_shares]),
         ):
             known = np.array([share for share in shares if share is not None])
