@@ -123,8 +123,8 @@ def closed(scored: Group) -> list[str]:
             for name, q in (("median", 50), ("10th percentile", 10)):
                 value, low, high = _quantile(known, q)
                 rows.append(
-                    f"| gap closed, {what}, {STRONG:g} s.e. or more, {label}: {name} | {known.size} of {len(known_shares)} "
-                    f"| {value:.3f} | {low:.3f} to {high:.3f} |"
+                    f"| gap closed, {what}, {STRONG:g} s.e. or more, {label}: {name} "
+                    f"| {known.size} of {len(known_shares)} | {value:.3f} | {low:.3f} to {high:.3f} |"
                 )
     return rows
 

@@ -37,10 +37,11 @@ class Closed:
     Attributes
     ----------
     over_floor
-        Of the excess over the noise floor (what 95 % of simulated replicates show); None where the gap was not over it to begin with.
+        Of the excess over the noise floor (which 95 % of simulated replicates stay below); None where the gap was below
+        it to begin with.
     of_all
-        Of the gap, of which what chance adds is taken off in the mean only: on 2000 readings it scatters by about
-        0.003 nats, and what is left by that scatter counts as not closed. None where nothing was there.
+        Of the whole gap. Random variation is subtracted in the mean only: on 2000 readings it scatters by about 0.003
+        nats, and what is left by that scatter counts as not closed. None where there was no gap.
     """
 
     over_floor: float | None
