@@ -1,4 +1,4 @@
-"""A campaign as tables: one row for each group, the goals, and the flights that went worst.
+"""A campaign as tables: one row for each group, the goals, and the worst flights.
 
 Lines of flights.jsonl enter; tables leave, as lists of cells with the headings first.
 """
@@ -16,7 +16,7 @@ Line = dict[str, Any]
 Cells = list[list[str]]
 
 WORST = 4
-"""So many flights are named for each way to go wrong."""
+"""Flights listed for each kind of error; more only lengthen the table."""
 FROM_S, FOR_S, WORST_M, REPORTED = range(4)
 """Fields of an event; see `tests.faults.judge.Event`."""
 
@@ -136,7 +136,7 @@ def goals_table(lines: Sequence[Line]) -> Cells:
             if of
         )
         reached = f"{_percent(some.share('covered_s', 'valid_s'))} % ({each})"
-        table.append(["stated 95 % holds the truth, -20 to 45 C", "90 to 99 %", reached])
+        table.append(["stated 95 % interval contains the truth, -20 to 45 C", "90 to 99 %", reached])
     reached = f"{Sum(lines).unreported} of {len(Sum(lines).events('silences'))}"
     table.append(["unreported silences, all flights", "0", reached])
     some = _of(lines, "hover")
@@ -153,7 +153,7 @@ def _of(lines: Iterable[Line], *groups: str) -> Sum:
     return Sum([line for line in lines if line["group"] in groups])
 
 
-_WAYS: dict[str, Callable[[Line], tuple[float, str]]] = {
+_ERRORS: dict[str, Callable[[Line], tuple[float, str]]] = {
     "wrong distance": lambda line: _worst_event(line["verdict"]["wrong"]),
     "wrong 'above the maximum'": lambda line: (
         line["verdict"]["above_wrong_s"],
@@ -162,7 +162,7 @@ _WAYS: dict[str, Callable[[Line], tuple[float, str]]] = {
     "unreported silence": lambda line: _worst_event(
         [event for event in line["verdict"]["silences"] if event[REPORTED] is None]
     ),
-    "not valid and honest": lambda line: (
+    "not valid or not within 3 s.d.": lambda line: (
         line["verdict"]["in_range_s"] - line["verdict"]["honest_in_range_s"],
         f"{line['verdict']['in_range_s'] - line['verdict']['honest_in_range_s']:.1f} of "
         f"{line['verdict']['in_range_s']:.1f} s",
@@ -184,9 +184,9 @@ def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
 
 
 def worst_table(lines: Sequence[Line]) -> Cells:
-    """For each way to go wrong the worst flights of different rows."""
-    table = [["way", "flight", "row", "how bad", "fault"]]
-    for way, measure in _WAYS.items():
+    """The worst flights for each kind of error, each of another row."""
+    table = [["error", "flight", "group", "how bad", "faults"]]
+    for error, measure in _ERRORS.items():
         rows: set[str] = set()
         for line in sorted(lines, key=lambda line: measure(line)[0], reverse=True):
             size, words = measure(line)
@@ -195,5 +195,5 @@ def worst_table(lines: Sequence[Line]) -> Cells:
             if line["row"] not in rows:
                 rows.add(line["row"])
                 kinds = ", ".join(f"{each['kind']} {each.get('probability', 1):g}" for each in line["faults"])
-                table.append([way, line["again"], line["row"], words, kinds])
+                table.append([error, line["again"], line["row"], words, kinds])
     return table

@@ -35,7 +35,7 @@ def test_takeoff_to_6_m_and_landing(tmp_path: Path) -> None:
             hovered_m = [height_m for time_s, height_m in copter.heights() if time_s > hovering_s]
             copter.land()
             flown = measure(copter, left_s, time.monotonic())
-        note(copter, "take-off in GUIDED to 6 m, hover, landing", "flies on it", flown)
+        note(copter, "take-off in GUIDED to 6 m, hover, landing", "uses it", flown)
 
     # In GUIDED a healthy range finder's range is the height of a take-off below its maximum (mode_guided.cpp).
     assert abs(np.median(hovered_m) - TOP_M) < 0.5
@@ -72,4 +72,4 @@ def test_proximity_sees_the_walls(tmp_path: Path) -> None:
         copter.station.wait("a healthy proximity sensor", is_healthy, 30.0)
         # The library smooths with 0.25 Hz, and an outlier takes that long to be forgotten.
         copter.station.wait(f"walls at {walls_m}, seen at {seen_m}", sees_walls, 30.0)
-        note(copter, "on the ground in the proximity yard", "sees its four walls within 0.3 m")
+        note(copter, "on the ground between four walls", "sees the four walls within 0.3 m")

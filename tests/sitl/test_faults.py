@@ -74,7 +74,7 @@ def test_faults_in_flight(kind: type[Autopilot], tmp_path: Path) -> None:
                 autopilot.go_to(TOP_M)
                 wait_until(autopilot, simulation, start_s + LASTS_S)
                 flown = measure(autopilot, begun_s, time.monotonic())
-                note(autopilot, f"{sensor} {what}, 6 to 4 to 6 m", "flies on", flown)
+                note(autopilot, f"{sensor} {what}, 6 to 4 to 6 m", "flight continues", flown)
                 assert autopilot.flies_as_commanded()
                 assert flown.median_m < 0.15
                 assert flown.p95_m < 0.5
@@ -92,7 +92,7 @@ def all_silent(autopilot: Autopilot, begun_s: float) -> None:
         lambda: [time_s for time_s, good in autopilot.healthy() if time_s > begun_s and not good],
         10.0,
     )
-    told_s = autopilot.station.wait(
+    text_s = autopilot.station.wait(
         "a text to the pilot",
         lambda: [
             time_s
@@ -103,8 +103,8 @@ def all_silent(autopilot: Autopilot, begun_s: float) -> None:
     )
     height_m = autopilot.height_m()
     autopilot.wait(5.0)
-    after = f"without it after {lost_s[0] - begun_s:.1f} s, the pilot has a text after {told_s[0] - begun_s:.1f} s"
-    assert told_s[0] - begun_s < 3.0
+    after = f"notices after {lost_s[0] - begun_s:.1f} s, text to the pilot after {text_s[0] - begun_s:.1f} s"
+    assert text_s[0] - begun_s < 3.0
     if isinstance(autopilot, ArduCopter):
         # A take-off or target above the terrain is flown on the range finder alone (mode_guided.cpp).
         assert "Failsafe: Terrain Rangefinder Unhealthy" in autopilot.texts(begun_s)
@@ -115,5 +115,5 @@ def all_silent(autopilot: Autopilot, begun_s: float) -> None:
         assert autopilot.flies_as_commanded()
         assert abs(autopilot.height_m() - height_m) < 1.5
         autopilot.land()
-        result = f"{after}; holds its height on GNSS and barometer, lands by command"
+        result = f"{after}; holds its height by GNSS and barometer, lands on command"
     note(autopilot, "all four silent", result)

@@ -23,7 +23,7 @@ def test_ekf2_takes_the_height(tmp_path: Path) -> None:
         px4.wait(10.0)
         hovered = measure(px4, hovering_s, time.monotonic())
         px4.land()
-        note(px4, "take-off by command to 6 m, hover, landing", "takes the height", hovered)
+        note(px4, "take-off on command to 6 m, hover, landing", "uses it", hovered)
     assert hovered.median_m < 0.2
     assert hovered.p95_m < 0.5
     assert hovered.healthy > 0.9

@@ -37,7 +37,7 @@ def test_the_bridge_is_killed_in_hover(kind: type[Autopilot], tmp_path: Path) ->
             assert autopilot.flies_as_commanded(), (silent_s, autopilot.texts(killed_s))
             flown = measure(autopilot, killed_s, time.monotonic())
             autopilot.land()
-            note(autopilot, "bridge killed by SIGKILL in hover, started as systemd does", "flies on", flown, silent_s)
+            note(autopilot, "bridge killed by SIGKILL in hover, started as systemd does", "flight continues", flown, silent_s)
     assert silent_s < TERRAIN_FAILSAFE_S
     assert flown.p95_m < 0.5
 
@@ -78,7 +78,7 @@ def flies_on(copter: ArduCopter, service: Service, duration_s: float, what: str)
     silent_s = outage_s(copter, paused_s)
     copter.wait(2.0)
     assert copter.flies_as_commanded(), copter.texts(paused_s)
-    note(copter, what, "flies on", None, silent_s)
+    note(copter, what, "flight continues", None, silent_s)
 
 
 @both
@@ -88,7 +88,7 @@ def test_the_autopilot_is_killed_and_starts_anew(kind: type[Autopilot], tmp_path
         autopilot.station.wait("distances", lambda: autopilot.station.all("DISTANCE_SENSOR", BRIDGE), 30.0)
         autopilot.end(signal.SIGKILL)
         autopilot.start()
-        note(autopilot, "autopilot killed and started anew", "receives distances again", None, back_s(autopilot))
+        note(autopilot, "autopilot killed and restarted", "receives distances again", None, back_s(autopilot))
         assert service.is_running
 
 
