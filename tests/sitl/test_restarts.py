@@ -37,7 +37,13 @@ def test_the_bridge_is_killed_in_hover(kind: type[Autopilot], tmp_path: Path) ->
             assert autopilot.flies_as_commanded(), (silent_s, autopilot.texts(killed_s))
             flown = measure(autopilot, killed_s, time.monotonic())
             autopilot.land()
-            note(autopilot, "bridge killed by SIGKILL in hover, started as systemd does", "flight continues", flown, silent_s)
+            note(
+                autopilot,
+                "bridge killed by SIGKILL in hover, started as systemd does",
+                "flight continues",
+                flown,
+                silent_s,
+            )
     assert silent_s < TERRAIN_FAILSAFE_S
     assert flown.p95_m < 0.5
 
