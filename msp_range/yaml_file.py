@@ -110,18 +110,39 @@ def load(path: Path | str, section: type[SectionT]) -> SectionT:
         One line a mistake, all mistakes at once.
     """
     path = Path(path)
-    content = read_yaml(path)
+    return check(path, section, read_yaml(path), {"folder": path.parent, "read": {}})
+
+
+def check(source: Path | str, section: type[SectionT], content: Any, context: dict[str, Any] | None) -> SectionT:
+    """Read plain values as a ``section``.
+
+    Parameters
+    ----------
+    source
+        Where they are from, as messages name it.
+    section
+        What they should be.
+    content
+        What was found.
+    context
+        For the validators of ``section``: its file's folder, and what was read already.
+
+    Raises
+    ------
+    ConfigError
+        One line a mistake, all mistakes at once.
+    """
     if not isinstance(content, dict):
         raise ConfigError(
-            f"{path}: found {_show(content)}, expected a mapping with the keys {_join(section.model_fields)}"
+            f"{source}: found {_show(content)}, expected a mapping with the keys {_join(section.model_fields)}"
         )
     try:
-        return section.model_validate(content, context={"folder": path.parent, "read": {}})
+        return section.model_validate(content, context=context)
     except ArithmeticError:
-        raise ConfigError(f"{path}: found a number in quotes that is too large to calculate with") from None
+        raise ConfigError(f"{source}: found a number in quotes that is too large to calculate with") from None
     except ValidationError as error:
-        lines = list(_explain(path, section, error))
-        more = [f"{path}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
+        lines = list(_explain(source, section, error))
+        more = [f"{source}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
         raise ConfigError("\n".join([*map(_short, lines[:MOST_LINES]), *more])) from None
 
 
@@ -198,7 +219,7 @@ class _Spot(NamedTuple):
     union: tuple[int | str, ...] | None
 
 
-def _explain(path: Path, section: type[Section], error: ValidationError) -> Iterator[str]:
+def _explain(path: Path | str, section: type[Section], error: ValidationError) -> Iterator[str]:
     problems = error.errors(include_url=False)[:MOST_PROBLEMS]
     spots = [(_locate(section, problem["loc"]), problem) for problem in problems]
     deepest: dict[Any, int] = {}
@@ -215,7 +236,7 @@ def _explain(path: Path, section: type[Section], error: ValidationError) -> Iter
         yield f"{prefix}{found}{' or '.join(dict.fromkeys(expected_here))}"
 
 
-def _prefix(path: Path, spot: _Spot, problem: Any) -> str:
+def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
     if isinstance(problem.get("ctx", {}).get("error"), ConfigError):
         return ""
     place = _place(spot.path)
@@ -226,7 +247,7 @@ def _prefix(path: Path, spot: _Spot, problem: Any) -> str:
     return f"{path}: {place}: " if place else f"{path}: "
 
 
-def _describe(path: Path, spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
+def _describe(path: Path | str, spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
     """What was found, and what was expected instead; ``around`` are the types that the spot may lie in."""
     kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
     if kind == "extra_forbidden":

@@ -5,15 +5,11 @@ here, as an entry point of the group `GROUP`: the name is what model files say, 
 """
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+from msp_range.plugins import installed, load_entry
 from msp_range.sensors.base import Driver
 from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.mb1242 import MB1242
-from msp_range.yaml_file import ConfigError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 GROUP = "msp_range.drivers"
 """Entry points of installed packages that are drivers."""
@@ -35,7 +31,7 @@ def default_driver() -> type[Driver]:
 
 def driver_names() -> list[str]:
     """What a model file may name."""
-    return [*DRIVERS, *sorted({each.name for each in _installed()} - DRIVERS.keys()), NONE]
+    return [*DRIVERS, *sorted(installed(GROUP).keys() - DRIVERS.keys()), NONE]
 
 
 def find_driver(name: str) -> type[Driver] | None:
@@ -52,9 +48,10 @@ def find_driver(name: str) -> type[Driver] | None:
         return None
     if name in DRIVERS:
         return DRIVERS[name]
-    for entry in _installed():
-        if entry.name == name:
-            return _load(entry)
+    others = installed(GROUP)
+    if name in others:
+        driver: type[Driver] = load_entry(others[name], "driver", Driver)
+        return driver
     *names, last = [repr(each) for each in driver_names()]
     raise ValueError(f"expected {', '.join(names)} or {last}")
 
@@ -72,23 +69,6 @@ def longest_busy_s() -> float:
 
 def _all_drivers() -> Iterator[type[Driver]]:
     yield from DRIVERS.values()
-    for entry in _installed():
-        if entry.name not in DRIVERS:
-            yield _load(entry)
-
-
-def _installed() -> "Iterator[EntryPoint]":
-    """Drivers of other packages. Its import takes some of the bridge's start, so only for what is not built in."""
-    from importlib.metadata import entry_points
-
-    yield from entry_points(group=GROUP)
-
-
-def _load(entry: "EntryPoint") -> type[Driver]:
-    try:
-        driver = entry.load()
-    except Exception as error:  # Whatever somebody else's package does at its import is a mistake there.
-        raise ConfigError(f"the driver {entry.name!r} ({entry.value}) cannot be loaded: {error}") from error
-    if not (isinstance(driver, type) and issubclass(driver, Driver)):
-        raise ConfigError(f"the driver {entry.name!r} ({entry.value}) is no class derived from {Driver.__qualname__}")
-    return driver
+    for name, entry in installed(GROUP).items():
+        if name not in DRIVERS:
+            yield load_entry(entry, "driver", Driver)

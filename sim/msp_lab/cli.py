@@ -11,6 +11,10 @@ from msp_lab.gap.cli import app as gap_app
 from msp_range.extras import require
 from msp_range.mistakes import tell_mistakes
 from msp_range.yaml_file import ConfigError
+from msp_sim.cli import OwnEffects
+
+EXIT_FOUND = 1
+"""'check-effect' found something."""
 
 app = typer.Typer(
     name="msp-lab",
@@ -50,6 +54,7 @@ def collect(
     show_plan: Annotated[
         bool, typer.Option("--plan", help="show the points and the time they take; touch nothing")
     ] = False,
+    own_effects: OwnEffects = None,
 ) -> None:
     """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
 
@@ -62,8 +67,8 @@ def collect(
 
     of_flights = is_of_flights(campaign_file)
     if not simulate:
-        if model is not None or seed is not None:
-            raise ConfigError("--model and --seed: only emulated sensors read by them; give --simulate too")
+        if model is not None or seed is not None or own_effects:
+            raise ConfigError("--model, --seed and --effects: only emulated sensors use them; give --simulate too")
         from msp_lab.campaigns.commands import collect_at_bench, collect_recordings
 
         if of_flights:
@@ -75,7 +80,9 @@ def collect(
         raise ConfigError("--bus and --simulate: give one of them")
     require("sim", "msp-lab collect --simulate")
     from msp_lab.campaigns.collecting import collect_campaign, fly_flights
+    from msp_sim.effects.own import add_own_effects
 
+    add_own_effects(own_effects or ())
     seed = 1 if seed is None else seed
     if of_flights:
         fly_flights(campaign_file, out, model, seed, show_plan)
@@ -178,13 +185,51 @@ def _is_date(text: str) -> bool:
 @tell_mistakes
 def effects(
     as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
+    own_effects: OwnEffects = None,
 ) -> None:
     """List the effects that a sensor model file may name: what each is, what it needs, and what would show it."""
     require("sim", "msp-lab effects")
     from msp_sim.effects import CATALOGUE
     from msp_sim.effects.listing import as_data, as_text
+    from msp_sim.effects.own import add_own_effects
 
+    add_own_effects(own_effects or ())
     print(json.dumps(as_data(CATALOGUE), indent=2) if as_json else as_text(CATALOGUE))
+
+
+@app.command("check-effect")
+@tell_mistakes
+def check_effect(
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Python file with one effect or more")],
+    sensor: Annotated[
+        Path | None,
+        typer.Option(metavar="SENSOR.yaml", help="sensor model to try them on; default: the first driver's"),
+    ] = None,
+) -> None:
+    """Check effects of your own: what the simulator and the gap workflow rely on, and what to do where it is missing.
+
+    Exit code 1 where something was found. A file that passes is used with '--effects FILE.py'.
+    """
+    require("sim", "msp-lab check-effect")
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.sensors.table import DRIVERS
+    from msp_range.yaml_file import config_path
+    from msp_sim.effects.own import effects_of_file
+    from msp_sim.model.contract import own_columns, run_checks
+
+    on = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
+    failed = False
+    for effect in effects_of_file(file):
+        print(f"{effect.name}: {effect.sentence}")
+        for column in own_columns(effect):
+            print(f"  note: the column {column} is not one of the simulator's; it is tried with numbers from 0 to 1")
+        for result in run_checks(effect, on):
+            print(f"  {'ok    ' if result.found is None else 'FAILED'} {result.check.title}")
+            if result.found is not None:
+                failed = True
+                print(f"         found: {result.found}\n         to do: {result.check.advice}")
+    if failed:
+        raise typer.Exit(EXIT_FOUND)
 
 
 @app.command()

@@ -15,6 +15,10 @@ ReadBy = Annotated[
     Path | None,
     typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
 ]
+OwnEffects = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="FILE.py", help="file with effects of your own; may be repeated"),
+]
 
 app = typer.Typer(
     name="msp-sim",
@@ -41,6 +45,7 @@ def fly(
         float | None, typer.Option(min=0.1, help="at most so many times real time, to watch; left out: all it can")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
+    effects: OwnEffects = None,
 ) -> None:
     """Fly a scenario with the real bridge, and show what came of it.
 
@@ -48,10 +53,12 @@ def fly(
     'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
     """
     require("sim", "msp-sim fly", but=DRAWING)
+    from msp_sim.effects.own import add_own_effects
     from msp_sim.flight.flying import fly_scenario
 
     if realtime and speed is not None:
         raise ConfigError("--realtime and --speed: give one of them")
+    add_own_effects(effects or ())
     fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force)
 
 
@@ -86,6 +93,7 @@ def sitl(
     record: Annotated[Path | None, typer.Option(help="folder for a recording of every stage of every reading")] = None,
     out: Annotated[Path | None, typer.Option(help="folder for summary and picture")] = None,
     force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
+    effects: OwnEffects = None,
 ) -> None:
     """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.
 
@@ -94,8 +102,10 @@ def sitl(
     parameters.
     """
     require("sim", "msp-sim sitl", but=DRAWING)
+    from msp_sim.effects.own import add_own_effects
     from msp_sim.sitl.flying import fly_sitl
 
+    add_own_effects(effects or ())
     fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)
 
 
@@ -106,14 +116,17 @@ def sample(
     contexts: Annotated[Path, typer.Option(help="CSV whose rows say where a reading is to be drawn (true_range_cm)")],
     out: Annotated[Path, typer.Option(help="CSV to write: the contexts with reading_cm filled in")],
     seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    effects: OwnEffects = None,
 ) -> None:
     """Draw one reading a row of a CSV from a sensor model."""
     require("sim", "msp-sim sample")
     from numpy.random import default_rng
 
     from msp_range.recording.csv_form import read_csv, write_csv
+    from msp_sim.effects.own import add_own_effects
     from msp_sim.model.model import load_model
 
+    add_own_effects(effects or ())
     readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
     reading_cm = readings.sample(given.columns, default_rng(seed))

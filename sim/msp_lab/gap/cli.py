@@ -12,6 +12,7 @@ import typer
 
 from msp_range.extras import require
 from msp_range.mistakes import tell_mistakes
+from msp_sim.cli import OwnEffects
 
 if TYPE_CHECKING:
     from msp_lab.gap.commands import Steps
@@ -63,11 +64,12 @@ def _begins(last: Last) -> Callable[..., None]:
         run_column: RunColumn = None,
         column_map: ColumnMaps = None,
         until: Until = last,
+        effects: OwnEffects = None,
     ) -> None:
         from msp_lab.gap.findings import Settings
 
         settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-        _told(out, lambda steps: steps.all(measured, settings, until))
+        _told(out, effects, lambda steps: steps.all(measured, settings, until))
 
     return command
 
@@ -76,18 +78,20 @@ def _goes_on(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
     """A command that does this with what an earlier one left in a folder."""
 
     @tell_mistakes
-    def command(out: OutArgument) -> None:
-        _told(out, step)
+    def command(out: OutArgument, effects: OwnEffects = None) -> None:
+        _told(out, effects, step)
 
     return command
 
 
-def _told(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
+def _told(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFindings]") -> None:
     """Do a step with its progress on the terminal, and say what it found."""
     require("lab", "The gap workflow")
     from msp_lab.gap.commands import Steps
     from msp_lab.gap.terminal import Progressing, print_findings
+    from msp_sim.effects.own import add_own_effects
 
+    add_own_effects(effects or ())
     with Progressing() as progress:
         findings = step(Steps(out, progress.clock, progress.say))
     print_findings(findings, out)

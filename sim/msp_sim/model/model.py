@@ -20,6 +20,7 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
 from msp_sim.effects.curve import CURVE, MOST, curve
+from msp_sim.effects.own import find_effect
 from msp_sim.model.rows import Added, Faulty, Rows, RunOffset
 from msp_sim.model.streams import Streams
 
@@ -263,10 +264,13 @@ def active(name: str, of: str | None, values: Mapping[str, float], place: str = 
     ConfigError
         There is none of this name, a parameter is missing, unknown or out of its bounds, or ``of`` is missing.
     """
-    effect = CATALOGUE.get(name)
+    effect = find_effect(name)
     if effect is None:
         near = _near(name, CATALOGUE)
-        raise ConfigError(f"{place}.name: found {name!r}, expected one that 'msp-lab effects' lists.{near}")
+        raise ConfigError(
+            f"{place}.name: found {name!r}, expected one that 'msp-lab effects' lists, or one of your own file: "
+            f"--effects FILE.py.{near}"
+        )
     if (of is None) != (effect.of is None):
         expected = (
             f"the name of the {effect.of} that {name} is of" if effect.of else f"nothing: {name} is of all readings"

@@ -1,0 +1,98 @@
+"""Effects that are not in the package: of installed packages by entry points, and of a Python file that a user names.
+
+Both are added to the catalogue, and then are as good as those in it: model files may name them, the gap workflow tries
+them. A file holds one or more `Effect` objects at its top level; an entry point of the group `GROUP` is one::
+
+    [project.entry-points."msp_sim.effects"]
+    my_effect = "my_package.my_effect:MY_EFFECT"
+"""
+
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from msp_range.plugins import installed, load_entry
+from msp_range.yaml_file import ConfigError
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import Effect
+
+GROUP = "msp_sim.effects"
+"""Entry points of installed packages that are effects."""
+
+_SOURCES: dict[str, str] = {}
+"""Where each effect that was added is from."""
+
+
+def find_effect(name: str) -> Effect | None:
+    """The effect of this name: of the catalogue, or of an installed package; None where there is none.
+
+    Raises
+    ------
+    ConfigError
+        The package that offers it cannot be used.
+    """
+    if name not in CATALOGUE:
+        entry = installed(GROUP).get(name)
+        if entry is None:
+            return None
+        _add(load_entry(entry, "effect", Effect), entry.value)
+    return CATALOGUE.get(name)
+
+
+def add_own_effects(files: Sequence[Path] = ()) -> None:
+    """Add the effects of all installed packages and of these files to the catalogue.
+
+    Raises
+    ------
+    ConfigError
+        A package or a file cannot be used, or an effect has the name of another one.
+    """
+    for entry in installed(GROUP).values():
+        _add(load_entry(entry, "effect", Effect), entry.value)
+    for path in files:
+        for effect in effects_of_file(path):
+            _add(effect, str(path))
+
+
+def effects_of_file(path: Path) -> list[Effect]:
+    """The effects at the top level of a Python file.
+
+    Raises
+    ------
+    ConfigError
+        There is no such file, it cannot be run, or no effect is in it.
+    """
+    found = {each.name: each for each in vars(_run(path)).values() if isinstance(each, Effect)}
+    # What the file imports from the catalogue is not its own.
+    own = [each for each in found.values() if each is not CATALOGUE.get(each.name)]
+    if not own:
+        raise ConfigError(f"{path}: found no effect; expected an msp_sim.effects.base.Effect at the top level")
+    return own
+
+
+def _run(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file")
+    spec = spec_from_file_location(f"own_effects_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: expected a Python file, whose name ends in .py")
+    module = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # Whatever somebody's own file does is a mistake there.
+        lines = [each.lineno for each in traceback.extract_tb(sys.exc_info()[2]) if each.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        place = f"{path}:{line}" if line is not None else str(path)
+        raise ConfigError(f"{place}: {type(error).__name__}: {error}") from None
+    return module
+
+
+def _add(effect: Effect, source: str) -> None:
+    if effect.name in CATALOGUE and _SOURCES.get(effect.name) != source:
+        known = _SOURCES.get(effect.name, "the catalogue")
+        raise ConfigError(f"{source}: the effect {effect.name!r} has the name of one of {known}; give it another")
+    _SOURCES[effect.name] = source
+    CATALOGUE[effect.name] = effect

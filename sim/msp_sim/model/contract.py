@@ -1,0 +1,473 @@
+"""What the simulator and the gap workflow rely on of an effect, as checks that anybody can run on an own effect.
+
+An effect enters; for each check leaves what was found, in words for its author. The fits need the probabilities and
+their slopes, the simulator the draws, and both must mean the same thing. Every effect of the catalogue passes
+(`tests/property/test_effects.py`), and ``msp-lab check-effect`` runs the same checks on a file.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chisquare, kstest
+
+from msp_range.reading_model.rows import FREE
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
+from msp_sim.model.model import Active, Model
+from msp_sim.model.rows import Rows
+from msp_sim.model.sampler import Sampler
+from msp_sim.model.slopes import LEAST, slopes
+from msp_sim.model.streams import Streams
+
+Columns: TypeAlias = dict[str, NDArray[Any]]
+
+CODES = np.concatenate([np.arange(766.0), 32768.0 + np.arange(766.0)])
+"""Every number that an MB1242 or a fault of its bus can send [cm]; probabilities over them sum to one."""
+STRENGTHS = (0.3, 0.6, 1.0)
+"""Parts of the way from the null value to the farther bound at which an effect is tried: the first at which it shows.
+Weaker ones hide mistakes in the noise; at the bound itself some effects saturate."""
+SEEN_NATS = 1e-3
+"""An effect that improves the log probability of its own readings by less than this (nats per reading) does not show:
+of 40,000 readings random variation alone gives about 1e-5."""
+UNLIKELY = 1e-4
+"""p-value below which draws do not follow the probabilities: a correct effect fails one check in ten thousand."""
+WORDS = {"sensor": "left", "run": "3", "target": "grass"}
+"""The sensor, run or target that an effect of one of them is tried on."""
+_CHANGES: dict[str, Channel] = {
+    "bias_cm": "bias",
+    "log_spread": "spread",
+    "run_offset_cm": "spread",
+    "log_odds_short": "short",
+    "log_odds_missed": "missed",
+    "log_odds_random": "random",
+    "component": "component",
+    "fault": "code",
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One requirement.
+
+    Attributes
+    ----------
+    title
+        What is checked.
+    find
+        Returns what is wrong with an effect; None where nothing is.
+    advice
+        What to do then.
+    """
+
+    title: str
+    find: Callable[["Trial"], str | None]
+    advice: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """The outcome of a check; ``found`` is None where the effect passes."""
+
+    check: Check
+    found: str | None
+
+
+class Trial:
+    """An effect at a strength that shows, and the contexts that it is tried in.
+
+    Parameters
+    ----------
+    effect
+        What is tried.
+    sensor
+        The sensor model that it acts on, without effects.
+    """
+
+    def __init__(self, effect: Effect, sensor: SensorModel) -> None:
+        self.effect = effect
+        self.base = Model(sensor.model_copy(update={"effects": ()}))
+        self._strong: Active | None = None
+
+    @property
+    def strong(self) -> Active:
+        """The effect at the first of `STRENGTHS` at which it shows."""
+        if self._strong is None:
+            for strength in STRENGTHS:
+                self._strong = self.at(strong_values(self.effect, strength))
+                if self.gain() > SEEN_NATS:
+                    break
+        assert self._strong is not None
+        return self._strong
+
+    def at(self, values: Mapping[str, float]) -> Active:
+        """The effect with these values, of one sensor, run or target where it is of one."""
+        return Active(self.effect, dict(values), WORDS[self.effect.of] if self.effect.of else None)
+
+    def on(self, model: Model) -> Model:
+        """A model with the strong effect on top."""
+        return Model(model.sensor, (*model.effects, self.strong))
+
+    def neighbour(self) -> Model:
+        """Another effect on the base model, which this one must leave alone."""
+        return self.base.adding("clutter" if self.effect.name != "clutter" else "multipath", share=0.3)
+
+    def contexts(self, n: int, seed: int = 1) -> Columns:
+        """Contexts with the columns of this effect among them; each run offset is the only one of its run."""
+        columns = contexts(n, seed, self.effect.columns)
+        if "run_offset_cm" in self._changed():
+            columns["run"] = np.arange(n).astype(str)
+        return columns
+
+    def gain(self) -> float:
+        """Mean gain in log probability of the effect's own readings over the base model [nats per reading]."""
+        given = self.contexts(10_000, 9)
+        readings_cm = self.on(self.base).sample(given, np.random.default_rng(2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own, base = self.on(self.base).log_prob(readings_cm, given), self.base.log_prob(readings_cm, given)
+        return float(np.mean(own - np.maximum(base, np.log(LEAST))))
+
+    def _changed(self) -> set[str]:
+        """What `act` changes, by the names of `Change`."""
+        scene = Scene(self.base.sensor, contexts(200, 1, self.effect.columns))
+        with np.errstate(all="ignore"):
+            change = self.effect.act(scene, strong_values(self.effect, STRENGTHS[0]))
+        return {each.name for each in fields(change) if getattr(change, each.name) is not None}
+
+    def channels(self) -> set[str]:
+        """The channels that `act` changes."""
+        return {_CHANGES[name] for name in self._changed() if name in _CHANGES}
+
+
+def strong_values(effect: Effect, strength: float) -> dict[str, float]:
+    """Values part of the way from the null to the farther bound; shapes at their defaults."""
+    values = effect.nulls()
+    for parameter in effect.parameters:
+        if parameter.null is not None:
+            bound = max(parameter.low, parameter.high, key=lambda each: abs(each - values[parameter.name]))
+            values[parameter.name] += strength * (bound - values[parameter.name])
+    return values
+
+
+def contexts(n: int, seed: int = 1, also: Sequence[str] | frozenset[str] = ()) -> Columns:
+    """Contexts of all kinds, each column unknown in a tenth of the rows.
+
+    Parameters
+    ----------
+    n
+        Number of rows.
+    seed
+        Random seed.
+    also
+        Columns of an own effect: those that are not known here get numbers from 0 to 1.
+    """
+    # A stream of its own: a check that draws by the same seed must not draw the same numbers.
+    rng = np.random.default_rng((seed, 17))
+    near = rng.random(n) < 0.5
+    columns: Columns = {
+        TRUE_RANGE: np.where(near, rng.uniform(10.0, 120.0, n), rng.uniform(20.0, 800.0, n)),
+        "air_temperature_c": rng.uniform(-10.0, 45.0, n),
+        "target_temperature_c": rng.uniform(0.0, 60.0, n),
+        "humidity_pct": rng.uniform(0.0, 100.0, n),
+        "incidence_deg": rng.uniform(-30.0, 30.0, n),
+        "range_rate_cm_s": rng.normal(0.0, 150.0, n),
+        "throttle": rng.random(n),
+        "vibration_hz": rng.choice([0.0, 60.0], n),
+        "uptime_s": rng.uniform(0.0, 900.0, n),
+        "target_size_cm": rng.uniform(2.0, 60.0, n),
+        "neighbour_lag_ms": rng.choice([0.0, 2.0, 100.0], n),
+        "neighbour_range_cm": rng.uniform(20.0, 700.0, n),
+        "external_level_db": rng.uniform(80.0, 130.0, n),
+        "external_duty": rng.random(n),
+        "external_distance_cm": rng.uniform(10.0, 300.0, n),
+        "external_frequency_khz": rng.uniform(38.0, 46.0, n),
+        "previous_reading_cm": np.rint(rng.uniform(20.0, 765.0, n)),
+    }
+    columns |= {name: rng.random(n) for name in sorted({*also} - columns.keys() - WORD_COLUMNS)}
+    for name, column in columns.items():
+        column[rng.random(n) < (0.02 if name == TRUE_RANGE else 0.1)] = np.nan
+    columns["sensor"] = rng.choice(["left", "right", ""], n)
+    # Almost every reading is the only one of its run, so that the runs' offsets are independent.
+    columns["run"] = np.where(rng.random(n) < 0.3, "3" if n > 1000 else "4", np.arange(n).astype(str))
+    columns["target"] = rng.choice(["grass", "asphalt", ""], n)
+    return columns
+
+
+def own_columns(effect: Effect) -> list[str]:
+    """Columns of an effect that `contexts` knows nothing of and fills with numbers from 0 to 1."""
+    return sorted(effect.columns - contexts(1).keys())
+
+
+def _description(trial: Trial) -> str | None:
+    return next(_description_faults(trial.effect), None)
+
+
+def _description_faults(effect: Effect) -> Iterator[str]:
+    if not (effect.name.isidentifier() and effect.name == effect.name.lower()):
+        yield f"the name is {effect.name!r}"
+    if not effect.sentence.endswith("."):
+        yield f"the sentence {effect.sentence!r} does not end with a full stop"
+    for key in ("physics", "source", "experiment"):
+        if not getattr(effect, key):
+            yield f"{key} is empty"
+    if not effect.channels or not {*effect.channels} <= {*get_args(Channel)}:
+        yield f"the channels are {effect.channels}"
+    if not any(parameter.null is not None for parameter in effect.parameters):
+        yield "no parameter has a null value, at which the effect vanishes"
+    for parameter in effect.parameters:
+        if (parameter.null is None) == (parameter.default is None):
+            yield f"parameter {parameter.name} has not exactly one of null and default"
+        for value in (parameter.null, parameter.default, *parameter.tried):
+            if value is not None and not parameter.low <= value <= parameter.high:
+                bounds = f"{parameter.low:g} to {parameter.high:g}"
+                yield f"parameter {parameter.name}: {value:g} is outside its bounds {bounds}"
+
+
+def _runs(trial: Trial) -> str | None:
+    try:
+        channels = trial.channels()
+        trial.on(trial.base).rows(trial.contexts(100))
+    except Exception as error:  # Whatever somebody's own code raises is the finding.
+        return f"it raises {type(error).__name__}: {error}"
+    if channels - {*trial.effect.channels}:
+        return f"it changes {', '.join(sorted(channels))}, but says {', '.join(trial.effect.channels)}"
+    return None
+
+
+def _shows(trial: Trial) -> str | None:
+    gain = trial.gain() if trial.strong else 0.0
+    if not np.isfinite(gain):
+        return "some readings that it draws have no probability"
+    return None if gain > SEEN_NATS else f"the model with it explains its own readings {gain:.1g} nats better"
+
+
+def _null(trial: Trial) -> str | None:
+    base, given = trial.neighbour(), trial.contexts(3000)
+    null = Model(base.sensor, (*base.effects, trial.at(trial.effect.nulls())))
+    readings_cm = base.sample(given, np.random.default_rng(4))
+    other = (null.sample(given, np.random.default_rng(4)) != readings_cm).sum()
+    if other:
+        return f"at its null values {other} of 3000 readings differ from those without it"
+    off = np.abs(null.log_prob(readings_cm, given) - base.log_prob(readings_cm, given)).max()
+    return None if off < 1e-8 else f"at its null values log probabilities differ by up to {off:.2g}"
+
+
+def _rests(trial: Trial) -> str | None:
+    effect, base, given = trial.effect, trial.neighbour(), trial.contexts(3000)
+    with_effect = trial.on(base)
+    readings_cm = base.sample(given, np.random.default_rng(4))
+    for column in sorted({*effect.needs, *([effect.of] if effect.of else [])} - {TRUE_RANGE}):
+        absent = {key: values for key, values in given.items() if key != column}
+        empty = np.full(3000, "" if given[column].dtype.kind == "U" else np.nan)
+        for unknown, how in ((absent, "is absent"), ({**given, column: empty}, "is empty")):
+            drawn_cm = with_effect.sample(unknown, np.random.default_rng(4))
+            scores_differ = with_effect.log_prob(readings_cm, unknown) != base.log_prob(readings_cm, unknown)
+            if (drawn_cm != readings_cm).any() or scores_differ.any():
+                return f"it changes readings although the column {column} {how}"
+    return None
+
+
+def _sums(trial: Trial) -> str | None:
+    rows = 24
+    each = {column: np.repeat(values, CODES.size) for column, values in trial.contexts(rows, 5).items()}
+    p = np.exp(trial.on(trial.base).log_prob(np.tile(CODES, rows), each)).reshape(rows, CODES.size)
+    off = np.abs(p.sum(axis=1) - 1.0).max()
+    return None if off < 1e-9 else f"the probabilities of all codes sum to 1 {off:+.2g} in some context"
+
+
+def _slopes(trial: Trial) -> str | None:
+    n = 2000
+    rows = trial.on(trial.base).rows(trial.contexts(n, 4))
+    rng = np.random.default_rng(6)
+    reading_cm = np.where(rng.random(n) < 0.7, rows.sample(Streams(rng)), rng.choice(CODES, n))
+    reading_cm[:10] += 0.5
+    log_p, by = slopes(rows, reading_cm)
+    if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(LEAST))).max() > 1e-9:
+        return "log probabilities with and without slopes differ"
+    can = log_p > np.log(1e-11)
+    with np.errstate(invalid="ignore"):
+        for j, (more, less) in enumerate(zip(_moved(rows, 1e-4), _moved(rows, -1e-4), strict=True)):
+            step = 2e-4 * (rows.sigma_cm if j == 0 else 1.0)
+            numeric = ((more.log_prob(reading_cm) - less.log_prob(reading_cm)) / step)[can]
+            # Short readings end at the hit: where a step of it crosses the edge of a code there is a kink.
+            close = np.isclose(by[can, j], numeric, rtol=5e-3, atol=2e-2 if j == 0 else 5e-3)
+            if not close.all():
+                return f"the slope by {FREE[j]} is off in {(~close).sum()} of {n} readings"
+    return None
+
+
+def _moved(rows: Rows, h: float) -> list[Rows]:
+    """Rows with each quantity of `FREE` a little larger."""
+    hit, short, missed, random = rows.log_weights
+    return [
+        replace(rows, centre_cm=rows.centre_cm + h * rows.sigma_cm),
+        rows.wider(np.exp(h)),
+        replace(rows, log_weights=(hit, short + h, missed, random)),
+        replace(rows, log_weights=(hit, short, missed + h, random)),
+        replace(rows, log_weights=(hit, short, missed, random + h)),
+        replace(rows, rate_per_m=rows.rate_per_m * float(np.exp(h))),
+        replace(rows, saturated_fraction=rows.saturated_fraction + h),
+    ]
+
+
+def _draws(trial: Trial) -> str | None:
+    """The randomised probability integral transform is uniform over contexts of all kinds."""
+    given = trial.contexts(40_000)
+    p_value = uniformity(trial.on(trial.base), given)
+    return None if p_value > UNLIKELY else f"readings drawn in 40,000 contexts do not follow it (p = {p_value:.1g})"
+
+
+def uniformity(model: Model, given: Columns) -> float:
+    """p-value of a model's own draws under its probabilities; 0 where one has none."""
+    readings_cm = model.sample(given, np.random.default_rng(2))
+    rows = model.rows(given)
+    p = np.exp(rows.log_prob(readings_cm))
+    if not (p > 0.0).all():
+        return 0.0
+    transformed = np.exp(rows.log_below(readings_cm)) + p * np.random.default_rng(3).random(p.size)
+    return float(kstest(transformed, "uniform").pvalue)
+
+
+def _draws_of_one(trial: Trial) -> str | None:
+    """Chi-square, code by code, in four contexts in which the effect acts."""
+    model, n = trial.on(trial.base), 20_000
+    few = trial.contexts(500, 8)
+    before_cm = few["previous_reading_cm"].astype(float)
+    acting = np.flatnonzero(model.log_prob(before_cm, few) != trial.base.log_prob(before_cm, few))[:4]
+    for row in acting:
+        given = {column: np.repeat(values[row], n) for column, values in few.items()}
+        given["run"] = np.arange(n).astype(str) if trial.effect.of is None else given["run"]
+        readings_cm = model.sample(given, np.random.default_rng(int(row)))
+        one = {column: np.repeat(values[row], CODES.size) for column, values in few.items()}
+        expected = n * np.exp(model.log_prob(CODES, one))
+        observed = np.bincount(np.searchsorted(CODES, readings_cm), minlength=CODES.size)
+        where = ", ".join(f"{column} {few[column][row]}" for column in sorted(trial.effect.columns))
+        if observed[expected == 0.0].any():
+            return f"with {where} it draws readings that have no probability"
+        sums = _grouped(observed[expected > 0.0], expected[expected > 0.0])
+        if sums[0].size > 1 and chisquare(*sums).pvalue < UNLIKELY:
+            return f"with {where} readings do not come as often as their probabilities say"
+    return None
+
+
+def _grouped(observed: NDArray[Any], expected: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Counts of neighbouring codes together, ten or more expected in each group."""
+    group = np.floor(np.cumsum(expected) / 10.0).astype(int)
+    group = np.unique(group, return_inverse=True)[1]
+    group[group == group.max()] = max(group.max() - 1, 0)
+    return np.bincount(group, observed), np.bincount(group, expected)
+
+
+def _one_at_a_time(trial: Trial) -> str | None:
+    model, few, n = trial.on(trial.base), trial.contexts(150), 150
+    sampler, streams = Sampler(model, np.random.default_rng(7)), Streams(np.random.default_rng(7))
+    for i in range(n):
+        one = {column: values[i].item() for column, values in few.items()}
+        unknown_as_none = {key: None if value != value else value for key, value in one.items()}
+        many = model.sample({column: values[i : i + 1] for column, values in few.items()}, streams)
+        try:
+            alone = sampler.sample_one(unknown_as_none)
+        except Exception as error:  # Whatever somebody's own code raises is the finding.
+            return f"with plain numbers in place of arrays it raises {type(error).__name__}: {error}"
+        if alone != many[0]:
+            return f"reading {i + 1} drawn alone is {alone}, and {many[0]:.0f} drawn with others"
+    return None
+
+
+def _leaves_others(trial: Trial) -> str | None:
+    n, effect = 3000, trial.effect
+    given = trial.contexts(n)
+    rests = np.zeros(n, dtype=bool)
+    for column in effect.needs:
+        here = given[column]
+        rests |= (here == "") if here.dtype.kind == "U" else np.isnan(here)
+    others: dict[str, dict[str, Any]] = {
+        "multipath": {"share": 0.3},
+        "range_scale": {"scale_pct": 3.0},
+        "or_ed_bytes": {"share": 0.5},
+    }
+    for name, values in others.items():
+        if name == effect.name:
+            continue
+        other = trial.base.adding(name, **values)
+        readings_cm = other.sample(given, np.random.default_rng(9))
+        for both in (trial.on(other), Model(other.sensor, (trial.strong, *other.effects))):
+            same = both.sample(given, np.random.default_rng(9)) == readings_cm
+            if not same[rests].all():
+                return f"next to {name}, readings change where it does not act"
+    return None
+
+
+def _rare(trial: Trial) -> str | None:
+    if "share" not in trial.effect.nulls() or not {"component", "code"} & {*trial.effect.channels}:
+        return None
+    n = 20_000
+    given = trial.contexts(n)
+    readings_cm = trial.base.sample(given, np.random.default_rng(9))
+    rare = Model(trial.base.sensor, (trial.at(dict(trial.strong.values) | {"share": 0.01}),))
+    changed = float((rare.sample(given, np.random.default_rng(9)) != readings_cm).mean())
+    return None if changed < 0.0125 else f"with a share of 1 % it changes {100 * changed:.1f} % of the readings"
+
+
+CHECKS = (
+    Check(
+        "it explains itself, and its values lie within its bounds",
+        _description,
+        "give every field of Effect and Parameter; a parameter has a null (where the effect vanishes) or a default",
+    ),
+    Check(
+        "it runs, and changes what it says",
+        _runs,
+        "act takes columns of numbers (numpy arrays) and returns a Change; channels lists what that changes",
+    ),
+    Check(
+        "it shows",
+        _shows,
+        "check that act uses every parameter and that needs names the columns it depends on; widen the bounds",
+    ),
+    Check("at its null values it is not there", _null, "at the null values act must return zero shifts and shares"),
+    Check(
+        "it rests where a column that it needs is unknown",
+        _rests,
+        "list every column that act reads in needs, or in reads where it can do without",
+    ),
+    Check(
+        "probabilities sum to one",
+        _sums,
+        "return shares from 0 to 1 and finite shifts; a component's probabilities must sum to one on their own",
+    ),
+    Check(
+        "slopes are the derivatives of the probabilities", _slopes, "check the component's or the code fault's slopes"
+    ),
+    Check(
+        "readings are drawn as the probabilities say",
+        _draws,
+        "check that the component or code fault draws from the distribution that it scores",
+    ),
+    Check(
+        "readings are drawn as the probabilities say, code by code",
+        _draws_of_one,
+        "check that the component or code fault draws from the distribution that it scores",
+    ),
+    Check(
+        "one reading at a time is drawn as many are",
+        _one_at_a_time,
+        "act is called with plain numbers too: use numpy functions (np.maximum, np.where), not array methods",
+    ),
+    Check(
+        "other effects draw what they drew", _leaves_others, "act must not depend on other readings of the same call"
+    ),
+    Check("a share is a share of the readings", _rare, "the parameter share is the share of readings that it changes"),
+)
+
+
+def run_checks(effect: Effect, sensor: SensorModel) -> Iterator[Result]:
+    """Check an effect on a sensor; what cannot be tried after a first failure of the kind is left out."""
+    trial = Trial(effect, sensor)
+    for i, check in enumerate(CHECKS):
+        found = check.find(trial)
+        yield Result(check, found)
+        if found is not None and i < 2:
+            return
