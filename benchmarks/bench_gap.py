@@ -19,7 +19,7 @@ import numpy as np
 
 from msp_lab.gap.search import Search
 from msp_lab.gap.units import numbered
-from msp_range.recording.csv_form import CONTEXT_COLUMNS
+from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, contexts
 

@@ -3,14 +3,17 @@
 Temperatures in degrees Celsius enter, metres per second, seconds and metres leave. Follows the characterization
 report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in air it is about
 343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls these functions
-for each reading, so a plain number takes the way through `math` and an array the way through numpy.
+for each reading, so a plain number takes the way through `math`; numpy, for arrays, need not be imported to fly.
 """
 
-import math
-from typing import NamedTuple, overload
+from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+from typing import TYPE_CHECKING, NamedTuple, overload
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 HEAT_CAPACITY_RATIO = 1.4
 """gamma of dry air: an ideal gas of two-atom molecules has 7/5."""
@@ -79,9 +82,7 @@ def speed_of_sound(temperature_c: float | NDArray[np.float64]) -> float | NDArra
     331.3
     """
     absolute_k = _absolute_k(temperature_c)
-    if isinstance(absolute_k, np.ndarray):
-        return np.sqrt(_SPEED_SQUARED_PER_K * absolute_k)
-    return math.sqrt(_SPEED_SQUARED_PER_K * absolute_k)
+    return _square_root(_SPEED_SQUARED_PER_K * absolute_k)
 
 
 @overload
@@ -167,9 +168,7 @@ def compensate_range(
     2.884
     """
     ratio = _absolute_k(air_temperature_c) / _absolute_k(calibration_temperature_c)
-    if isinstance(ratio, np.ndarray):
-        return range_m * np.sqrt(ratio)
-    return range_m * math.sqrt(ratio)
+    return range_m * _square_root(ratio)
 
 
 def air_variance_m2(range_m: float, air: Air) -> float:
@@ -208,9 +207,16 @@ def air_error_m(range_m: float, air: Air) -> float:
 
 def _absolute_k(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
     absolute_k = temperature_c + ZERO_CELSIUS_K
-    too_cold = (absolute_k <= 0.0).any() if isinstance(absolute_k, np.ndarray) else absolute_k <= 0.0
+    too_cold = absolute_k <= 0.0 if isinstance(absolute_k, int | float) else (absolute_k <= 0.0).any()
     if too_cold:
-        raise ValueError(
-            f"found a temperature of {np.min(temperature_c)} deg C, expected one above absolute zero (-273.15 deg C)"
-        )
+        coldest_c = temperature_c if isinstance(temperature_c, int | float) else temperature_c.min()
+        raise ValueError(f"found a temperature of {coldest_c} deg C, expected one above absolute zero (-273.15 deg C)")
     return absolute_k
+
+
+def _square_root(number: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    if isinstance(number, int | float):
+        return math.sqrt(number)
+    import numpy as np
+
+    return np.sqrt(number)

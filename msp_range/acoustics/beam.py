@@ -5,14 +5,17 @@ half angles and fields of view leave. Between the table's rows the angle is inte
 is held. What the bridge uses has more rows than were measured: `msp_range.acoustics.sonar` adds them beyond.
 """
 
+from __future__ import annotations
+
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 NARROWEST_HALF_ANGLE_DEG = 6.0
 """No beam is said to be narrower than this [deg]: a choice, about half the narrowest one measured (12.6 at 200 cm)."""
@@ -100,7 +103,9 @@ class BreakawayTable:
             Angle from the axis [rad], linear between the table's rows and held outside them.
         """
         ranges_m, angles_rad = self.ranges_m, self._half_angles_rad
-        if isinstance(range_m, np.ndarray):
+        if not isinstance(range_m, int | float):
+            import numpy as np  # A vehicle asks for one range at a time, and starts sooner without this package.
+
             return np.interp(range_m, ranges_m, angles_rad)
         if range_m <= ranges_m[0]:
             return angles_rad[0]

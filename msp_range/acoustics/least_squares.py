@@ -1,14 +1,12 @@
 """Least squares of a few parameters with lower bounds, by Levenberg and Marquardt's method.
 
-The bridge fits one small equation when it starts (`msp_range.acoustics.sonar`), and importing scipy.optimize for it
-took longer than everything else of the start together.
+The bridge fits one small equation when it starts (`msp_range.acoustics.sonar`). In plain Python, because importing
+scipy.optimize for it took longer than everything else of the start together, and numpy a fifth of what was left.
 """
 
 import math
 from collections.abc import Callable, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from itertools import combinations
 
 STEP = 1e-7
 """Of a parameter, relative to it or to 1, for the residuals' slopes: near the root of a float's precision, where a
@@ -19,13 +17,15 @@ MAX_STEPS = 200
 """Fits of the sonar equation take 5 to 30; a fit that has not ended by then is as good as it gets."""
 MAX_DAMPING = 1e12
 """With more damping than this a step is smaller than a float can resolve: there is no better point near."""
-
-_Array = NDArray[np.float64]
+MAX_SWEEPS = 30
+"""Turns of all pairs of columns until they are at right angles; 4 to 6 are enough for a few columns."""
+FLOAT_EPSILON = 2.0**-52
+"""A float's precision: columns at right angles to this are, and a direction that is weaker than it is none."""
 
 
 def least_squares(
-    residuals: Callable[[_Array], Sequence[float]], start: Sequence[float], lower: Sequence[float]
-) -> _Array:
+    residuals: Callable[[Sequence[float]], Sequence[float]], start: Sequence[float], lower: Sequence[float]
+) -> list[float]:
     """The parameters p >= lower nearest to ``start`` in whose neighbourhood the sum of squared residuals is least.
 
     Steps solve (J'J + d diag(J'J)) s = -J'r over the parameters that are not held by their bound, and are cut at the
@@ -34,45 +34,39 @@ def least_squares(
     Parameters
     ----------
     residuals
-        Parameters, shape (n,) -> residuals, as many for all parameters.
+        Parameters, length n -> residuals, as many for all parameters.
     start, lower
         Where to start, at the bounds or above; lower bounds, minus infinity for none. Length n.
 
     Returns
     -------
-    ndarray, shape (n,)
+    list of float, length n
 
     Examples
     --------
     A line through (0, 1), (1, 3), (2, 5), and one that must not start below 2:
 
     >>> line = lambda p: [p[0] + p[1] * x - y for x, y in ((0, 1), (1, 3), (2, 5))]
-    >>> print(least_squares(line, [0.0, 0.0], [-np.inf, -np.inf]).round(6))
-    [1. 2.]
-    >>> print(least_squares(line, [2.0, 0.0], [2.0, -np.inf]).round(6))
-    [2.  1.4]
+    >>> [f"{each:.4f}" for each in least_squares(line, [0.0, 0.0], [-math.inf, -math.inf])]
+    ['1.0000', '2.0000']
+    >>> [f"{each:.4f}" for each in least_squares(line, [2.0, 0.0], [2.0, -math.inf])]
+    ['2.0000', '1.4000']
     """
-    bounds = np.asarray(lower, dtype=np.float64)
-    parameters = np.array(start, dtype=np.float64)
-    misses = np.asarray(residuals(parameters), dtype=np.float64)
-    cost, damping = float(misses @ misses), 1e-3
+    parameters = list(start)
+    misses = list(residuals(parameters))
+    cost, damping = _dot(misses, misses), 1e-3
     for _ in range(MAX_STEPS):
         slopes = _slopes(residuals, parameters, misses)
-        downhill = -slopes.T @ misses
-        free = (parameters > bounds) | (downhill > 0.0)
-        if not free.any():
+        free = [i for i, slope in enumerate(slopes) if parameters[i] > lower[i] or _dot(slope, misses) < 0.0]
+        if not free:
             break
-        scale = np.diag(np.linalg.norm(slopes[:, free], axis=0))
-        aims = np.concatenate([-misses, np.zeros(len(scale))])
         before = cost
         while damping < MAX_DAMPING:
-            tried = parameters.copy()
-            # The step as a least-squares problem of its own: the shortest one where parameters do the same or nothing.
-            tried[free] += np.linalg.lstsq(np.vstack([slopes[:, free], math.sqrt(damping) * scale]), aims)[0]
-            tried = np.maximum(tried, bounds)
-            misses_there = np.asarray(residuals(tried), dtype=np.float64)
-            if float(misses_there @ misses_there) <= cost:
-                parameters, misses, cost = tried, misses_there, float(misses_there @ misses_there)
+            tried = _step(parameters, lower, misses, slopes, free, damping)
+            misses_there = list(residuals(tried))
+            cost_there = _dot(misses_there, misses_there)
+            if cost_there <= cost:
+                parameters, misses, cost = tried, misses_there, cost_there
                 damping /= 10.0
                 break
             damping *= 10.0
@@ -81,12 +75,94 @@ def least_squares(
     return parameters
 
 
-def _slopes(residuals: Callable[[_Array], Sequence[float]], parameters: _Array, misses: _Array) -> _Array:
-    """Forward differences of the residuals, shape (residuals, parameters)."""
-    columns = []
-    for i, parameter in enumerate(parameters.tolist()):
+def shortest_solution(columns: Sequence[Sequence[float]], aims: Sequence[float]) -> list[float]:
+    """The shortest x for which the sum of x_i columns_i is nearest to ``aims``, by the singular value decomposition.
+
+    The columns are turned in pairs until all are at right angles (Hestenes 1958); their lengths are then the singular
+    values, and a direction that is weaker than rounding counts as none.
+
+    Parameters
+    ----------
+    columns
+        n columns of length m.
+    aims
+        Length m.
+
+    Returns
+    -------
+    list of float, length n
+
+    Examples
+    --------
+    Where two columns are the same, both get half:
+
+    >>> [f"{each:.3f}" for each in shortest_solution([[1.0, 1.0], [1.0, 1.0]], [3.0, 3.0])]
+    ['1.500', '1.500']
+    """
+    turned = [list(column) for column in columns]
+    size = len(turned)
+    turns = [[float(i == j) for j in range(size)] for i in range(size)]
+    for _ in range(MAX_SWEEPS):
+        turned_pairs = [_turn(turned, turns, i, j) for i, j in combinations(range(size), 2)]
+        if not any(turned_pairs):
+            break
+    lengths = [math.hypot(*column) for column in turned]
+    weakest = FLOAT_EPSILON * max(size, len(aims)) * max(lengths)
+    solution = [0.0] * size
+    for column, turn, length in zip(turned, turns, lengths, strict=True):
+        if length > weakest:
+            share = _dot(column, aims) / (length * length)
+            solution = [each + share * part for each, part in zip(solution, turn, strict=True)]
+    return solution
+
+
+def _turn(columns: list[list[float]], turns: list[list[float]], i: int, j: int) -> bool:
+    """Turn two columns to a right angle, and note the turn; False where they are at one."""
+    one, other = columns[i], columns[j]
+    product = _dot(one, other)
+    if abs(product) <= FLOAT_EPSILON * math.hypot(*one) * math.hypot(*other):
+        return False
+    ratio = (_dot(other, other) - _dot(one, one)) / (2.0 * product)
+    tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.hypot(1.0, ratio))
+    cosine = 1.0 / math.hypot(1.0, tangent)
+    sine = cosine * tangent
+    for rows in (columns, turns):
+        one, other = rows[i], rows[j]
+        rows[i] = [cosine * a - sine * b for a, b in zip(one, other, strict=True)]
+        rows[j] = [sine * a + cosine * b for a, b in zip(one, other, strict=True)]
+    return True
+
+
+def _step(
+    parameters: list[float],
+    lower: Sequence[float],
+    misses: list[float],
+    slopes: list[list[float]],
+    free: list[int],
+    damping: float,
+) -> list[float]:
+    """The parameters after one step of those that are free."""
+    root = math.sqrt(damping)
+    # As a least-squares problem of its own: the shortest step where parameters do the same or nothing.
+    columns = [[*slopes[i], *(root * math.hypot(*slopes[i]) if i == j else 0.0 for j in free)] for i in free]
+    step = shortest_solution(columns, [*(-miss for miss in misses), *(0.0 for _ in free)])
+    tried = list(parameters)
+    for i, by in zip(free, step, strict=True):
+        tried[i] = max(tried[i] + by, lower[i])
+    return tried
+
+
+def _slopes(
+    residuals: Callable[[Sequence[float]], Sequence[float]], parameters: list[float], misses: list[float]
+) -> list[list[float]]:
+    """Forward differences of the residuals by each parameter."""
+    slopes = []
+    for i, parameter in enumerate(parameters):
         step = STEP * max(abs(parameter), 1.0)
-        moved = parameters.copy()
-        moved[i] += step
-        columns.append((np.asarray(residuals(moved), dtype=np.float64) - misses) / step)
-    return np.array(columns).T
+        moved = [*parameters[:i], parameter + step, *parameters[i + 1 :]]
+        slopes.append([(there - miss) / step for there, miss in zip(residuals(moved), misses, strict=True)])
+    return slopes
+
+
+def _dot(one: Sequence[float], other: Sequence[float]) -> float:
+    return sum([a * b for a, b in zip(one, other, strict=True)])

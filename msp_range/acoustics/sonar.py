@@ -9,9 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-from numpy.typing import NDArray
-
 from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
 from msp_range.acoustics.echo import WALL, Target, echo_level_db
@@ -139,14 +136,14 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     kept_m = max(on_axis_m or 0.0, table.ranges_m[-1])
     wavelength_m = ROOM.wavelength_m(frequency_hz)
 
-    def sonar_of(parameters: NDArray[np.float64]) -> Sonar:
+    def sonar_of(parameters: Sequence[float]) -> Sonar:
         # The first parameter is the excess on the axis at the range to keep to: at least 0 dB.
-        excess_db, log_diameter, gain_db_per_m = parameters.tolist()
+        excess_db, log_diameter, gain_db_per_m = parameters
         silent = Sonar(0.0, math.exp(log_diameter), gain_db_per_m, frequency_hz)
         source_level_db = excess_db - silent.excess_db(kept_m)
         return Sonar(source_level_db, silent.piston_diameter_m, gain_db_per_m, frequency_hz)
 
-    def misses_deg(parameters: NDArray[np.float64]) -> list[float]:
+    def misses_deg(parameters: Sequence[float]) -> list[float]:
         sonar = sonar_of(parameters)
         # Below the threshold the angle goes on as its mirror image, so that the fit finds its way back.
         excesses_db = [sonar.excess_db(range_m) for range_m in table.ranges_m]

@@ -6,13 +6,16 @@ have been corrected with in the literature that the report follows (Gontean and 
 sensor's calibration temperature: what it adds or scales happens in its clock and not in the air.
 """
 
+from __future__ import annotations
+
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 SLOPES = (0.5, 2.0)
 """A piece that is flatter or steeper than this is a mistake and no calibration [cm reading a cm of range]."""
@@ -81,11 +84,11 @@ class Calibration:
         return reading_cm if self.is_identity else self._inverse(reading_cm)
 
     @cached_property
-    def _forward(self) -> "_Pieces":
+    def _forward(self) -> _Pieces:
         return _Pieces(self.true_cm, self.reading_cm)
 
     @cached_property
-    def _inverse(self) -> "_Pieces":
+    def _inverse(self) -> _Pieces:
         return _Pieces(self.reading_cm, self.true_cm)
 
 
@@ -100,16 +103,17 @@ class _Pieces:
         self._inner = x[1:-1]
         self._x, self._y = x[:-1], y[:-1]
         self._slope = tuple((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(len(self._x)))
-        self._arrays = tuple(np.array(each) for each in (self._inner, self._x, self._y, self._slope))
 
     @overload
     def __call__(self, x: float) -> float: ...
     @overload
     def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def __call__(self, x: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
-        if isinstance(x, np.ndarray):
-            inner, starts, values, slopes = self._arrays
-            piece = np.searchsorted(inner, x, side="right")
+        if not isinstance(x, int | float):
+            import numpy as np  # A vehicle asks for one range at a time, and starts sooner without this package.
+
+            starts, values, slopes = (np.array(each) for each in (self._x, self._y, self._slope))
+            piece = np.searchsorted(self._inner, x, side="right")
             found: NDArray[np.float64] = values[piece] + slopes[piece] * (x - starts[piece])
             return found
         i = bisect_right(self._inner, x)

@@ -5,9 +5,8 @@ runs (Adams and MacKay 2007, Fearnhead and Liu 2007), each with a constant range
 own reading model as the likelihood; `msp_range.filters.runs` has the equations. There is nothing to tune.
 """
 
+import math
 from typing import TYPE_CHECKING, Literal
-
-import numpy as np
 
 from msp_range.filters.base import Estimate
 from msp_range.reading_model.sensor_model import SensorModel
@@ -27,7 +26,7 @@ class ChangepointParameters(Section):
         """A filter in its starting state."""
         if sensor is None:
             raise ValueError("filter changepoint: needs the sensor model, whose reading model is its likelihood")
-        # Brings scipy, which checking a file can do without.
+        # Brings numpy, which checking a file can do without.
         from msp_range.filters.runs import Likelihood
 
         return Changepoint(
@@ -43,6 +42,8 @@ class Changepoint:
     """
 
     def __init__(self, likelihood: "Likelihood") -> None:
+        import numpy as np
+
         self._likelihood = likelihood
         self._variance_m2 = likelihood.variance_m2
         self._elapsed_s, self._reading_m, self._reading_variance_m2 = np.zeros(1), np.zeros(1), np.zeros(1)
@@ -56,7 +57,7 @@ class Changepoint:
         self._time_s = max(time_s, before_s)
         self._elapsed_s[0] = self._time_s - before_s
         self._reading_m[0] = measured.range_m
-        self._reading_variance_m2[0] = variance_m2 if variance_m2 < np.inf else self._variance_m2
+        self._reading_variance_m2[0] = variance_m2 if variance_m2 < math.inf else self._variance_m2
         estimate = self._runs.update(self._elapsed_s, self._reading_m, self._reading_variance_m2)
         if not estimate.sure[0]:
             return None

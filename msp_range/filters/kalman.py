@@ -7,7 +7,6 @@ the better one: it follows a climb without lag, and takes readings at whatever t
 import math
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from msp_range.filters.base import Estimate
@@ -46,6 +45,7 @@ class Kalman:
 
     def __init__(self, parameters: KalmanParameters) -> None:
         # filterpy takes a second to import, and only an airframe that names this filter needs it.
+        import numpy as np
         from filterpy.kalman import KalmanFilter
 
         self._parameters = parameters

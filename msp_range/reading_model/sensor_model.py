@@ -271,7 +271,6 @@ class SensorModel(Section):
         """
         if self.medium == "light":
             return replace(_beam(self.breakaway), narrowest_deg=0.0)
-        # Brings scipy, which checking a file can do without.
         from msp_range.acoustics.sonar import extended_beam
 
         on_axis_m = None if self.heard_on_axis_cm is None else self.heard_on_axis_cm / 100.0

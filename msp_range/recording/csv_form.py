@@ -18,43 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.input_file import CONTROL, making
+from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.csv_rows import LONGEST_CELL, csv_rows, short_list
 from msp_range.recording.error import RecordingError
 
-BASE_COLUMNS = {
-    "time_s": "time of the echo, or of the ping where there was none [s]",
-    "sensor": "name of the sensor",
-    "run": "name of the session; times of different runs do not compare",
-    "reading_cm": "distance as the sensor reported it [cm]; empty: no answer",
-    "true_range_cm": "perpendicular distance to the surface [cm]",
-}
-CONTEXT_COLUMNS = {
-    "condition": "which experiment of a campaign the reading belongs to, a word",
-    "air_temperature_c": "air temperature [deg C]",
-    "target_temperature_c": "air temperature at the far end, next to the target [deg C]",
-    "humidity_pct": "relative humidity [%]",
-    "incidence_deg": "angle between the beam and the surface's normal, signed [deg]",
-    "range_rate_cm_s": "rate of change of the range [cm/s]",
-    "throttle": "throttle, 0 to 1",
-    "vibration_hz": "frequency of vibration [Hz]",
-    "uptime_s": "time since the sensor was powered [s]",
-    "target": "what the beam meets, a word",
-    "target_size_cm": "shorter side of the target [cm]",
-    "neighbour_lag_ms": "time since the last ping of another sensor [ms]; empty: none",
-    "neighbour_range_cm": "range of that other sensor [cm]",
-    "external_level_db": "sound level of an external ultrasonic source at 30 cm from it [dB re 20 uPa]; empty: none",
-    "external_duty": "share of the time that it sounds, 0 to 1",
-    "external_distance_cm": "distance from that source to the sensor [cm]",
-    "external_frequency_khz": "frequency of that source [kHz]",
-}
-WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target"})
-"""Known columns that hold words; the other known ones hold numbers."""
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
 """Rows that are held as text at a time: so many stay in a processor's cache."""
-LARGEST_NUMBER = 1e30
-"""A larger number is no measurement; squares of this one and their sums are still numbers."""
 MOST_WORD_BYTES = 256 * 2**20
 """Memory that a column of words may take: it is as many rows long as its longest word is wide."""
 

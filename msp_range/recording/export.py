@@ -12,7 +12,8 @@ import numpy as np
 
 from msp_range.acoustics.air import FIXED, HELD
 from msp_range.reading import Status
-from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, word_column, write_csv
+from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from msp_range.input_file import CONTROL
-from msp_range.recording.csv_form import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.columns import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 
 _TIME_S = ("number", "time of the echo, or of the ping where there was none, on the bridge's clock [s]")
 _RANGE_M = ("number", "distance along the beam [m]")

@@ -39,13 +39,16 @@ def imported(stderr: str) -> set[str]:
     return {".".join(name.split(".")[:depth]) for name in names for depth in range(1, name.count(".") + 2)}
 
 
-@pytest.mark.parametrize(("airframe", "records"), [("quad_pallet", True), ("loopback", False), ("proximity", False)])
+@pytest.mark.parametrize(
+    ("airframe", "records", "has_changepoint"),
+    [("quad_pallet", True, False), ("loopback", False, False), ("proximity", False, True)],
+)
 def test_flying_imports_nothing_of_the_laboratory(
-    airframe: str, records: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    airframe: str, records: bool, has_changepoint: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Up to the first distances; a changepoint filter and a sonar equation to fit are among them.
+    """Up to the first distances; a sonar equation to fit is among what is done for them.
 
-    filterpy and scipy come with a Kalman filter of a single stream only.
+    numpy comes with a changepoint or Kalman filter of a single stream only, filterpy and scipy with the latter.
     """
     options = ["--record", str(tmp_path / "recordings")] if records else ["--no-record"]
     with kernel_bus([Sonar(0x70 + number) for number in range(4)]) as testbed, LinkEnd() as end:
@@ -58,6 +61,7 @@ def test_flying_imports_nothing_of_the_laboratory(
     assert "msp_range.bridge" in modules
     assert modules & LABORATORY == set()
     assert ("mcap" in modules) is records
+    assert ("numpy" in modules) is has_changepoint
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from msp_range.input_file import CONTROL
-from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, MeasuredData, read_csv, write_csv
+from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
+from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 
 

@@ -33,7 +33,7 @@ def test_sonar_equations_fit_no_worse_than_by_scipy(monkeypatch: pytest.MonkeyPa
 
     def both(residuals: Callable[[Any], list[float]], start: Sequence[float], lower: Sequence[float]) -> Any:
         ours, theirs = least_squares(residuals, start, lower), scipys(residuals, start, bounds=(lower, np.inf)).x
-        assert (ours >= lower).all()
+        assert (np.array(ours) >= lower).all()
         of_ours, of_theirs = (float(np.square(residuals(p)).sum()) for p in (ours, theirs))
         assert of_ours <= of_theirs * (1 + 1e-6) + 1e-9
         sums.append(of_ours)

@@ -18,7 +18,8 @@ from rich.console import Console
 from msp_lab.campaigns.campaign import Reference
 from msp_range.config import NamedAirframe
 from msp_range.input_file import open_input
-from msp_range.recording.csv_form import BASE_COLUMNS, CONTEXT_COLUMNS, Column, MeasuredData, read_csv, write_csv
+from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording

@@ -22,7 +22,8 @@ from msp_lab.campaigns.bench import Known
 from msp_lab.campaigns.plan import Point
 from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.recording.csv_form import CONTEXT_COLUMNS, WORD_COLUMNS, Column, MeasuredData, word_column, write_csv
+from msp_range.recording.columns import CONTEXT_COLUMNS, WORD_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX

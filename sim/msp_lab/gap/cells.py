@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from msp_range.recording.csv_form import WORD_COLUMNS
+from msp_range.recording.columns import WORD_COLUMNS
 
 MOST_BINS = 12
 LEAST_IN_CELL = 40

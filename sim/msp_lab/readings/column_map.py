@@ -17,17 +17,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from msp_range.recording.csv_form import (
-    BASE_COLUMNS,
-    BLOCK,
-    CONTEXT_COLUMNS,
-    LARGEST_NUMBER,
-    WORD_COLUMNS,
-    Column,
-    MeasuredData,
-    join_columns,
-    word_column,
-)
+from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.csv_form import BLOCK, Column, MeasuredData, join_columns, word_column
 from msp_range.recording.csv_rows import csv_rows, short_list
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load

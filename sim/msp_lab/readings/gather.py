@@ -15,7 +15,8 @@ import numpy as np
 
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.csv_form import WORD_COLUMNS, Column, MeasuredData, read_csv
+from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
