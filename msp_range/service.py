@@ -101,7 +101,7 @@ def flight_recorder(
         folder = Path(airframe.recording.folder)
     if folder is None:
         return None
-    # Brings the mcap writer and its compression, which a flight without a recording need not wait for.
+    # Brings orjson and zstandard, which a flight without a recording need not wait for.
     from msp_range.recording.flight_recorder import FlightRecorder
 
     return FlightRecorder(folder, airframe.vehicle, clock, files=airframe.files, on_file=on_file, on_failure=on_failure)

@@ -6,20 +6,18 @@ polling never waits for the disk. The chunk in progress and the last one are los
 """
 
 import errno
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from io import FileIO
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import orjson
-from mcap.data_stream import RecordBuilder
-from mcap.records import ChunkIndex
-from mcap.writer import CompressionType, Writer
 
 from msp_range.clock import Clock
 from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.error import RecordingError
+from msp_range.recording.mcap_writer import McapWriter
 from msp_range.recording.topics import schema_of
 
 FLUSH_INTERVAL_S = 0.4
@@ -86,15 +84,11 @@ class Recorder:
         self._utc_start_ns = max(0, round(clock.utc() * 1e9))
         self._file = file if isinstance(file, BackgroundFile) else _make(Path(file))
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._mcap: Writer | None = Writer(cast(IO[bytes], self._file), compression=CompressionType.ZSTD)
-        # The package keeps an object of 1 kB for every chunk until the end, 7 MB an hour, and the bytes are 0.2 kB.
-        vars(self._mcap)["_Writer__chunk_indices"] = _PackedIndexes()
-        self._mcap.start(library=LIBRARY)
+        self._mcap: McapWriter | None = McapWriter(self._file, LIBRARY)
         times = {"clock_start_s": repr(self._clock_start_s), "utc_start_ns": str(self._utc_start_ns)}
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
         for name, text in (files or {}).items():
-            self._mcap.add_attachment(self._utc_start_ns, self._utc_start_ns, name, "application/yaml", text.encode())
+            self._mcap.add_attachment(self._utc_start_ns, name, "application/yaml", text.encode())
         self._mcap.flush()
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
 
@@ -139,12 +133,12 @@ class Recorder:
             return
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._add_channel(self._mcap, topic)
+            channel = self._channels[topic] = self._mcap.add_channel(topic, *schema_of(topic))
         log_time_ns = self._utc_start_ns + round((time_s - self._clock_start_s) * 1e9)
         if log_time_ns < 0:  # the format has no times before its epoch
             log_time_ns = 0
         # Not a number and infinity become null as None does: a reader takes null and absent alike for unknown.
-        self._mcap.add_message(channel, log_time_ns, orjson.dumps(message), log_time_ns)
+        self._mcap.add_message(channel, log_time_ns, orjson.dumps(message))
 
     def flush_if_due(self, now_s: float) -> None:
         """Hand over to the disk what was recorded, where it is time, and check `fault`."""
@@ -180,31 +174,6 @@ class Recorder:
         kept = self._file.kept_bytes
         there = f"the first {kept} bytes are kept, and msp-range recover closes them" if kept else "nothing is kept"
         return f"{self._file.path or _named(error)}: recording stopped: {why}; {there}"
-
-    def _add_channel(self, mcap: Writer, topic: str) -> int:
-        name, schema = schema_of(topic)
-        if name not in self._schemas:
-            self._schemas[name] = mcap.register_schema(name, "jsonschema", schema)
-        self._channels[topic] = mcap.register_channel(topic, "json", self._schemas[name])
-        return self._channels[topic]
-
-
-class _PackedIndexes:
-    """The chunks' indexes as the bytes that they are in the file; to the mcap package it is its list of them."""
-
-    def __init__(self) -> None:
-        self._packed = RecordBuilder()
-
-    def append(self, index: ChunkIndex) -> None:
-        """Add the index of a chunk."""
-        index.write(self._packed)
-
-    def __iter__(self) -> Iterator["_PackedIndexes"]:
-        yield self
-
-    def write(self, builder: RecordBuilder) -> None:
-        """Write all of them."""
-        builder.write(self._packed.end())
 
 
 def _make(path: Path) -> BackgroundFile:
