@@ -139,7 +139,7 @@ def characterise(
     from msp_lab.characterise.publish import check_free, publish
     from msp_lab.characterise.show import show
     from msp_lab.readings.column_map import load_map
-    from msp_lab.readings.gather import gather
+    from msp_lab.readings.intake import load_readings, without_impossible
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.sensors.table import DRIVERS
@@ -154,9 +154,9 @@ def characterise(
     mapping = load_map(column_map) if column_map else None
     progress = PlainConsole(stderr=True)
     with progress.status("reading") as status:
-        gathered = gather(data, started, mapping, of or ())
+        loaded = without_impossible(load_readings(data, started, mapping, sensors=of or ()), started)
         findings, changes = analyse(
-            gathered,
+            loaded,
             started,
             date=date or date_of(SystemClock().utc()),
             rng=default_rng(seed),
@@ -168,7 +168,7 @@ def characterise(
         write_model(out, model, findings, changes, starting_model.name)
         if report is not None:
             status.update("drawing the report")
-            page = publish(findings, gathered.data, model, report)
+            page = publish(findings, loaded.data, model, report)
     console = PlainConsole()
     show(findings, console)
     console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"))

@@ -13,7 +13,7 @@ import numpy as np
 from msp_lab.filter_study.table import REPORT, read_table
 from msp_lab.gap.intake import read_readings
 from msp_lab.readings.column_map import load_map, read_mapped
-from msp_lab.readings.gather import gather
+from msp_lab.readings.intake import load_readings, without_impossible
 from msp_range.config import load_airframe
 from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -66,7 +66,7 @@ def prepare(folder: Path) -> base.Check:
         "read": read,
         "replay": replayed,
         "map": mapped,
-        "gather": lambda path: gather([path], sensor),
+        "gather": lambda path: without_impossible(load_readings([path], sensor), sensor),
         "gap": lambda path: read_readings([path], model),
         "study": read_table,
         "packed": lambda path: deque(csv_rows(path), maxlen=0),

@@ -80,9 +80,9 @@ def test_odd_rows_are_counted_and_what_is_left_is_judged(tmp_path: Path) -> None
     assert findings.rows == n - 7 - 5 - 40
     assert told(findings, "7 rows have no reading")
     assert told(findings, "5 readings have no true range")
-    assert told(findings, "20 rows are there twice")
+    assert told(findings, "20 duplicate rows are dropped")
     assert told(findings, "have the time of the one before")
-    assert told(findings, "air_temperature_c is 22.5 throughout")
+    assert told(findings, "air_temperature_c is constant (22.5)")
     assert [each.name for each in findings.calibration] == ["code"]
     assert "511 cm" in findings.calibration[0].finding
     assert (findings.effects, findings.unknown) == ((), ())

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 from typer.testing import CliRunner, Result
 
 from msp_lab.gap.intake import read_readings
-from msp_lab.readings.gather import gather
+from msp_lab.readings.intake import load_readings
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.transport import Nowhere
@@ -148,7 +148,7 @@ def test_what_was_saved_and_what_was_lost_is_said(flight: Path, tmp_path: Path) 
     assert len(ranges(tmp_path / "b.mcap")) == len(read_csv(tmp_path / "b.csv")) < len(ranges(flight))
     # The tables that models are made from say so too.
     sensor = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
-    (warning,) = (each for each in gather([damaged], sensor).warnings if "damaged" in each)
+    (warning,) = (each for each in load_readings([damaged], sensor).messages if "damaged" in each)
     assert warning.startswith(f"{damaged} is damaged; lost: 1 damaged chunk")
     messages = read_readings([damaged], load_model(CONFIGS / "sensors" / "mb1242.yaml")).messages
     assert any(each.startswith(f"{damaged} is damaged; lost: 1 damaged chunk") for each in messages)

@@ -9,7 +9,7 @@ import pytest
 
 from msp_lab.characterise.characterise import characterise
 from msp_lab.characterise.findings import Effect, Findings, Question
-from msp_lab.readings.gather import gather
+from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from tests.blind.campaign import campaign
@@ -26,8 +26,8 @@ def found(seed: int) -> Findings:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "campaign.csv"
         write_csv(path, campaign(seed))
-        gathered = gather([path], SENSOR)
-    return characterise(gathered, SENSOR, date="2026-10-05", rng=np.random.default_rng(seed)).findings
+        loaded = load_readings([path], SENSOR)
+    return characterise(loaded, SENSOR, date="2026-10-05", rng=np.random.default_rng(seed)).findings
 
 
 def asked(seed: int, name: str, level: str = "", sensor: str = "") -> Question:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.characterise import findings as found
-from msp_lab.readings.gather import Source
+from msp_lab.readings.intake import SourceFile
 from msp_range.recording.csv_form import MeasuredData
 
 BASELINE_CM = tuple(range(40, 261, 20))
@@ -136,7 +136,7 @@ def found_in(data: MeasuredData) -> found.Findings:
         sensor="MB1242",
         date="2026-10-05",
         calibration_temperature_c=22.5,
-        sources=(Source("campaign.csv", "0" * 64, len(data)),),
+        sources=(SourceFile("campaign.csv", "0" * 64, len(data)),),
         points=points,
         baseline=found.Baseline(
             baseline,

@@ -106,7 +106,7 @@ def test_rows_that_are_there_twice_count_once(tmp_path: Path) -> None:
     columns = {name: np.concatenate([each, each[:20]]) for name, each in readings(400).items()}
     found = taken(tmp_path, columns)
     assert len(found.data) == 400
-    assert any("20 rows are there twice" in each for each in found.messages)
+    assert any("20 duplicate rows are dropped" in each for each in found.messages)
 
 
 def test_times_that_are_equal_are_told(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_context_that_never_changes_is_told(tmp_path: Path) -> None:
     found = taken(tmp_path, columns)
     assert dict(found.constant) == {"air_temperature_c": "21", "true_range_cm": "150"}
     assert any("All readings are at one true range (150 cm)" in each for each in found.messages)
-    assert any("air_temperature_c is 21 throughout" in each for each in found.messages)
+    assert any("air_temperature_c is constant (21)" in each for each in found.messages)
 
 
 def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""All analyses in order: gathered readings and a starting sensor model enter, findings and a new sensor model leave.
+"""All analyses in order: loaded readings and a starting sensor model enter, findings and a new sensor model leave.
 
 What the data do not allow is left as the starting model has it, and the findings say why.
 """
@@ -19,7 +19,7 @@ from msp_lab.characterise.mixture import Fitted, fit_mixture
 from msp_lab.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
-from msp_lab.readings.gather import Gathered, Source
+from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_range.correction.calibration import IDENTITY
 from msp_range.correction.calibration import Calibration as Curve
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
@@ -58,7 +58,7 @@ class Characterised(NamedTuple):
 
 
 def characterise(
-    gathered: Gathered,
+    loaded: LoadedReadings,
     sensor: SensorModel,
     *,
     date: str,
@@ -71,7 +71,7 @@ def characterise(
 
     Parameters
     ----------
-    gathered
+    loaded
         Readings with true ranges.
     sensor
         The starting model: limits, codes, calibration temperature, and numbers to compare with.
@@ -92,13 +92,13 @@ def characterise(
         Nothing can be found in these readings.
     """
     say("sorting readings into points")
-    points = sort_into_points(gathered.data, sensor)
+    points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
     absent: dict[str, str] = {}
 
-    _check_one_kind(gathered, points)
-    _check_together(gathered, undisturbed)
+    _check_one_kind(loaded, points)
+    _check_together(loaded, undisturbed)
 
     say("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
@@ -146,7 +146,7 @@ def characterise(
         sensor=sensor.name,
         date=date,
         calibration_temperature_c=sensor.calibration_temperature_c,
-        sources=gathered.sources,
+        sources=loaded.sources,
         points=found_points,
         baseline=found_base,
         calibration=calibration,
@@ -159,7 +159,7 @@ def characterise(
         temperature_compensation=table,
         absent=absent,
         warnings=(
-            *_warnings(gathered, points, undisturbed, calibration, view.angles if view else (), rows),
+            *_warnings(loaded, points, undisturbed, calibration, view.angles if view else (), rows),
             *_quieter(sensor, fitted.parameters if isinstance(fitted, Fitted) else None),
         ),
     )
@@ -173,13 +173,13 @@ def characterise(
     )
     if not asked and not table and all(value is None for value in vars(changes).values()):
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
-        raise RecordingError(f"{_names(gathered.sources)}: nothing can be found: {'; '.join(why)}")
+        raise RecordingError(f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}")
     return Characterised(findings, changes)
 
 
-def _check_one_kind(gathered: Gathered, points: Sequence[PointReadings]) -> None:
+def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:
     """Refuse what one sensor makes beside what another one makes, unless the person has named both."""
-    if gathered.sensors:
+    if loaded.sensors:
         return
     of = {
         name: sensors
@@ -189,25 +189,25 @@ def _check_one_kind(gathered: Gathered, points: Sequence[PointReadings]) -> None
     for (one, its), (other, theirs) in combinations(of.items(), 2):
         if not its & theirs:
             raise RecordingError(
-                f"{_names(gathered.sources)}: {one} is of {', '.join(sorted(its))} and {other} of "
+                f"{_names(loaded.sources)}: {one} is of {', '.join(sorted(its))} and {other} of "
                 f"{', '.join(sorted(theirs))}, and one model is of one kind of sensor: name the one with --of SENSOR, "
                 "or all with --of for each where they are of one kind"
             )
 
 
-def _check_together(gathered: Gathered, undisturbed: Sequence[PointReadings]) -> None:
+def _check_together(loaded: LoadedReadings, undisturbed: Sequence[PointReadings]) -> None:
     """Refuse readings of which most are nowhere near their true ranges, though they are readings of something."""
     heard = [p for p in undisturbed if 2 * int(p.is_heard.sum()) >= p.reading_cm.size]
     astray = [p for p in heard if p.hits < LEAST_HITS <= int(p.is_heard.sum())]
     if 2 * len(astray) > len(heard):
         where = ", ".join(f"{p.range_cm:g}" for p in astray[:5])
         raise RecordingError(
-            f"{_names(gathered.sources)}: at {len(astray)} of {len(heard)} undisturbed points the readings are not "
+            f"{_names(loaded.sources)}: at {len(astray)} of {len(heard)} undisturbed points the readings are not "
             f"near the true range ({where} cm ...); do true_range_cm and reading_cm belong together, row by row?"
         )
 
 
-def _names(sources: Sequence[Source]) -> str:
+def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
@@ -245,18 +245,18 @@ def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> f
 
 
 def _warnings(
-    gathered: Gathered,
+    loaded: LoadedReadings,
     points: Sequence[PointReadings],
     undisturbed: Sequence[PointReadings],
     calibration: Calibration | None,
     angles: Sequence[BreakawayAngle],
     rows: Sequence[tuple[float, float]],
 ) -> list[str]:
-    told = list(gathered.warnings)
+    told = list(loaded.messages)
     for word in sorted({p.condition for p in points} - KNOWN_CONDITIONS):
         near = difflib.get_close_matches(word, KNOWN_CONDITIONS, n=1)
         told.append(f"no analysis knows the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
-    unknown = len(gathered.data) - sum(p.reading_cm.size for p in points)
+    unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:
         told.append(f"{unknown} rows have no true range and were left out")
     sensors = sorted({p.sensor for p in undisturbed})
@@ -317,5 +317,5 @@ def provenance(findings: Findings) -> dict[str, object]:
     }
 
 
-def _source(source: Source) -> dict[str, object]:
+def _source(source: SourceFile) -> dict[str, object]:
     return {"name": source.name, "sha256": source.sha256, "rows": source.rows}

@@ -9,7 +9,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
-from msp_lab.readings.gather import Source
+from msp_lab.readings.intake import SourceFile
 
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
@@ -583,7 +583,7 @@ class Findings:
     sensor: str
     date: str
     calibration_temperature_c: float
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
     points: tuple[Point, ...]
     baseline: Baseline | None = None
     calibration: Calibration | None = None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread
 from msp_lab.characterise.findings import Estimate, Point
+from msp_lab.readings.resolution import step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
@@ -278,22 +279,6 @@ def conditions(data: MeasuredData) -> NDArray[np.str_]:
         return found
     said = data["condition"]
     return np.where(said == "", found, said)
-
-
-def step_of(reading_cm: _Array) -> float:
-    """Largest step of which all readings are whole multiples [cm]: 1, 0.5, 0.1, 0.01; 0 where none is.
-
-    Examples
-    --------
-    >>> print(step_of(np.array([120.0, 121.0, np.nan])), step_of(np.array([120.0, 120.37])))
-    1.0 0.01
-    """
-    known = reading_cm[~np.isnan(reading_cm)]
-    for step in (5.0, 2.54, 1.0, 0.5, 0.1, 0.01):
-        steps = known / step
-        if np.abs(steps - np.rint(steps)).max(initial=0.0) < 1e-6:
-            return step
-    return 0.0
 
 
 def _levels(

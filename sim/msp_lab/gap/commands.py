@@ -16,7 +16,7 @@ from msp_lab.gap.measures import Table
 from msp_lab.gap.model_file import MODEL, PROVED, write_model
 from msp_lab.gap.workflow import Compared, Say
 from msp_lab.readings.column_map import load_map
-from msp_lab.readings.gather import sha256
+from msp_lab.readings.intake import sha256
 from msp_range import __version__
 from msp_range.clock import Clock, date_of
 from msp_range.yaml_file import ConfigError

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from msp_lab.gap import findings as found
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import GapFindings, Settings
-from msp_lab.gap.intake import PREVIOUS, Readings
+from msp_lab.gap.intake import Readings
 from msp_lab.gap.judge import sentence, verdict
 from msp_lab.gap.measures import Measures, Table, Twins, measure, twins, usable
 from msp_lab.gap.slices import again, ranked
 from msp_lab.gap.units import Split, split
 from msp_lab.gap.workbench import Explanation, explain
+from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.model import Model
 
 Say = Callable[[str, float], None]

@@ -1,0 +1,278 @@
+"""The one intake of readings, for everything that compares them with a truth.
+
+Files enter: CSV in the one form, recordings, or with a column map other people's tables. One table leaves, with what
+the files are and what was noticed. Rows stay in the order of the files and readings in the resolution of their file.
+"""
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
+from msp_lab.readings.column_map import ColumnMap, read_mapped
+from msp_lab.readings.runs import with_runs
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData, read_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.export import measured_data
+from msp_range.recording.reader import Recording, is_recording
+
+PREVIOUS = "previous_reading_cm"
+"""Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
+CLOCK_FAULT_CM = 32768.0
+"""Readings from here on are a fault of the sensor's clock line and no distance: the highest bit of the answer is set.
+They are left out where a unit is judged by distances."""
+OVERLAP_SHARE = 0.95
+"""Two files of which this share of the smaller one's rows is in both are the same readings twice, and are refused. Any
+value from 0.5 on finds a table and the recording that it was made from; chance repeats stay far below."""
+EQUAL_RELATIVE = 1e-9
+"""A column whose values differ by a smaller share than this is constant: 100.00000000000142 is 100. It is far above the
+rounding of arithmetic (1e-15) and far below any resolution."""
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file of readings: its name, the SHA-256 of its content in hexadecimal, and its number of rows."""
+
+    name: str
+    sha256: str
+    rows: int
+
+
+@dataclass(frozen=True)
+class LoadedReadings:
+    """Readings of all files together.
+
+    Attributes
+    ----------
+    data
+        All rows in the order of the files, with `run` and `previous_reading_cm`.
+    sources
+        The files.
+    messages
+        What was left out or noticed, a sentence each.
+    sensors
+        The sensors that the user selected; none: all.
+    """
+
+    data: MeasuredData
+    sources: tuple[SourceFile, ...]
+    messages: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()
+
+
+def load_readings(
+    paths: Sequence[Path],
+    sensor: SensorModel,
+    column_map: ColumnMap | None = None,
+    *,
+    run_column: str | None = None,
+    sensors: Sequence[str] = (),
+) -> LoadedReadings:
+    """Read and check all files.
+
+    Parameters
+    ----------
+    paths
+        CSV files in the one form, recordings, or with `column_map` other people's tables.
+    sensor
+        Its limits and its code of no echo, to see whether units are right.
+    column_map
+        Names and units of the columns.
+    run_column
+        The column that distinguishes runs; None: `run`, and where there is none each file is one.
+    sensors
+        Those whose readings are used, as the column `sensor` names them; none: all.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read, its readings are given twice, or they cannot be compared with a truth; in a line, with
+        what to do.
+    ConfigError
+        There is no such column.
+    """
+    messages = [column_map.note] if column_map is not None and column_map.note else []
+    tables: list[MeasuredData] = []
+    sources: list[SourceFile] = []
+    for path in paths:
+        table = _read_table(path, sensor, column_map, messages)
+        source = SourceFile(path.name, sha256(path), len(table))
+        same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
+        if same is not None:
+            raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
+        if column_map is None:
+            _check_overlap(path, table, zip(paths, tables, strict=False))
+        tables.append(table)
+        sources.append(source)
+    tables, renamed = with_runs(tables, paths, run_column)
+    columns = dict(_joined(tables).columns)
+    # Many readings are held once, and not twice.
+    tables.clear()
+    name = ", ".join(str(path) for path in paths)
+    if sensors:
+        columns = dict(_selected(name, MeasuredData(columns), sensors).columns)
+    check_comparable(name, _without_clock_faults(columns), sensor)
+    _round_constants(columns)
+    repeated = _add_previous(columns)
+    return LoadedReadings(MeasuredData(columns), tuple(sources), (*messages, *renamed, *repeated), tuple(sensors))
+
+
+def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
+    """Return the readings with those outside of the sensor's limits as no answer, and a message about them."""
+    reading_cm = loaded.data["reading_cm"]
+    outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
+    if not outside.any() or outside.sum() > WRONG_UNIT_SHARE * (~np.isnan(reading_cm)).sum():
+        return loaded
+    values = np.unique(reading_cm[outside])
+    shown = ", ".join(f"{value:g}" for value in values[:5]) + (" ..." if values.size > 5 else "")
+    message = (
+        f"{outside.sum()} readings are outside of the sensor's {sensor.minimum_cm} to {sensor.maximum_cm} cm "
+        f"and count as no answer: {shown}"
+    )
+    columns = {**loaded.data.columns, "reading_cm": np.where(outside, math.nan, reading_cm)}
+    return replace(loaded, data=MeasuredData(columns), messages=(*loaded.messages, message))
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str]) -> MeasuredData:
+    """Read one file; what a damaged recording has lost is added to ``messages``."""
+    if column_map is not None:
+        return read_mapped(path, column_map, sensor.maximum_cm)
+    if is_recording(path):
+        recording = Recording(path)
+        data = measured_data(recording)
+        if recording.losses:
+            messages.append(f"{path} is damaged; lost: {recording.losses}")
+        return data
+    try:
+        return read_csv(path)
+    except RecordingError as error:
+        if "is missing" not in str(error):
+            raise
+        raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+
+
+def _check_overlap(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:
+    """Refuse readings that are in an earlier file, as those of a recording are in the table made of it."""
+    for other, earlier in before:
+        keys = ("time_s", "sensor", "reading_cm", "true_range_cm")
+        names = [name for name in keys if name in table and name in earlier]
+        rows, others = _rows(table, names), _rows(earlier, names)
+        both = len(rows & others)
+        if both > OVERLAP_SHARE * min(len(rows), len(others)):
+            raise RecordingError(
+                f"{path}: {both} of its readings are in {other} too; each may count once, so leave one of them out"
+            )
+
+
+def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
+    # Times to a millisecond: a recording has more digits than a table. Unknown numbers are equal here.
+    columns = [
+        np.nan_to_num(np.round(table[name], 3), nan=-1.0) if table[name].dtype.kind == "f" else table[name]
+        for name in names
+    ]
+    return set(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
+    """Tables one after the other; a column that one lacks is unknown there."""
+    names = dict.fromkeys(name for table in tables for name in table.columns)
+    columns: dict[str, Column] = {}
+    for name in names:
+        is_word = name in WORD_COLUMNS or any(name in table and table[name].dtype.kind == "U" for table in tables)
+        missing = "" if is_word else math.nan
+        pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
+        pieces = [piece.astype(str, copy=False) if is_word else piece for piece in pieces]
+        columns[name] = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    return MeasuredData(columns)
+
+
+def _selected(name: str, data: MeasuredData, sensors: Sequence[str]) -> MeasuredData:
+    there = sorted(set(data["sensor"].tolist()))
+    unknown = [each for each in sensors if each not in there]
+    if unknown:
+        raise RecordingError(f"{name}: no readings of the sensor {unknown[0]!r}; there are some of {', '.join(there)}")
+    return data.select(np.flatnonzero(np.isin(data["sensor"], sensors)))
+
+
+def _without_clock_faults(columns: dict[str, Column]) -> MeasuredData:
+    reading_cm = columns["reading_cm"]
+    return MeasuredData({**columns, "reading_cm": np.where(reading_cm >= CLOCK_FAULT_CM, math.nan, reading_cm)})
+
+
+def _round_constants(columns: dict[str, Column]) -> None:
+    """Make columns constant that differ only by what arithmetic adds."""
+    for name, column in columns.items():
+        if column.dtype.kind == "f" and np.isfinite(column).any():
+            low, high = float(np.nanmin(column)), float(np.nanmax(column))
+            if low < high <= low + EQUAL_RELATIVE * max(abs(low), abs(high)):
+                columns[name] = np.where(np.isnan(column), math.nan, float(f"{low:.9g}"))
+
+
+def _add_previous(columns: dict[str, Column]) -> list[str]:
+    """Drop duplicate rows, and add to each reading the one before it of the same sensor and run."""
+    messages = []
+    order = time_order(columns)
+    same_time, is_first = _repeats(columns, order)
+    if same_time.any():
+        duplicate = same_time.copy()
+        for column in columns.values():
+            sorted_ = column[order]
+            equal = sorted_[1:] == sorted_[:-1]
+            if column.dtype.kind == "f":
+                equal |= np.isnan(sorted_[1:]) & np.isnan(sorted_[:-1])
+            duplicate[1:] &= equal
+        if (same_time & ~duplicate).any():
+            messages.append(
+                f"{int((same_time & ~duplicate).sum())} readings of one sensor have the time of the one before: their "
+                "order is that of the file."
+            )
+        if duplicate.any():
+            messages.insert(0, f"{duplicate.sum()} duplicate rows are dropped.")
+            kept = np.ones(order.size, dtype=bool)
+            kept[order[duplicate]] = False
+            for name in columns:
+                columns[name] = columns[name][kept]
+            order = time_order(columns)
+            _, is_first = _repeats(columns, order)
+    reading_cm = columns["reading_cm"]
+    previous = np.full(order.size, math.nan)
+    previous[order[1:]] = reading_cm[order[:-1]]
+    previous[order[is_first]] = math.nan
+    columns[PREVIOUS] = previous
+    return messages
+
+
+def time_order(columns: Mapping[str, Column]) -> NDArray[np.intp]:
+    """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
+    run, sensor = (np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor"))
+    order: NDArray[np.intp] = np.lexsort((columns["time_s"], sensor, run))
+    return order
+
+
+def _repeats(columns: Mapping[str, Column], order: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of sorted rows: those with the time of the one before, and the first of each run and sensor."""
+    is_first = np.ones(order.size, dtype=bool)
+    is_first[1:] = _changes(columns["sensor"][order]) | _changes(columns["run"][order])
+    same_time = np.zeros(order.size, dtype=bool)
+    time_s = columns["time_s"][order]
+    same_time[1:] = (time_s[1:] == time_s[:-1]) & ~is_first[1:]
+    return same_time, is_first
+
+
+def _changes(words: NDArray[Any]) -> NDArray[np.bool_]:
+    changed: NDArray[np.bool_] = words[1:] != words[:-1]
+    return changed

@@ -1,0 +1,149 @@
+"""The one intake of readings: several files as one table, their runs, and what is refused before any analysis."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
+from msp_lab.readings.resolution import step_of
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.csv_form import MeasuredData, write_csv
+from msp_range.recording.error import RecordingError
+from tests.support.plain_bench import point, table
+
+SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+
+
+def data(seed: int = 1, n: int = 100, **changes) -> MeasuredData:
+    rng = np.random.default_rng(seed)
+    columns = dict(table(*(point(rng, z, n=n) for z in (60, 100, 140))).columns)
+    return MeasuredData(columns | {name: change(columns) for name, change in changes.items()})
+
+
+def written(folder: Path, content: MeasuredData, name: str = "readings.csv") -> Path:
+    write_csv(folder / name, content)
+    return folder / name
+
+
+def test_files_are_joined_and_named(tmp_path: Path) -> None:
+    one = written(tmp_path, data(1), "one.csv")
+    two = written(tmp_path, data(2, air_temperature_c=lambda c: np.full(300, 20.0)), "two.csv")
+    found = load_readings([one, two], SENSOR)
+    assert len(found.data) == 600
+    assert [(each.name, each.rows, len(each.sha256)) for each in found.sources] == [
+        ("one.csv", 300, 64),
+        ("two.csv", 300, 64),
+    ]
+    assert np.isnan(found.data["air_temperature_c"][:300]).all()
+    assert (found.data["air_temperature_c"][300:] == 20.0).all()
+    assert found.messages == ("The run 'day' is in 2 files and counts as 2 runs.",)
+
+
+def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
+    one, copy = written(tmp_path, data(), "one.csv"), written(tmp_path, data(), "copy.csv")
+    with pytest.raises(RecordingError, match=r"copy.csv: has the same content as .*one.csv"):
+        load_readings([one, copy], SENSOR)
+
+
+def test_readings_that_are_in_two_files_are_refused(tmp_path: Path) -> None:
+    """As in a sitting's recording and the table that collect makes of all sittings."""
+    whole = data()
+    one = written(tmp_path, whole, "one.csv")
+    part = written(tmp_path, whole.select(np.arange(100, 300)), "part.csv")
+    for paths in ([one, part], [part, one]):
+        with pytest.raises(RecordingError, match=r"200 of its readings are in .* too; each may count once"):
+            load_readings(paths, SENSOR)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (data(n=3), "found 9 readings with a true range, expected at least 30"),
+        (data(true_range_cm=lambda c: np.full(300, np.nan)), "no true_range_cm"),
+        (data(true_range_cm=lambda c: c["true_range_cm"] / 100), r"Is true_range_cm in metres\? .*COLUMN\*100"),
+        (data(reading_cm=lambda c: c["reading_cm"] / 100), r"Is reading_cm in metres\?"),
+        (data(reading_cm=lambda c: np.rint(c["reading_cm"] / 2.54)), r"Is reading_cm in inches\? .*COLUMN\*2.54"),
+        (
+            data(reading_cm=lambda c: c["reading_cm"] / 100, true_range_cm=lambda c: c["true_range_cm"] / 100),
+            "Are both in metres",
+        ),
+    ],
+)
+def test_what_cannot_be_characterised_is_told_in_a_line(tmp_path: Path, content: MeasuredData, message: str) -> None:
+    with pytest.raises(RecordingError, match=message) as told:
+        load_readings([written(tmp_path, content)], SENSOR)
+    assert "\n" not in str(told.value)
+
+
+def test_readings_that_the_sensor_cannot_make_are_no_answer(tmp_path: Path) -> None:
+    def faulty(columns):
+        reading = columns["reading_cm"].copy()
+        reading[:3] = 0x8000 + 100
+        return reading
+
+    loaded = load_readings([written(tmp_path, data(reading_cm=faulty))], SENSOR)
+    assert loaded.data["reading_cm"][0] == 32868.0
+    found = without_impossible(loaded, SENSOR)
+    assert np.isnan(found.data["reading_cm"][:3]).all()
+    assert found.messages == ("3 readings are outside of the sensor's 20 to 765 cm and count as no answer: 32868",)
+
+
+def test_a_maps_note_comes_along(tmp_path: Path) -> None:
+    path = written(tmp_path, data())
+    note = tmp_path / "map.yaml"
+    note.write_text("columns: {reading_cm: reading_cm}\nnote: a borrowed ruler\n", encoding="utf-8")
+    assert load_readings([path], SENSOR, load_map([str(note)])).messages == ("a borrowed ruler",)
+
+
+def test_flights_that_were_exported_are_a_run_each(tmp_path: Path) -> None:
+    """`msp-range export flights/1/flight.mcap 1.csv` calls the run after the recording, as for every other flight."""
+    paths = [
+        written(tmp_path, data(seed, run=lambda c: np.full(300, "flight")), f"{seed}.csv")
+        for seed in (1, 2, 3, 4, 5, 6)
+    ]
+    found = load_readings(paths, SENSOR)
+    assert np.unique(found.data["run"]).tolist() == [f"{seed}/flight" for seed in (1, 2, 3, 4, 5, 6)]
+    assert found.messages == ("The run 'flight' is in 6 files and counts as 6 runs.",)
+    # Each has its own first reading, which none comes before.
+    assert np.flatnonzero(np.isnan(found.data["previous_reading_cm"])).tolist() == [0, 300, 600, 900, 1200, 1500]
+    together = load_readings(paths, SENSOR, run_column="run")
+    assert np.unique(together.data["run"]).tolist() == ["flight"]
+
+
+def test_runs_of_one_file_keep_their_names(tmp_path: Path) -> None:
+    one = written(tmp_path, data(1, run=lambda c: np.repeat(["a", "b", "c"], 100)), "one.csv")
+    two = written(tmp_path, data(2, run=lambda c: np.repeat(["c", "", "two"], 100)), "two.csv")
+    found = load_readings([one, two], SENSOR)
+    assert list(dict.fromkeys(found.data["run"].tolist())) == ["a", "b", "one/c", "two/c", "two"]
+
+
+def test_rows_stay_in_the_order_and_resolution_of_the_file(tmp_path: Path) -> None:
+    """A file in millimetres, backwards in time, with two sensors in turn and five rows twice."""
+    content = data(reading_cm=lambda c: c["reading_cm"] + 0.3, sensor=lambda c: np.array(["left", "right"] * 150))
+    rows = np.concatenate([np.arange(300)[::-1], np.arange(5)])
+    found = load_readings([written(tmp_path, content.select(rows))], SENSOR)
+    assert found.messages == ("5 duplicate rows are dropped.",)
+    assert found.data["reading_cm"].tolist() == content["reading_cm"][::-1].tolist()
+    previous = found.data["previous_reading_cm"][::-1]
+    assert np.isnan(previous[:2]).all()
+    assert previous[2:].tolist() == content["reading_cm"][:-2].tolist()
+
+
+def test_a_files_step_is_found() -> None:
+    rng = np.random.default_rng(1)
+    millimetres = np.rint(rng.uniform(300.0, 5000.0, 500))
+    assert step_of(millimetres / 10.0) == 0.1
+    assert step_of((millimetres / 1000.0).astype(np.float32).astype(float) * 100.0) == 0.1
+    assert step_of(np.rint(millimetres / 10.0)) == 1.0
+    assert step_of(2.54 * np.rint(millimetres / 25.4)) == 2.54
+    assert step_of(rng.uniform(30.0, 500.0, 30)) == 0.0
+
+
+def test_selected_sensors_only(tmp_path: Path) -> None:
+    path = written(tmp_path, data(sensor=lambda c: np.array(["left", "right"] * 150)))
+    found: LoadedReadings = load_readings([path], SENSOR, sensors=["left"])
+    assert (set(found.data["sensor"]), len(found.data), found.sensors) == ({"left"}, 150, ("left",))
+    with pytest.raises(RecordingError, match=r"no readings of the sensor 'centre'; there are some of left, right"):
+        load_readings([path], SENSOR, sensors=["centre"])
