@@ -14,7 +14,7 @@ from importlib import import_module
 
 HEAVY = (
     "msp_lab.characterise.characterise",
-    "msp_lab.readings.gather",
+    "msp_lab.readings.intake",
     "msp_lab.characterise.model_file",
     "msp_lab.characterise.show",
     "msp_lab.gap.commands",
