@@ -12,6 +12,7 @@ import yaml
 
 from msp_range import yaml_file
 from msp_range.config import Airframe, RotationDeg, load_airframe
+from msp_range.filters.table import BUILT_IN
 from msp_range.mavlink.orientation import CUSTOM, DOWN
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, Section
@@ -112,7 +113,7 @@ def test_what_is_left_out() -> None:
         (lambda c: c["sensors"][1].pop("address"), "sensors[1].address: this key is missing; expected 7-bit I2C"),
         (
             lambda c: c["filters"][0].pop("filter"),
-            "filters[0].filter: this key is missing; expected one of moving_aver",
+            f"filters[0].filter: this key is missing; expected one of {', '.join(BUILT_IN)}",
         ),
         (lambda c: c["sensors"][0].update(position_m=[0, 0]), "sensors[0].position_m[2]: this value is missing"),
         # A wrong type.
@@ -151,7 +152,7 @@ def test_what_is_left_out() -> None:
         ),
         (
             lambda c: c["filters"][0].update(filter="kalmn"),
-            "filters[0].filter: found 'kalmn'; expected one of moving_average, median, kalman, changepoint. Did",
+            f"filters[0].filter: found 'kalmn'; expected one of {', '.join(BUILT_IN)}. Did you mean 'kalman'?",
         ),
         (
             lambda c: c["temperature"]["sources"][0].update(source="files"),
@@ -445,9 +446,7 @@ def test_a_file_that_comes_with_the_package_is_found_by_its_name(
 
 def test_a_name_that_nobody_knows_has_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(
-        ConfigError, match=r"quad_palet: no such file.*Did you mean 'quad_pallet'\? Known names: canted"
-    ):
+    with pytest.raises(ConfigError, match=r"quad_palet: no such file.*Did you mean 'quad_pallet'\? Known names: "):
         load_airframe("quad_palet")
     with pytest.raises(ConfigError, match=r"own.yaml: no such file$"):
         load_airframe("own.yaml")
