@@ -43,11 +43,11 @@ class MeasuredSet:
 
 
 def write_form(path: Path, columns: dict[str, FloatArray]) -> Path:
-    """Write the project's CSV form."""
+    """Write the project's CSV form, for one sensor."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([f"{each:.6g}" for each in row] for row in zip(*columns.values(), strict=True))
+        writer.writerow(["sensor", *columns])
+        writer.writerows(["ranger", *(f"{each:.6g}" for each in row)] for row in zip(*columns.values(), strict=True))
     return path
 
 

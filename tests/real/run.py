@@ -1,0 +1,163 @@
+"""A measured set end to end by the commands, and what was said of it against the table of names.
+
+``python -m tests.real.run [NAME ...] --out build/real`` runs sets and prints a line each.
+"""
+
+import argparse
+import json
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.real.analysis import data_folder
+from tests.real.commands import run_command
+from tests.real.names import Line, expected_names
+from tests.real.sets import CONFIGS, SETS, MeasuredSet
+
+KEPT = ("named", "indistinguishable")
+"""Verdicts on an effect with which its name stands in the report."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened to a set.
+
+    Attributes
+    ----------
+    command
+        The last command that ran, as it would be typed.
+    failure
+        Its last line on standard error where it failed; empty where all went well.
+    verdict
+        Of the workflow.
+    found
+        All that was found, in the words of `names.csv`; names that the workflow cannot tell apart are one entry.
+    forbidden, missing
+        Found although forbidden; required and not found.
+    gap
+        Nats per reading before and after, as the workflow measures it.
+    """
+
+    command: str
+    failure: str
+    verdict: str = ""
+    found: tuple[frozenset[str], ...] = ()
+    forbidden: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    gap: tuple[float, float] | None = None
+
+
+def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") -> Outcome:
+    """Characterise where the set has a bench session, then `msp-lab gap`.
+
+    Parameters
+    ----------
+    measured
+        The set.
+    data
+        Folder of measured data.
+    out
+        Folder to work in; `gap` and `model.yaml` are left there.
+    until
+        Last step of the workflow; pictures are for people.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    model = CONFIGS / "sensors" / f"{measured.sensor}.yaml"
+    column_map = () if measured.column_map is None else ("--map", measured.column_map)
+    if measured.bench:
+        bench = [data / each for each in measured.bench]
+        characterised = out / "model.yaml"
+        command = (
+            "characterise",
+            *bench,
+            "--sensor",
+            model,
+            *column_map,
+            "--date",
+            "2026-11-22",
+            "--out",
+            characterised,
+        )
+        failed = _run(command)
+        if failed:
+            return Outcome(_typed(command), failed)
+        model = characterised
+    readings = [data / each for each in measured.readings] if measured.prepare is None else measured.prepare(data, out)
+    command = ("gap", *readings, "--model", model, *column_map, "--out", out / "gap", "--until", until)
+    failed = _run(command)
+    if failed:
+        return Outcome(_typed(command), failed)
+    gap = json.loads((out / "gap" / "gap.json").read_text(encoding="utf-8"))
+    found = found_in(gap)
+    forbidden, missing = compare_names(found, expected_names()[measured.name])
+    measure = (gap.get("gap") or {}).get("nats_per_reading")
+    nats = None if measure is None else (measure["before"], measure["after"])
+    return Outcome(_typed(command), "", gap["verdict"], found, forbidden, missing, nats)
+
+
+def _run(arguments: tuple[object, ...]) -> str:
+    done = run_command("msp-lab", *arguments)
+    return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+
+
+def _typed(arguments: Iterable[object]) -> str:
+    return "msp-lab " + shlex.join(map(str, arguments))
+
+
+def found_in(gap: Mapping[str, Any]) -> tuple[frozenset[str], ...]:
+    """What a `gap.json` names, in the words of `names.csv`."""
+    found = []
+    for effect in gap.get("effects", ()):
+        if effect["verdict"] in KEPT:
+            found.append(frozenset({effect["name"], *(each["name"] for each in effect.get("rivals", ()))}))
+    for unknown in gap.get("unknown", ()):
+        found.append(frozenset(f"unknown {unknown['channel']} of {name}" for name in unknown["variables"]))
+    found += [frozenset({f"calibration {each['name']}"}) for each in gap.get("calibration", ())]
+    return tuple(found)
+
+
+def compare_names(found: Iterable[frozenset[str]], lines: Iterable[Line]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Forbidden things that were found, and required ones that were not.
+
+    Several names that cannot be told apart are right if one of them is required or allowed. What is unknown and what is
+    calibration is never forbidden.
+    """
+    found = list(found)
+    right = {what for line in lines if line.status != "forbidden" for what in line.what}
+    free = ("unknown ", "calibration ")
+    forbidden = [one for one in found if not one & right and not all(name.startswith(free) for name in one)]
+    missing = [
+        " or ".join(line.what)
+        for line in lines
+        if line.status == "required" and not any(one & set(line.what) for one in found)
+    ]
+    return tuple("/".join(sorted(one)) for one in forbidden), tuple(missing)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m tests.real.run", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
+    parser.add_argument("--out", type=Path, default=Path("build/real"))
+    given = parser.parse_args()
+    data = data_folder()
+    for measured in SETS:
+        if given.names and measured.name not in given.names:
+            continue
+        outcome = run_set(measured, data, given.out / measured.name)
+        print(f"{measured.name}: {outcome.failure or outcome.verdict}", flush=True)
+        if outcome.failure:
+            print(f"  {outcome.command}")
+        else:
+            gap = "" if outcome.gap is None else f"  gap {outcome.gap[0]:.3g} to {outcome.gap[1]:.3g} nats per reading"
+            print(gap)
+            for one in outcome.found:
+                print(f"  found {'/'.join(sorted(one))}")
+            print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
+            print(f"  missing: {'; '.join(outcome.missing) or 'none'}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
