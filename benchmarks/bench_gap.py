@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.gap.search import Search
-from msp_lab.gap.units import numbered
+from msp_lab.gap.problem import Problem, first_state, screened
+from msp_lab.gap.runs import numbered
 from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, contexts
@@ -111,9 +111,10 @@ def screen_s(rows: int) -> float:
     columns = measured(rows, 1)
     reading_cm = np.asarray(columns.pop("reading_cm"), dtype=float)
     unit = numbered(np.asarray(columns["run"]))
-    search = Search(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1), 0.05)
+    problem = Problem.of(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1))
+    state = first_state(problem)
     started_s = time.perf_counter()
-    search.screen(search.null, [])
+    screened(problem, state)
     return time.perf_counter() - started_s
 
 

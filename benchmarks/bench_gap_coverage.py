@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.gap.units import split
-from msp_lab.gap.workbench import explain
+from msp_lab.gap.naming import name_effects
+from msp_lab.gap.runs import split
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model
 from tests.blind.score import interval
@@ -44,7 +44,7 @@ TABLES: tuple[Mapping[str, Mapping[str, float]], ...] = (
 
 @dataclass
 class Held:
-    """How often one parameter was quoted, how often its interval held the truth, and its errors in units of it."""
+    """How often one parameter was value, how often its interval held the truth, and its errors in units of it."""
 
     tables: int = 0
     held: list[bool] = field(default_factory=list)
@@ -74,16 +74,16 @@ def coverage(seeds: Iterable[int]) -> dict[tuple[str, str], Held]:
             }
             reading_cm = columns.pop("reading_cm")
             rng = np.random.default_rng((seed, k))
-            explained = explain(model, columns, reading_cm, split(columns, reading_cm, rng), rng)
-            named = {each.name: each for each in explained.effects}
+            named_model = name_effects(model, columns, reading_cm, split(columns, reading_cm, rng), rng)
+            named = {each.name: each for each in named_model.effects}
             for name, values in hidden.items():
                 for parameter, truth in values.items():
                     one = found[name, parameter]
                     one.tables += 1
                     if name in named:
-                        quoted = named[name].parameters[parameter]
-                        one.held.append(quoted.low <= truth <= quoted.high)
-                        one.errors.append(2.0 * 1.96 * (quoted.value - truth) / (quoted.high - quoted.low))
+                        value = named[name].parameters[parameter]
+                        one.held.append(value.low <= truth <= value.high)
+                        one.errors.append(2.0 * 1.96 * (value.value - truth) / (value.high - value.low))
     return found
 
 

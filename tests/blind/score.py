@@ -151,7 +151,7 @@ def _separable(effect: Mapping[str, Any], accepted: frozenset[str], standard_err
         return []
     return [
         str(each["name"])
-        for each in effect.get("rivals", ())
+        for each in effect.get("alternatives", ())
         if not {each["name"], effect["name"]} <= accepted
         and standard_errors * math.sqrt(max(1.0 - (each.get("correlation") or 0.0) ** 2, 0.0)) >= SEPARABLE
     ]
@@ -164,7 +164,7 @@ def _standard_errors(hidden: Mapping[str, Any]) -> float:
 
 def _closed(gap: Mapping[str, Any]) -> Closed | None:
     nats = (gap.get("gap") or {}).get("nats_per_reading") or {}
-    before, after, floor = (nats.get(key) for key in ("before", "after", "floor"))
+    before, after, floor = (nats.get(key) for key in ("before", "after", "noise_floor"))
     if before is None or after is None or floor is None:
         return None
     return Closed(
@@ -174,7 +174,7 @@ def _closed(gap: Mapping[str, Any]) -> Closed | None:
 
 
 def _class(effect: Mapping[str, Any]) -> frozenset[str]:
-    rivals = [each["name"] for each in effect.get("rivals", ())]
+    rivals = [each["name"] for each in effect.get("alternatives", ())]
     return frozenset({effect["name"], *rivals} if effect.get("verdict") == "indistinguishable" else {effect["name"]})
 
 

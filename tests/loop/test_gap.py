@@ -46,7 +46,9 @@ def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
     assert lines[0].startswith("The gap is explained: ")
     found = read_findings(folder / "out")
     assert found.verdict == "explained"
-    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    names = {each.name for each in found.effects} | {
+        other.name for each in found.effects for other in each.alternatives
+    }
     assert "range_scale" in names
     assert found.rows == 2400
     assert found.runs == 10
@@ -104,7 +106,29 @@ def test_data_that_changed_between_steps_are_told(folder: Path, tmp_path: Path) 
 
 
 def test_a_folder_without_a_comparison_is_told(tmp_path: Path) -> None:
-    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("add", tmp_path, code=3)
+    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("name", tmp_path, code=3)
+
+
+def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder: Path, tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(600, 4, bias=hidden))
+    out = tmp_path / "out"
+    run("compare", tmp_path / "flights.csv", "--model", MODEL, "--out", out)
+    assert f"run 'msp-lab name {out}' first" in run("add", out, code=3).replace("\n", "")
+    run("name", out)
+    named = json.loads((out / "named.json").read_text(encoding="utf-8"))
+    assert [each["name"] for each in named["terms"]] == ["range_scale"]
+    # What is added is what the file says, and not what naming would say again.
+    text = (out / "named.json").read_text(encoding="utf-8")
+    term = next(each for each in named["held_out_fit"]["effects"] if each["name"] == "range_scale")
+    (out / "named.json").write_text(text.replace(str(term["parameters"]["scale_pct"]), "0.875"), encoding="utf-8")
+    run("add", out)
+    added = load_model(out / "model.yaml").effects[-1]
+    assert added.values["scale_pct"] == 0.875
+    (tmp_path / "flights.csv").unlink()
+    write_csv(tmp_path / "flights.csv", readings(600, 5))
+    assert "has changed since 'msp-lab name'" in run("add", out, code=3)
+    (out / "named.json").write_text("{}", encoding="utf-8")
+    assert f"run 'msp-lab name {out}' again" in run("add", out, code=3).replace("\n", "")
 
 
 def test_nothing_missing_says_what_would_have_been_seen(tmp_path: Path) -> None:
@@ -139,6 +163,7 @@ def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: li
     assert front_left.bias_cm == pytest.approx(1.5, abs=0.4)
     assert front_left.p_value is not None
     assert front_left.p_value < 0.05
+    run("name", tmp_path)
     run("add", tmp_path)
     after = read_findings(tmp_path)
     offset = {(each.name, each.of): each for each in after.effects}["mounting_offset", "front_left"]
@@ -160,10 +185,13 @@ def test_a_campaign_whose_sensor_is_off_shows_it(tmp_path: Path) -> None:
     campaign = ROOT / "configs" / "campaigns" / "afternoon.yaml"
     run("collect", campaign, "--simulate", "--model", tmp_path / "off.yaml", "--out", tmp_path / "made")
     run("compare", tmp_path / "made" / "readings.csv", "--model", bench, "--out", tmp_path / "out")
+    run("name", tmp_path / "out")
     run("add", tmp_path / "out")
     found = read_findings(tmp_path / "out")
     # Its runs are points, each at one range: a scale is seen as what it does over range, by its name or as a curve.
-    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    names = {each.name for each in found.effects} | {
+        other.name for each in found.effects for other in each.alternatives
+    }
     curves = {(each.channel, each.variables) for each in found.unknown}
     assert "range_scale" in names or ("bias", ("true_range_cm",)) in curves
     assert found.gap is not None

@@ -98,7 +98,7 @@ def test_readings_of_one_run_are_parted_in_time(tmp_path: Path) -> None:
     findings = found(tmp_path, columns)
     assert findings.runs == 1
     assert told(findings, "Found 1 run")
-    assert told(findings, "parted by blocks in time")
+    assert told(findings, "blocks of consecutive readings")
     assert findings.verdict == "nothing missing"
 
 
@@ -109,7 +109,7 @@ def test_readings_that_depend_on_each_other_have_no_name(tmp_path: Path) -> None
     for i in range(1, n):
         drift[i] = (0.9 * drift[i - 1] if i * runs // n == (i - 1) * runs // n else 0.0) + 0.6 * rng.standard_normal()
     findings = found(tmp_path, readings(n, seed=5, runs=runs, bias=lambda _: drift))
-    assert told(findings, "the unit is the run")
+    assert told(findings, "the unit of evidence is the run")
     assert (findings.effects, findings.unknown) == ((), ())
 
 

@@ -124,7 +124,7 @@ def test_nothing_is_named_where_nothing_is_hidden(look: Look, regime: Regime) ->
     looked = look(flown(1, regime=regime))
     assert (looked.found.effects, looked.found.unknown) == ((), ())
     assert looked.found.verdict == "nothing missing"
-    assert looked.found.could_have_seen
+    assert looked.found.detectable
 
 
 def test_readings_that_depend_on_each_other_have_no_name(look: Look) -> None:
@@ -191,7 +191,7 @@ def test_what_is_in_no_catalogue_is_called_unknown(look: Look) -> None:
 def test_what_cannot_be_told_apart_is_said_with_the_experiment(look: Look) -> None:
     looked = look(flown(1, [("air_not_compensated", 0.075)], twist="air of one temperature"))
     assert not looked.outcome.resolved_wrongly
-    names = {looked.effect.name, *(rival.name for rival in looked.effect.rivals)}
+    names = {looked.effect.name, *(other.name for other in looked.effect.alternatives)}
     assert looked.effect.verdict == "indistinguishable"
     assert {"air_temperature", "range_scale"} <= names
     assert "vary air_temperature_c" in looked.effect.experiment
@@ -211,14 +211,14 @@ def test_with_the_cause_shuffled_the_name_is_gone(look: Look) -> None:
 def test_runs_that_confirm_and_hold_nothing_gain_nothing(look: Look, late: Looked) -> None:
     flights, nothing = flown(1, LATE), flown(1)
     # The same flights are parted in the same way, whatever was read in them.
-    confirming = np.isin(flights.columns["run"], late.found.confirming)
+    confirming = np.isin(flights.columns["run"], late.found.held_out_runs)
     assert 0.4 < confirming.mean() < 0.6
     readings = np.where(confirming, nothing.reading_cm, flights.reading_cm)
     looked = look(Flown(flights.columns, readings, "iid", ()))
-    assert looked.found.confirming == late.found.confirming
+    assert looked.found.held_out_runs == late.found.held_out_runs
     assert looked.found.effects == ()
-    assert any("latency was tried and dropped" in each for each in looked.found.messages)
-    first, last = looked.found.path[0].log_score, looked.found.path[-1].log_score
+    assert any("latency was dropped" in each for each in looked.found.messages)
+    first, last = looked.found.selection_path[0].log_score, looked.found.selection_path[-1].log_score
     assert first is not None
     assert last is not None
     # Beside the name, the spread that it made in the other runs is calibration, which costs here and gains nothing.

@@ -29,9 +29,10 @@ def _found(sensor: str, mapping: str, paths: tuple[Path, ...]) -> tuple[GapFindi
     def quiet(what: str, share: float) -> None:
         pass
 
-    compared = workflow.compare(readings, model, Settings(str(file)), "2026-11-21", quiet)
-    findings, explained = workflow.name(compared, quiet)
-    return workflow.add(compared, findings, explained, quiet).findings, readings.data
+    comparison = workflow.Comparison.of(readings, model, Settings(str(file)))
+    findings = workflow.compare(comparison, "2026-11-21", quiet)
+    findings, models = workflow.name(comparison, findings, quiet)
+    return workflow.add(comparison, findings, models, quiet), readings.data
 
 
 def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:

@@ -17,7 +17,7 @@ HEAVY = (
     "msp_lab.readings.intake",
     "msp_lab.characterise.model_file",
     "msp_lab.characterise.show",
-    "msp_lab.gap.commands",
+    "msp_lab.gap.steps",
     "msp_lab.gap.terminal",
 )
 """What the commands import late."""

@@ -12,8 +12,8 @@ from tests.blind.score import accepted_names, interval, judge
 NAMES = accepted_names()
 CLOCK = {"mechanism": "slow_clock", "wanted": 10.0, "standard_errors": 10.0}
 ANSWER = {"kind": "one", "regime": "iid", "hidden": [CLOCK]}
-NAMED: dict[str, Any] = {"name": "range_scale", "verdict": "named", "rivals": []}
-OTHER: dict[str, Any] = {"name": "latency", "verdict": "named", "rivals": []}
+NAMED: dict[str, Any] = {"name": "range_scale", "verdict": "named", "alternatives": []}
+OTHER: dict[str, Any] = {"name": "latency", "verdict": "named", "alternatives": []}
 
 
 def said(*effects: dict[str, Any], **more: object) -> dict[str, Any]:
@@ -22,7 +22,7 @@ def said(*effects: dict[str, Any], **more: object) -> dict[str, Any]:
 
 def with_rival(correlation: float | None) -> dict[str, Any]:
     rival = {"name": "range_scale", "correlation": correlation}
-    return {"name": "air_temperature", "verdict": "indistinguishable", "rivals": [rival], "experiment": "vary it"}
+    return {"name": "air_temperature", "verdict": "indistinguishable", "alternatives": [rival], "experiment": "vary it"}
 
 
 def test_a_name_is_right_alone_or_in_a_class() -> None:
@@ -71,7 +71,7 @@ def test_a_pair_is_in_one_class_with_its_experiment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "floor", "over_floor", "of_all"),
+    ("before", "after", "noise_floor", "over_floor", "of_all"),
     [
         (0.030, 0.000, 0.010, 1.0, 1.0),
         (0.030, 0.006, 0.010, 1.0, 0.8),
@@ -82,7 +82,7 @@ def test_a_pair_is_in_one_class_with_its_experiment() -> None:
     ],
 )
 def test_what_is_closed(before: float, after: float, floor: float, over_floor: float | None, of_all: float) -> None:
-    gap = {"nats_per_reading": {"before": before, "after": after, "floor": floor}}
+    gap = {"nats_per_reading": {"before": before, "after": after, "noise_floor": floor}}
     found = judge(ANSWER, said(NAMED, gap=gap), NAMES).closed
     assert found is not None
     assert found.over_floor == (None if over_floor is None else pytest.approx(over_floor))
@@ -99,7 +99,7 @@ def test_interval() -> None:
 def test_the_table_counts_what_was_said(tmp_path: Path) -> None:
     null = {"kind": "null", "regime": "ar1", "hidden": []}
     fog = {"mechanism": "fog", "wanted": 20.0, "channel": "missed", "variables": ["humidity_pct"]}
-    gap = {"nats_per_reading": {"before": 0.03, "after": 0.0, "floor": 0.01}}
+    gap = {"nats_per_reading": {"before": 0.03, "after": 0.0, "noise_floor": 0.01}}
     tables = [
         (null, said()),
         (null, said(OTHER)),

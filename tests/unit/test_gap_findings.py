@@ -7,25 +7,25 @@ from pathlib import Path
 import pytest
 
 from msp_lab.gap.findings import (
-    Calibration,
+    Alternative,
+    CalibrationFinding,
+    FittedValue,
     FoundEffect,
     Gap,
     GapFindings,
     Measure,
     NotTestable,
-    Odds,
-    Rival,
+    OddsMeasures,
+    PathStep,
+    ReadingsFile,
     Settings,
-    Source,
-    Step,
-    Unknown,
-    Value,
+    UnknownEffect,
     as_json,
     from_json,
     read_findings,
     write_findings,
 )
-from msp_lab.gap.judge import sentence, verdict
+from msp_lab.gap.verdict import sentence, verdict
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL
@@ -35,17 +35,20 @@ ONE = Measure(1.0, 1.0, 1.1, 1.0, 1.05)
 EFFECT = FoundEffect(
     "range_scale",
     "indistinguishable",
-    {"scale_pct": Value(0.8, 0.7, 0.9, "%")},
+    {"scale_pct": FittedValue(0.8, 0.7, 0.9, "%")},
     0.4,
     12.0,
-    (Rival("thermometer_offset", 1.2, 0.99),),
+    (Alternative("thermometer_offset", 1.2, 0.99),),
     "vary air_temperature_c by 6 C",
 )
 
 
 def gap(after: float, bias_cm: float = 0.05) -> Gap:
     return Gap(
-        Measure(0.5, after, 0.003, 0.0, 0.01), Measure(2.0, bias_cm, 0.06, 0.0, 0.1), ONE, Odds(ONE, ONE, ONE, ONE)
+        Measure(0.5, after, 0.003, 0.0, 0.01),
+        Measure(2.0, bias_cm, 0.06, 0.0, 0.1),
+        ONE,
+        OddsMeasures(ONE, ONE, ONE, ONE),
     )
 
 
@@ -55,12 +58,14 @@ FULL = GapFindings(
     runs=10,
     gap=gap(0.002),
     effects=(EFFECT,),
-    unknown=(Unknown("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),),
-    calibration=(Calibration("sigma_cm", "sigma_cm is 2.1", 1.9, 2.1, 2.0, 2.2, "cm"),),
+    unknown=(
+        UnknownEffect("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),
+    ),
+    calibration=(CalibrationFinding("sigma_cm", "sigma_cm is 2.1", 1.9, 2.1, 2.0, 2.2, "cm"),),
     not_testable=(NotTestable("humidity", ("humidity_pct",)),),
     seconds=1.5,
-    path=(Step("", 0.5, -2.8), Step("range_scale", 0.002, -2.3)),
-    sources=(Source("flight.csv", "ab" * 32, 2000),),
+    selection_path=(PathStep("", 0.5, -2.8), PathStep("range_scale", 0.002, -2.3)),
+    sources=(ReadingsFile("flight.csv", "ab" * 32, 2000),),
     settings=Settings("model.yaml", map=("a=b",)),
 )
 
@@ -86,11 +91,13 @@ def test_the_keys_are_those_that_were_promised() -> None:
     }
     assert promised <= set(content)
     assert {"nats_per_reading", "bias_cm", "spread_ratio", "odds"} == set(content["gap"])
-    measure = {"before", "after", "floor", "low", "high"}
+    measure = {"before", "after", "noise_floor", "low", "high"}
     assert set(content["gap"]["bias_cm"]) == measure
     assert set(content["gap"]["odds"]) == {"short", "missed", "random", "code"}
     assert set(content["gap"]["odds"]["code"]) == measure
-    assert {"name", "verdict", "parameters", "gain_nats", "z", "rivals", "experiment"} <= set(content["effects"][0])
+    assert {"name", "verdict", "parameters", "gain_nats", "z", "alternatives", "experiment"} <= set(
+        content["effects"][0]
+    )
     assert set(content["effects"][0]["parameters"]["scale_pct"]) == {"value", "low", "high", "unit"}
     assert {"channel", "variables", "formula", "gain_nats"} <= set(content["unknown"][0])
 
@@ -127,7 +134,9 @@ def test_verdicts(effects: tuple[FoundEffect, ...], gap_left: Gap, expected: str
 
 def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
     """A gap that was within the bound before is no excuse for one that is not any more."""
-    worse = Gap(Measure(0.002, 0.3, 0.003, 0.2, 0.4), Measure(0.05, 0.9, 0.06, 0.5, 1.1), ONE, Odds(ONE, ONE, ONE, ONE))
+    worse = Gap(
+        Measure(0.002, 0.3, 0.003, 0.2, 0.4), Measure(0.05, 0.9, 0.06, 0.5, 1.1), ONE, OddsMeasures(ONE, ONE, ONE, ONE)
+    )
     found = replace(FULL, verdict=None, unknown=(), gap=worse)
     assert verdict(found, GIVEN) == "unexplained"
     assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msp_lab.gap.cell_fits import CellFits
 from msp_lab.gap.cells import partitions
-from msp_lab.gap.free_fit import FreeFit
-from msp_lab.gap.measures import Measures, Table, measure, twins, usable
+from msp_lab.gap.measures import HeldOutReadings, Measures, measure, replicates, usable
 from msp_lab.gap.slices import ranked
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
@@ -15,17 +15,17 @@ from tests.support.measured import MODEL, readings
 MODEL_GIVEN = load_model(MODEL)
 
 
-def table_of(columns, units: int = 50) -> Table:
+def table_of(columns, units: int = 50) -> HeldOutReadings:
     contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
     n = columns["reading_cm"].size
-    return Table(columns["reading_cm"], contexts, (np.arange(n) * units // n).astype(np.intp))
+    return HeldOutReadings(columns["reading_cm"], contexts, (np.arange(n) * units // n).astype(np.intp))
 
 
 def measured(columns) -> tuple[Measures, dict[str, float]]:
     table = table_of(columns)
     parts = partitions(table.contexts)
-    drawn = twins(MODEL_GIVEN, table, parts, 5, np.random.default_rng(7))
-    return measure(MODEL_GIVEN, table, parts, drawn), dict(drawn.floor)
+    drawn = replicates(MODEL_GIVEN, table, parts, 5, np.random.default_rng(7))
+    return measure(MODEL_GIVEN, table, parts, drawn), dict(drawn.noise_floor)
 
 
 def test_nothing_missing_is_within_the_floor() -> None:
@@ -80,7 +80,7 @@ def test_slices_say_where_and_are_corrected_for_their_number() -> None:
     rng = np.random.default_rng(3)
     table = table_of(readings(4000, bias=lambda c: np.where(c["throttle"] > 0.9, 2.0, 0.0)))
     parts = partitions(table.contexts)
-    drawn = twins(MODEL_GIVEN, table, parts, 5, rng)
+    drawn = replicates(MODEL_GIVEN, table, parts, 5, rng)
     slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, rng)
     assert slices[0].variables == ()
     first = slices[1]
@@ -94,7 +94,7 @@ def test_slices_say_where_and_are_corrected_for_their_number() -> None:
     for seed in range(6):
         null = table_of(readings(1500, seed=10 + seed))
         null_parts = partitions(null.contexts, pairs=False)
-        few = twins(MODEL_GIVEN, null, null_parts, 3, rng)
+        few = replicates(MODEL_GIVEN, null, null_parts, 3, rng)
         assert min(each.p_value or 1.0 for each in ranked(MODEL_GIVEN, null, null_parts, few, {}, rng, 3)) > 0.01
 
 
@@ -107,8 +107,8 @@ def test_errors_are_those_of_units_that_share_an_offset() -> None:
     parts = partitions(contexts, pairs=False)
     whole = {}
     for name, unit in (("run", run), ("reading", np.arange(4000))):
-        table = Table(columns["reading_cm"], contexts, unit.astype(np.intp))
-        drawn = twins(MODEL_GIVEN, table, parts, 3, np.random.default_rng(1))
+        table = HeldOutReadings(columns["reading_cm"], contexts, unit.astype(np.intp))
+        drawn = replicates(MODEL_GIVEN, table, parts, 3, np.random.default_rng(1))
         whole[name] = measure(MODEL_GIVEN, table, parts, drawn).fits[()].errors[0, 0]
     # 40 offsets of 3 cm: 0.47 cm, where independent readings would make it 0.05.
     assert whole["run"] == pytest.approx(0.47, rel=0.4)
@@ -130,12 +130,12 @@ def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs()
         unit = np.arange(4000) * 20 // 4000
         contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
         contexts["run"] = unit.astype(str)
-        table = Table(columns["reading_cm"], contexts, unit.astype(np.intp))
+        table = HeldOutReadings(columns["reading_cm"], contexts, unit.astype(np.intp))
         parts = partitions(contexts)
-        drawn = twins(MODEL_GIVEN, table, parts, 10, np.random.default_rng(7))
+        drawn = replicates(MODEL_GIVEN, table, parts, 10, np.random.default_rng(7))
         found = measure(MODEL_GIVEN, table, parts, drawn)
-        assert found.bias_cm.value < 1.3 * drawn.floor["bias_cm"]
-        assert found.nats.value < 1.3 * drawn.floor["nats"] + 0.002
+        assert found.bias_cm.value < 1.3 * drawn.noise_floor["bias_cm"]
+        assert found.nats.value < 1.3 * drawn.noise_floor["nats"] + 0.002
 
 
 def test_what_chance_adds_to_a_mean_square_is_taken_off() -> None:
@@ -145,7 +145,7 @@ def test_what_chance_adds_to_a_mean_square_is_taken_off() -> None:
     def square(bias_cm: float) -> float:
         values = np.tile([bias_cm, 0.0, 0.0, 0.0, 0.0], (cells, 1)) + error * rng.standard_normal((cells, 5))
         errors = np.full((cells, 5), error)
-        fit = FreeFit(np.full(cells, 50, dtype=np.intp), values, errors, np.zeros(cells), np.zeros(cells))
+        fit = CellFits(np.full(cells, 50, dtype=np.intp), values, errors, np.zeros(cells), np.zeros(cells))
         found, of_it = fit.mean_square("bias")
         assert abs(found - bias_cm**2) < 4.0 * of_it
         return found
@@ -158,5 +158,5 @@ def test_of_three_runs_no_slice_is_sure() -> None:
     rng = np.random.default_rng(7)
     table = table_of(readings(900, seed=7, bias=lambda c: np.where(c["throttle"] > 0.5, 1.0, 0.0)), units=3)
     parts = partitions(table.contexts, pairs=False)
-    slices = ranked(MODEL_GIVEN, table, parts, twins(MODEL_GIVEN, table, parts, 3, rng), {}, rng)
+    slices = ranked(MODEL_GIVEN, table, parts, replicates(MODEL_GIVEN, table, parts, 3, rng), {}, rng)
     assert min(each.p_value or 1.0 for each in slices) > 0.05

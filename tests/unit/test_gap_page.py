@@ -11,11 +11,20 @@ from typer.testing import CliRunner
 
 from msp_lab.cli import app
 from msp_lab.gap.cells import Partition, partitions
-from msp_lab.gap.findings import FoundEffect, GapFindings, Rival, Settings, Source, Step, Unknown, Value
-from msp_lab.gap.measures import Table
+from msp_lab.gap.findings import (
+    Alternative,
+    FittedValue,
+    FoundEffect,
+    GapFindings,
+    PathStep,
+    ReadingsFile,
+    Settings,
+    UnknownEffect,
+)
+from msp_lab.gap.labels import headline
+from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.pictures import _apart
-from msp_lab.gap.report import Models, write_report
-from msp_lab.gap.words import headline
+from msp_lab.gap.report import ReportModels, write_report
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
@@ -28,23 +37,25 @@ FOUND = replace(
         FoundEffect(
             "range_scale",
             "indistinguishable",
-            {"scale_pct": Value(0.8, 0.7, 0.9, "%")},
+            {"scale_pct": FittedValue(0.8, 0.7, 0.9, "%")},
             0.4,
             12.0,
-            (Rival("bend", -0.3, 0.97), Rival("thermometer_offset", 1.2, 0.99)),
+            (Alternative("bend", -0.3, 0.97), Alternative("thermometer_offset", 1.2, 0.99)),
             "to tell range_scale from bend: ranges in steps of 20 cm",
         ),
     ),
-    unknown=(Unknown("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),),
-    path=(Step("", 0.5, -2.8), Step("calibration", 0.4, -2.7), Step("range_scale", 0.002, -2.3)),
-    choosing=("monday", "tuesday"),
-    confirming=("wednesday", "thursday"),
-    global_p_value=0.0005,
-    sources=(Source("flight.csv", "ab" * 32, 400),),
+    unknown=(
+        UnknownEffect("bias", ("throttle",), "1.2 throttle^2", 0.1, ((0.0, 0.0, -0.1, 0.1), (1.0, 1.2, 1.0, 1.4))),
+    ),
+    selection_path=(PathStep("", 0.5, -2.8), PathStep("calibration", 0.4, -2.7), PathStep("range_scale", 0.002, -2.3)),
+    training_runs=("monday", "tuesday"),
+    held_out_runs=("wednesday", "thursday"),
+    p_value=0.0005,
+    sources=(ReadingsFile("flight.csv", "ab" * 32, 400),),
     settings=Settings("given.yaml", alpha=0.02, seed=7),
     model_sha256="cd" * 32,
     version="9.8.7",
-    could_have_seen="mounting_offset above 0.5 cm; bend above 0.3 %",
+    detectable="mounting_offset above 0.5 cm; bend above 0.3 %",
 )
 
 
@@ -52,17 +63,17 @@ def page_of(findings: GapFindings, folder: Path) -> str:
     given = load_model(MODEL)
     columns = readings(400, 3)
     contexts = {name: column for name, column in columns.items() if name != "reading_cm"}
-    table = Table(columns["reading_cm"], contexts, np.unique(columns["run"], return_inverse=True)[1])
-    page = write_report(findings, Models(given, given, given), table, folder).read_text(encoding="utf-8")
+    table = HeldOutReadings(columns["reading_cm"], contexts, np.unique(columns["run"], return_inverse=True)[1])
+    page = write_report(findings, ReportModels(given, given, given), table, folder).read_text(encoding="utf-8")
     words = html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL))
     return re.sub(r"\s+", " ", words)
 
 
 def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path) -> None:
     told = page_of(FOUND, tmp_path)
-    assert "chosen and fitted on: monday, tuesday" in told
+    assert "selected and fitted: monday, tuesday" in told
     assert "come from: wednesday, thursday" in told
-    assert "Chance of any false name: 0.02 in all" in told
+    assert "Family-wise false-positive rate: 0.02" in told
     assert "p-value of 0.0005" in told
     assert "msp-range 9.8.7, seed 7" in told
     for digest in ("ab" * 32, "cd" * 32):
@@ -72,10 +83,10 @@ def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path
 def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: Path) -> None:
     told = page_of(FOUND, tmp_path)
     assert "how much too long ranges read 0.8 % 0.7 to 0.9" in told
-    assert "bend (0.3 nats better in all, correlation 0.97)" in told
-    assert "thermometer offset (1.2 nats worse in all, correlation 0.99)" in told
+    assert "bend (0.3 nats better in total, correlation 0.97)" in told
+    assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in told
     assert "To tell range_scale from bend: ranges in steps of 20 cm." in told
-    assert "its numbers fitted again 0.4 -2.7000 +0.1000" in told
+    assert "its numbers refitted 0.4 -2.7000 +0.1000" in told
     assert "bend above 0.3 %" in told
     assert "sigma_cm Standard deviation of a hit" in told
     names = {each.name for each in tmp_path.glob("*.png")}

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.refit import Fitted, extended, refit, to_sensor
-from msp_lab.gap.tangent import BASE, Prepared
+from msp_lab.gap.extended_model import extended, to_sensor
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Active, Model, active, active_curve
 from tests.support.measured import MODEL as FILE
@@ -161,6 +162,6 @@ def test_a_fit_from_far_away_ends_where_the_readings_are() -> None:
     throttle = np.asarray(contexts["throttle"], dtype=float)
     shape = active_curve("bias", ["throttle"], [[0.2, 0.55, 0.9]], [0.0, 0.0, 0.0])
     bow_cm = 2.0 * np.maximum(throttle - 0.55, 0.0) / 0.35
-    fitted: Fitted = refit(Prepared.of(MODEL, contexts, read(contexts, 7, bias_cm=bow_cm)), [shape], ridge=0.05)
+    fitted: JointFit = refit(Prepared.of(MODEL, contexts, read(contexts, 7, bias_cm=bow_cm)), [shape])
     values = fitted.values[NB:] + fitted.base[0]
     assert values == pytest.approx([0.0, 0.0, 2.0], abs=0.5)

@@ -5,8 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from msp_lab.gap.screen import Screen, Sums, information_of, score_matrix, screen, sums, twin
-from msp_lab.gap.tangent import BASE, Entry, Prepared, entries
+from msp_lab.gap.candidates import Candidate, candidates_of
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as SENSOR
@@ -28,36 +29,36 @@ def flown(seed: int, n: int = N) -> dict[str, NDArray[np.generic]]:
     }
 
 
-TESTED, _ = entries(MODEL, flown(1))
-BY_KEY = {(entry.key[0], entry.key[1]): entry for entry in TESTED}
+TESTED, _ = candidates_of(MODEL, flown(1))
+BY_KEY = {(candidate.key[0], candidate.key[1]): candidate for candidate in TESTED}
 TWO_SIDED = [BY_KEY["latency", None], BY_KEY["range_scale", None], BY_KEY["bend", None], BY_KEY["missed", None]]
 
 
 def informed(k: int, seed: int) -> Array:
-    """Some information of base and k entries, all correlated."""
+    """Some information of base and k candidates, all correlated."""
     rng = np.random.default_rng(seed)
     root = np.eye(NB + k) + 0.3 * rng.standard_normal((NB + k, NB + k))
     information: Array = root @ root.T
     return information
 
 
-def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) -> Sums:
+def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) -> ScoreSums:
     """Score sums of runs where nothing is missing."""
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(information * N / units)
     by_unit = wider * rng.standard_normal((units, information.shape[0])) @ root.T
     k = information.shape[0] - NB
-    return Sums(by_unit, information * N, np.full(k, np.inf), np.full(k, np.nan), N)
+    return ScoreSums(by_unit, information * N, np.full(k, np.inf), np.full(k, np.nan), N)
 
 
 def screened(
-    of: Sums, information: Array, tested: list[Entry], by_run: bool = False, accepted: int | None = None
+    of: ScoreSums, information: Array, tested: list[Candidate], by_run: bool = False, accepted: int | None = None
 ) -> Screen:
     held = [] if accepted is None else [accepted]
     return screen(of, information, tested, held, by_run, 0.05, np.random.default_rng(1))
 
 
-def efficient_z(of: Sums, information: Array, j: int, nuisance: list[int]) -> float:
+def efficient_z(of: ScoreSums, information: Array, j: int, nuisance: list[int]) -> float:
     """By the inverse of the whole block: the number's own estimate over its own standard error."""
     block = [*nuisance, NB + j]
     inverse = np.linalg.inv(information[np.ix_(block, block)] * of.rows)
@@ -93,7 +94,7 @@ def test_what_the_base_does_as_well_cannot_be_seen() -> None:
     of = drawn(informed(4, 1), 2)
     by_unit = of.by_unit.copy()
     by_unit[:, NB + 2] = 0.5 * by_unit[:, :NB].sum(axis=1) + 1e-7
-    seen = screened(Sums(by_unit, information * N, of.profile, of.best, N), information, TWO_SIDED)
+    seen = screened(ScoreSums(by_unit, information * N, of.profile, of.best, N), information, TWO_SIDED)
     assert seen.z[2] == 0.0
     assert np.isinf(seen.deviation[2])
     assert np.abs(seen.z[[0, 1, 3]]).min() > 0.0
@@ -101,12 +102,12 @@ def test_what_the_base_does_as_well_cannot_be_seen() -> None:
 
 def test_a_number_that_cannot_be_negative_is_not() -> None:
     one_sided = [BY_KEY["multipath", None], BY_KEY["rotor_noise", None]]
-    assert all(entry.one_sided for entry in one_sided)
-    assert not any(entry.one_sided for entry in TWO_SIDED)
+    assert all(candidate.one_sided for candidate in one_sided)
+    assert not any(candidate.one_sided for candidate in TWO_SIDED)
     information = np.eye(NB + 2)
     by_unit = np.zeros((40, NB + 2))
     by_unit[:, NB:] = [-8.0, 8.0]
-    of = Sums(by_unit, information * N, np.full(2, np.inf), np.full(2, np.nan), N)
+    of = ScoreSums(by_unit, information * N, np.full(2, np.inf), np.full(2, np.nan), N)
     seen = screened(of, information, one_sided)
     assert seen.z[0] == 0.0
     assert seen.z[1] == pytest.approx(40 * 8.0 / np.sqrt(N))
@@ -150,17 +151,17 @@ def test_runs_that_scatter_more_than_their_readings_count_less() -> None:
 def test_runs_of_readings_that_scatter_more_do_not_count_less_for_it() -> None:
     information = informed(4, 1)
     of = drawn(information, 2, 200, 3.0)
-    as_they_are = Sums(of.by_unit, 9.0 * of.products, of.profile, of.best, N)
+    as_they_are = ScoreSums(of.by_unit, 9.0 * of.products, of.profile, of.best, N)
     assert screened(as_they_are, information, TWO_SIDED, True).inflation == pytest.approx(np.ones(4), abs=0.25)
 
 
 def test_an_effect_whose_column_is_absent_or_empty_is_not_testable() -> None:
     contexts = flown(1) | {"humidity_pct": np.full(N, np.nan), "air_temperature_c": np.full(N, 20.0)}
-    tested, missing = entries(MODEL, contexts)
+    tested, missing = candidates_of(MODEL, contexts)
     columns = dict(missing)
     assert columns["humidity"] == ("humidity_pct",)
     assert columns["stale"] == ("previous_reading_cm",)
-    assert not {"humidity", "stale"} & {entry.key[0] for entry in tested}
+    assert not {"humidity", "stale"} & {candidate.key[0] for candidate in tested}
     assert not {"latency", "multipath", "missed_by_target"} & columns.keys()
 
 
@@ -168,7 +169,7 @@ def test_what_rests_on_a_few_readings_is_worth_what_it_gains() -> None:
     by_unit = np.zeros((40, NB + 4))
     by_unit[:, NB:] = [-8.0, 8.0, -8.0, 8.0]
     information = np.eye(NB + 4)
-    of = Sums(by_unit, information * N, np.array([0.25, 4.0, np.inf, np.inf]), np.full(4, np.nan), N)
+    of = ScoreSums(by_unit, information * N, np.array([0.25, 4.0, np.inf, np.inf]), np.full(4, np.nan), N)
     seen = screened(of, information, TWO_SIDED)
     whole = 40 * 8.0 / np.sqrt(N)
     assert seen.z == pytest.approx([-0.5, 2.0, -whole, whole])
@@ -190,12 +191,12 @@ def plain(contexts: dict[str, NDArray[np.generic]], seed: int) -> Array:
     return np.array(sensor.readings(np.asarray(contexts["true_range_cm"], dtype=float).tolist(), seed))
 
 
-def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> Sums:
+def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> ScoreSums:
     base = np.zeros(NB)
-    drawn_twin = twin(MODEL, base, [], contexts, np.random.default_rng(5))
-    information = information_of(drawn_twin, base, [], TESTED)
+    simulated = replicate(MODEL, base, [], contexts, np.random.default_rng(5))
+    information = information_of(simulated, base, [], TESTED)
     unit = np.zeros(reading_cm.size, dtype=np.intp)
-    return sums(MODEL, base, [], TESTED, contexts, reading_cm, unit, information)
+    return score_sums(MODEL, base, [], TESTED, contexts, reading_cm, unit, information)
 
 
 def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
@@ -208,7 +209,7 @@ def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
     reading_cm = np.where(lost, 765.0, np.where(twice, np.minimum(np.rint(2.0 * true_cm), 765.0), reading_cm))
     found = profile(contexts, reading_cm)
-    at = {entry.key: j for j, entry in enumerate(TESTED)}
+    at = {candidate.key: j for j, candidate in enumerate(TESTED)}
     grass_at, asphalt_at = at["missed_by_target", "grass"], at["missed_by_target", "asphalt"]
     # Odds are of grass against asphalt, so the one is as the other with the other sign.
     assert 1.0 <= found.best[grass_at] <= 4.0
@@ -225,24 +226,24 @@ def test_scores_of_faults_and_of_squares_are_slopes() -> None:
     contexts = flown(3) | {"previous_reading_cm": np.full(N, 150.0)}
     reading_cm = plain(contexts, 3)
     reading_cm[:20] = np.mod(np.asarray(contexts["true_range_cm"], dtype=float)[:20].round(), 256.0)
-    tested, _ = entries(MODEL, contexts)
+    tested, _ = candidates_of(MODEL, contexts)
     prepared = Prepared.of(MODEL, contexts, reading_cm)
     zero = np.zeros(NB)
     here = prepared.log_prob(zero, [])
     scores = score_matrix(prepared, zero, [], tested)
     seen = set()
-    for j, entry in enumerate(tested):
-        code = "code" in entry.effect.channels
-        if not code and entry.parameter.power == 1:
+    for j, candidate in enumerate(tested):
+        code = "code" in candidate.effect.channels
+        if not code and candidate.parameter.power == 1:
             continue
-        step = 1e-4 if code else 0.05 * min(entry.parameter.high, 1.0)
-        there = prepared.log_prob(zero, [entry.at((entry.parameter.null or 0.0) + step)])
-        slope = (there - here) / step**entry.parameter.power
+        step = 1e-4 if code else 0.05 * min(candidate.parameter.high, 1.0)
+        there = prepared.log_prob(zero, [candidate.at(candidate.neutral + step)])
+        slope = (there - here) / step**candidate.parameter.power
         usual = np.abs(slope) < 20.0
         assert usual.mean() > 0.9
         size = np.abs(slope[usual]).max()
         np.testing.assert_allclose(
-            scores[usual, NB + j], slope[usual], atol=0.05 * size + 0.01, err_msg=str((entry.key, entry.shape))
+            scores[usual, NB + j], slope[usual], atol=0.05 * size + 0.01, err_msg=str((candidate.key, candidate.shape))
         )
-        seen.add(entry.key[0])
+        seen.add(candidate.key[0])
     assert {"lost_high_byte", "saturated_byte", "clock_fault", "or_ed_bytes"} <= seen

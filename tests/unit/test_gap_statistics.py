@@ -1,16 +1,20 @@
 """The gap workflow's statistics on readings from a plain sampler that shares no code with the model."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap import units
-from msp_lab.gap.adequacy import formula
-from msp_lab.gap.prove import gain
-from msp_lab.gap.refit import refit, to_sensor
+from msp_lab.gap import runs
+from msp_lab.gap.candidates import candidates_of
+from msp_lab.gap.extended_model import to_sensor
+from msp_lab.gap.formula import formula
+from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.refit import refit
 from msp_lab.gap.screen import score_matrix
-from msp_lab.gap.tangent import BASE, Prepared, entries
-from msp_lab.gap.workbench import Explanation, explain
+from msp_lab.gap.validation import gain
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import Model, active_curve
@@ -56,24 +60,24 @@ def read(
     return np.clip(np.where(saturated, 255.0, reading_cm), SENSOR.minimum_cm, SENSOR.maximum_cm)
 
 
-def explained(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, seed: int = 1) -> Explanation:
+def explained(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, seed: int = 1) -> NamedModel:
     rng = np.random.default_rng(seed)
-    return explain(MODEL, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+    return name_effects(MODEL, contexts, reading_cm, runs.split(contexts, reading_cm, rng), rng)
 
 
 def test_runs_are_parted_whole_and_evenly() -> None:
     contexts = flown(1)
-    parts = units.split(contexts, read(contexts, 1), np.random.default_rng(1))
-    assert len(parts.fit_runs) == len(parts.confirm_runs) == RUNS // 2
-    assert not set(parts.runs[parts.fit]) & set(parts.runs[parts.confirm])
+    parts = runs.split(contexts, read(contexts, 1), np.random.default_rng(1))
+    assert len(parts.training_runs) == len(parts.held_out_runs) == RUNS // 2
+    assert not set(parts.runs[parts.training]) & set(parts.runs[parts.held_out])
 
 
 def test_few_runs_are_parted_by_blocks_and_said_so() -> None:
     contexts = flown(1)
     contexts["run"] = np.full(RUNS * ROWS, "one")
-    parts = units.split(contexts, read(contexts, 1), np.random.default_rng(1))
-    assert "blocks in time" in parts.messages[0]
-    assert 0.4 < parts.fit.mean() < 0.6
+    parts = runs.split(contexts, read(contexts, 1), np.random.default_rng(1))
+    assert "blocks of consecutive readings" in parts.messages[0]
+    assert 0.4 < parts.training.mean() < 0.6
 
 
 def test_dependence_is_seen_and_is_not_seen_where_there_is_none() -> None:
@@ -83,43 +87,43 @@ def test_dependence_is_seen_and_is_not_seen_where_there_is_none() -> None:
     slow = np.zeros(2000)
     for i in range(1, 2000):
         slow[i] = 0.9 * slow[i - 1] + plain[i]
-    assert not units.dependence(plain, unit).dependent
-    assert units.dependence(slow, unit).dependent
-    between = units.dependence(plain + 0.5 * rng.standard_normal(20)[unit], unit)
+    assert not runs.dependence(plain, unit).dependent
+    assert runs.dependence(slow, unit).dependent
+    between = runs.dependence(plain + 0.5 * rng.standard_normal(20)[unit], unit)
     assert between.dependent
     assert between.between_run_share > 0.1
     # Runs that have the same mean, and readings in them that follow one another.
-    within = units.dependence(slow - (np.bincount(unit, slow) / 100.0)[unit], unit)
+    within = runs.dependence(slow - (np.bincount(unit, slow) / 100.0)[unit], unit)
     assert within.p_between > 0.5
     assert within.dependent
 
 
 def test_previous_reading_is_of_the_same_run() -> None:
     contexts = {"run": np.array(["a", "a", "b", "b"]), "time_s": np.array([1.0, 0.0, 0.0, 1.0])}
-    before = units.previous(contexts, np.array([10.0, 11.0, 12.0, 13.0]))
+    before = runs.previous(contexts, np.array([10.0, 11.0, 12.0, 13.0]))
     np.testing.assert_array_equal(before, [11.0, np.nan, np.nan, 12.0])
 
 
 def test_scores_are_derivatives_of_the_log_probability() -> None:
     contexts = flown(3)
     reading_cm = read(contexts, 3)
-    tested, missing = entries(MODEL, contexts)
+    tested, missing = candidates_of(MODEL, contexts)
     assert ("humidity", ("humidity_pct",)) in missing
     prepared = Prepared.of(MODEL, contexts, reading_cm)
     scores = score_matrix(prepared, np.zeros(len(BASE)), [], tested)
     here = prepared.log_prob(np.zeros(len(BASE)), [])
-    for j, entry in enumerate(tested):
-        if entry.parameter.power != 1 or "code" in entry.effect.channels:
+    for j, candidate in enumerate(tested):
+        if candidate.parameter.power != 1 or "code" in candidate.effect.channels:
             continue
-        step = 1e-5 * max(min(entry.parameter.high, 1.0), 1e-3)
-        there = prepared.log_prob(np.zeros(len(BASE)), [entry.at((entry.parameter.null or 0.0) + step)])
+        step = 1e-5 * max(min(candidate.parameter.high, 1.0), 1e-3)
+        there = prepared.log_prob(np.zeros(len(BASE)), [candidate.at(candidate.neutral + step)])
         slope = (there - here) / step
         usual = np.abs(slope) < 50.0
         np.testing.assert_allclose(
             scores[usual, len(BASE) + j],
             slope[usual],
             atol=0.02 + 0.02 * np.abs(slope[usual]).max(),
-            err_msg=str(entry.key),
+            err_msg=str(candidate.key),
         )
 
 
@@ -136,11 +140,13 @@ def test_latency_is_named_with_its_size() -> None:
     contexts = flown(4)
     rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
     found = explained(contexts, read(contexts, 4, bias_cm=-0.012 * rate))
-    names = {each.name for each in found.effects} | {rival.name for each in found.effects for rival in each.rivals}
+    names = {each.name for each in found.effects} | {
+        other.name for each in found.effects for other in each.alternatives
+    }
     assert "latency" in names
     assert len(found.effects) == 1
     assert not found.unknown
-    assert found.confirm.nats_per_reading > 2.0 * found.confirm.se
+    assert found.gain.nats_per_reading > 2.0 * found.gain.se
     if found.effects[0].name == "latency":
         value = found.effects[0].parameters["delay_ms"]
         assert value.low < 12.0 < value.high
@@ -160,9 +166,11 @@ def test_what_is_in_no_catalogue_is_a_curve_and_flies() -> None:
     found = explained(contexts, read(contexts, 6, bias_cm=1.5 * np.sin(7.0 * throttle)))
     assert not found.effects
     assert [(each.channel, each.variables) for each in found.unknown] == [("bias", ("throttle",))]
-    again = Model.of(to_sensor(found.model))
+    again = Model.of(to_sensor(found.models.held_out_fit))
     reading_cm = read(contexts, 6)
-    np.testing.assert_allclose(again.log_prob(reading_cm, contexts), found.model.log_prob(reading_cm, contexts))
+    np.testing.assert_allclose(
+        again.log_prob(reading_cm, contexts), found.models.held_out_fit.log_prob(reading_cm, contexts)
+    )
 
 
 def test_scale_and_thermometer_are_indistinguishable_in_air_of_one_temperature() -> None:
@@ -174,7 +182,7 @@ def test_scale_and_thermometer_are_indistinguishable_in_air_of_one_temperature()
     effect = found.effects[0]
     assert effect.verdict == "indistinguishable"
     assert "to tell" in effect.experiment
-    assert {"range_scale", "air_temperature"} <= {effect.name, *(rival.name for rival in effect.rivals)}
+    assert {"range_scale", "air_temperature"} <= {effect.name, *(other.name for other in effect.alternatives)}
 
 
 def test_a_shuffled_cause_has_no_name() -> None:
@@ -208,7 +216,8 @@ def test_what_lies_between_runs_is_not_in_the_spread_within_them() -> None:
     offset_cm = np.random.default_rng(9).permutation(np.linspace(-3.0, 3.0, RUNS))
     found = explained(contexts, read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS)))
     assert [each.name for each in found.effects] == ["run_offsets"]
-    assert found.model.sensor.reading_model.sigma_cm == pytest.approx(SENSOR.reading_model.sigma_cm, rel=0.08)
+    mixture = found.models.held_out_fit.sensor.reading_model
+    assert mixture.sigma_cm == pytest.approx(SENSOR.reading_model.sigma_cm, rel=0.08)
     deviation = found.effects[0].parameters["deviation_cm"]
     assert deviation.low < offset_cm.std() < deviation.high
 
@@ -222,59 +231,61 @@ def test_offsets_that_the_spread_of_the_model_holds_already_are_not_named() -> N
     wider = mixture.model_copy(update={"sigma_cm": float(np.hypot(mixture.sigma_cm, offset_cm.std()))})
     rng = np.random.default_rng(1)
     model = Model.of(SENSOR.model_copy(update={"reading_model": wider}))
-    found = explain(model, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+    found = name_effects(model, contexts, reading_cm, runs.split(contexts, reading_cm, rng), rng)
     assert not found.effects
 
 
-def halves(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> units.Split:
-    return units.split(contexts, reading_cm, np.random.default_rng(1))
+def halves(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> runs.Split:
+    return runs.split(contexts, reading_cm, np.random.default_rng(1))
 
 
-def test_numbers_are_those_of_the_runs_that_confirm() -> None:
-    """On the runs that choose, an effect looks larger than it is; here it is made so."""
+def test_values_are_those_of_the_held_out_runs() -> None:
+    """On the training runs an effect looks larger than it is; here it is made so."""
     contexts = flown(4)
     rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
     parts = halves(contexts, read(contexts, 4))
-    delay_s = np.where(parts.confirm, 0.012, 0.018)
+    delay_s = np.where(parts.held_out, 0.012, 0.018)
     found = explained(contexts, read(contexts, 4, bias_cm=-delay_s * rate))
     assert [each.name for each in found.effects] == ["latency"]
     value = found.effects[0].parameters["delay_ms"]
-    hits = 0.96 * parts.confirm.sum()
+    hits = 0.96 * parts.held_out.sum()
     error_ms = 1000.0 * np.hypot(SENSOR.reading_model.sigma_cm, 0.29) / np.sqrt(hits) / rate.std()
     assert value.value == pytest.approx(12.0, abs=3.5 * error_ms)
     assert value.high - value.low == pytest.approx(2.0 * 1.96 * error_ms, rel=0.2)
-    quoted, proved = (each.effects[0].values["delay_ms"] for each in (found.model, found.model_fit))
-    assert quoted == pytest.approx(value.value)
-    assert proved == pytest.approx(18.0, abs=3.5 * error_ms)
-    # What could have been seen: 80 % power at the critical value of all entries, on the runs that choose.
-    (smallest_ms,) = (size for name, _, size, _ in found.detectable if name == "latency")
+    held_out, training = (
+        each.effects[0].values["delay_ms"] for each in (found.models.held_out_fit, found.models.training_fit)
+    )
+    assert held_out == pytest.approx(value.value)
+    assert training == pytest.approx(18.0, abs=3.5 * error_ms)
+    # What could have been seen: 80 % power at the critical value of all entries, on the training runs.
+    smallest_ms = float(re.search(r"latency above ([\d.]+) ms", found.detectable)[1])
     assert 3.4 * error_ms < smallest_ms < 5.5 * error_ms
 
 
-def test_what_the_confirming_runs_do_not_have_is_dropped_and_the_rest_is_kept() -> None:
+def test_what_held_out_runs_do_not_have_is_dropped_and_the_rest_is_kept() -> None:
     contexts = flown(5)
     rate, throttle = (np.asarray(contexts[name], dtype=float) for name in ("range_rate_cm_s", "throttle"))
-    confirm = halves(contexts, read(contexts, 5)).confirm
-    wider = np.where(confirm, 1.0, 1.0 + 2.0 * throttle)
+    held_out = halves(contexts, read(contexts, 5)).held_out
+    wider = np.where(held_out, 1.0, 1.0 + 2.0 * throttle)
     found = explained(contexts, read(contexts, 5, bias_cm=-0.03 * rate, wider=wider))
     assert [each.name for each in found.effects] == ["latency"]
     assert [name for name, _ in found.dropped] == ["rotor_noise"]
     nothing = explained(contexts, read(contexts, 5, wider=wider))
     assert not nothing.effects
     assert not nothing.unknown
-    assert abs(nothing.confirm.nats_per_reading) < 1e-3
+    assert abs(nothing.gain.nats_per_reading) < 1e-3
 
 
 def test_what_the_halves_disagree_about_is_no_calibration() -> None:
     contexts = flown(12)
     reading_cm = read(contexts, 12)
-    confirm = halves(contexts, reading_cm).confirm
+    held_out = halves(contexts, reading_cm).held_out
     true_cm = np.round(np.asarray(contexts["true_range_cm"], dtype=float))
     lost = np.random.default_rng([12, 9]).random(RUNS * ROWS) < 0.08
     more = np.where(lost, SENSOR.maximum_cm, reading_cm)
     fewer = np.where((reading_cm == SENSOR.maximum_cm) | (reading_cm == 255.0), true_cm, reading_cm)
     in_both = explained(contexts, more)
-    in_one = explained(contexts, np.where(confirm, fewer, more))
+    in_one = explained(contexts, np.where(held_out, fewer, more))
     assert "weights.missed" in [each.name for each in in_both.calibration]
     assert "weights.missed" not in [each.name for each in in_one.calibration]
 

@@ -1,7 +1,7 @@
 """Parts of the readings by context: quantile bins of a number, categories of a word, and pairs of both.
 
-Context columns enter; partitions leave, each with the cell of every reading and what a cell is called. A reading whose
-context is unknown has a cell of its own.
+Context columns enter; partitions leave, each with the cell of every reading and the cells' names. Readings whose
+context is unknown have a cell of their own.
 """
 
 import itertools
@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from msp_lab.gap import rules
 from msp_range.recording.columns import WORD_COLUMNS
 
-MOST_BINS = 12
-LEAST_IN_CELL = 40
-"""Readings: fewer say nothing of the odds of outliers."""
-MOST_WORDS = 30
 NOT_CONTEXT = frozenset({"reading_cm"})
 
 
@@ -31,11 +28,11 @@ class Partition:
     variables
         Context columns that it is made of; none: all readings in one cell.
     labels
-        What each of the K cells is called.
+        Name of each of the K cells.
     cell
         Cell of each reading, (n,).
     centres
-        Of each cell the median of the variable, where there is one and it is a number; for drawing.
+        Median of the variable in each cell, where there is one and it is a number; for drawing.
     """
 
     variables: tuple[str, ...]
@@ -45,11 +42,11 @@ class Partition:
 
     @property
     def counts(self) -> NDArray[np.intp]:
-        """Readings of each cell, (K,)."""
+        """Readings in each cell, (K,)."""
         return np.bincount(self.cell, minlength=len(self.labels))
 
     def take(self, rows: NDArray[Any]) -> "Partition":
-        """Of some of the readings."""
+        """The partition of some of the readings."""
         return Partition(self.variables, self.labels, self.cell[rows], self.centres)
 
 
@@ -73,7 +70,7 @@ class Stack:
 
     @classmethod
     def of(cls, parts: Sequence[Partition]) -> "Stack":
-        """Put partitions together."""
+        """Put partitions one after another."""
         counts = np.concatenate([each.counts for each in parts])
         # Words of 16 bits are sorted by their digits, in linear time.
         readings = np.concatenate([np.argsort(each.cell.astype(np.int16), kind="stable") for each in parts])
@@ -129,11 +126,11 @@ def partitions(
     size = len(next(iter(contexts.values())))
     names = varying(contexts) if variables is None else [name for name in variables if name in contexts]
     whole = Partition((), ("all readings",), np.zeros(size, dtype=np.intp))
-    bins = int(np.clip(size // (LEAST_IN_CELL + size // 50), 2, MOST_BINS))
+    bins = int(np.clip(size // (rules.MIN_CELL_READINGS + size // 50), 2, rules.MAX_BINS))
     single = [each for name in names if (each := _split(name, contexts[name], bins)) is not None]
     found = [whole, *single]
     if pairs:
-        coarse = {name: _split(name, contexts[name], 2 if size < 2000 else 3) for name in names}
+        coarse = {name: _split(name, contexts[name], 2 if size < rules.PAIR_BINS_READINGS else 3) for name in names}
         for one, two in itertools.combinations(names, 2):
             left, right = coarse[one], coarse[two]
             if left is not None and right is not None:
@@ -178,7 +175,7 @@ def _split(name: str, column: NDArray[Any], bins: int) -> Partition | None:
 
 
 def _span(low: float, high: float) -> str:
-    """From one number to another, with the digits that it takes to tell them apart; one number where six do not."""
+    """From one number to another, with as many digits as they differ in, up to six; else one number."""
     for digits in (4, 5, 6):
         one, other = f"{low:.{digits}g}", f"{high:.{digits}g}"
         if one != other:
@@ -188,10 +185,10 @@ def _span(low: float, high: float) -> str:
 
 def _by_word(name: str, column: NDArray[Any]) -> Partition | None:
     words, index, counts = np.unique(column, return_inverse=True, return_counts=True)
-    if words.size > MOST_WORDS:
-        kept = np.argsort(-counts, kind="stable")[:MOST_WORDS]
-        place = np.full(words.size, MOST_WORDS)
-        place[kept] = np.arange(MOST_WORDS)
+    if words.size > rules.MAX_WORDS:
+        kept = np.argsort(-counts, kind="stable")[: rules.MAX_WORDS]
+        place = np.full(words.size, rules.MAX_WORDS)
+        place[kept] = np.arange(rules.MAX_WORDS)
         return _filled((name,), [*(_word(name, words[i]) for i in kept), f"{name} of the others"], place[index], None)
     return _filled((name,), [_word(name, word) for word in words], index, None)
 
@@ -208,9 +205,9 @@ def _crossed(one: Partition, two: Partition) -> Partition:
 def _filled(
     variables: tuple[str, ...], labels: Sequence[str], index: NDArray[np.intp], centres: NDArray[np.float64] | None
 ) -> Partition:
-    """Without cells that hold too few readings: those go to cell -1's place, the last, which is dropped where empty."""
+    """The partition with its small cells put together in a last one."""
     counts = np.bincount(index, minlength=len(labels))
-    kept = np.flatnonzero(counts >= LEAST_IN_CELL)
+    kept = np.flatnonzero(counts >= rules.MIN_CELL_READINGS)
     place = np.full(len(labels), kept.size)
     place[kept] = np.arange(kept.size)
     cell = place[index]

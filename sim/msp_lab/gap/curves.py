@@ -1,128 +1,102 @@
-"""Curves for what no name explains, and for names whose form is not that of the data.
+"""Curves for what no effect explains, and for effects whose form is not that of the data.
 
-A fit with its items enters, a fit with curves among them leaves. A curve is taken when a refit gains what its score
-promises; a name goes when a free form on its channel gains clearly more than it does.
+A state enters, a state with curves among its terms leaves. A curve is taken when a refit gains what its score promises;
+an effect goes when a free curve on its channel gains clearly more than it does.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from msp_lab.gap import adequacy
-from msp_lab.gap.adequacy import FreeForm
-from msp_lab.gap.refit import Fitted, refit
-from msp_lab.gap.rivals import eliminate
-from msp_lab.gap.search import RIDGE, Item, Search
-from msp_lab.gap.tangent import CHANNELS
-from msp_sim.model.model import Active, active_curve
-
-_Array = NDArray[np.float64]
-
-UNKNOWN_P = 0.02
-"""Chance of a curve, of all that are asked for, where nothing is there."""
-CURVES_TRIED = 6
-"""Refits until one gains what its score promises."""
-FORM_SHARE = 0.85
-"""Of what a free curve gains: a name that gains so much is the effect, though its form may not be exact."""
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import SelectedTerm
+from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
+from msp_lab.gap.exchange import eliminate
+from msp_lab.gap.prepared import CHANNELS
+from msp_lab.gap.problem import Problem, State, free_curves, loss
+from msp_sim.effects.curve import CurveChannel
+from msp_sim.model.model import active_curve
 
 
-def add_curves(
-    search: Search,
-    fitted: Fitted,
-    items: list[Item],
-    needed: float,
-    most: int,
-    path: list[tuple[str, _Array, tuple[Active, ...]]],
-    say: Callable[[str, float], None],
-) -> tuple[Fitted, list[Item], bool]:
-    """Add at most so many curves for what no name explains; names that a curve makes needless go."""
-    changed = False
-    say("asking for what no name explains", 0.5)
-    for _ in range(min(most, 3)):
-        forms = search.free_forms(fitted)
+def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
+    """Add at most so many curves for what no effect explains, and in place of effects that do worse.
+
+    The same state is returned where nothing changes.
+    """
+    problem.report("searching what no effect explains", 0.5)
+    for _ in range(min(most, rules.MAX_CURVES)):
+        forms = free_curves(problem, state)
         singles = sum(len(each.variables) == 1 for each in forms)
-        found = _likeliest_curve(search, fitted, items, forms, singles)
-        if found is None and search.by_run:
-            found = _curve_between_runs(search, fitted, items, singles)
+        found = _likeliest_curve(problem, state, forms, singles)
+        if found is None and state.by_run:
+            found = _curve_between_runs(problem, state, singles)
         if found is None:
             break
-        fitted, items = found
-        fitted, items = eliminate(search, fitted, items, needed)
-        changed = True
+        state = eliminate(problem, found, needed_nats)
     for channel in CHANNELS:
-        named = [k for k, item in enumerate(items) if item.entry is not None and channel in item.active.effect.channels]
-        if not named:
-            continue
-        rest = [item for k, item in enumerate(items) if k not in named]
-        less = refit(search.prepared, [item.active for item in rest], fitted.base, ridge=RIDGE)
-        forms = search.free_forms(less, (channel,))
-        if not forms or forms[0].degrees == 0:
-            continue
-        there, others = _with_curve(search, less, rest, forms[0])
-        more = search.loss(fitted, there)
-        spare = max(forms[0].degrees - sum(1 + len(_shape(items[k])) for k in named), 1)
-        cost = adequacy.PAIR_COST if len(forms[0].variables) > 1 else 0.0
-        if search.loss(less, fitted) > FORM_SHARE * search.loss(less, there):
-            continue
-        least = 0.5 * float(chi2.isf(UNKNOWN_P / 10.0 / len(forms), spare)) - 0.5 * max(len(named) - 1, 0)
-        if more > cost + least:
-            fitted, items, changed = there, others, True
-    if changed:
-        path.append(("curve", fitted.base, fitted.effects))
-    return fitted, items, changed
+        state = _curve_in_place_of_effects(problem, state, channel)
+    return state
 
 
-def _likeliest_curve(
-    search: Search, fitted: Fitted, items: list[Item], forms: Sequence[FreeForm], asked: int
-) -> tuple[Fitted, list[Item]] | None:
-    """The first of the likeliest curves that gains after a refit what its score promises."""
-    for form in forms[:CURVES_TRIED]:
-        if not _unlikely(form, asked):
+def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve], asked: int) -> State | None:
+    """With the first of the likeliest curves that gains after a refit what its score promises."""
+    for form in forms[: rules.CURVES_REFITTED]:
+        if not _is_unlikely(form, asked):
             return None
-        there, added = _with_curve(search, fitted, items, form)
-        statistic = 2.0 * max(search.loss(fitted, there), 0.0)
-        if _unlikely(replace(form, log_p=adequacy.log_chance(statistic, form.degrees)), asked):
-            return there, added
+        there = _with_curve(problem, state, form)
+        statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
+        if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
+            return there
     return None
 
 
-def _curve_between_runs(
-    search: Search, fitted: Fitted, items: list[Item], singles: int
-) -> tuple[Fitted, list[Item]] | None:
-    """A curve that differs from run to run, with which readings are independent: see `_between_runs`."""
-    runs = int(np.unique(search.some_unit).size)
-    forms = search.free_forms(fitted, ("bias", "spread"), by_run=False)
-    for form in forms[:4]:
-        left = max(runs - 2 - form.degrees, 1)
-        if form.degrees >= runs // 3 or not _unlikely(form, singles):
+def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | None:
+    """With a curve that differs from run to run, next to which readings are independent."""
+    forms = free_curves(problem, state, ("bias", "spread"), by_run=False)
+    for form in forms[: rules.CURVES_BETWEEN_RUNS]:
+        if form.degrees >= problem.runs // rules.CURVE_RUNS_PER_DEGREE or not _is_unlikely(form, asked):
             continue
-        there, added = _with_curve(search, fitted, items, form)
-        rest = search.depends(there)
-        gained = 2.0 * (there.log_likelihood - fitted.log_likelihood) * search.scale / form.degrees
-        if rest.p_between > 0.02 and rest.lag_z < 2.5 and fisher.sf(gained, form.degrees, left) < UNKNOWN_P / singles:
-            search.by_run, search.common_inflation = False, 1.0
-            return there, added
+        there = _with_curve(problem, state, form)
+        gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) * problem.scale / form.degrees
+        left = max(problem.runs - 2 - form.degrees, 1)
+        if problem.dependence(there.fit).independent and fisher.sf(gained, form.degrees, left) < rules.CURVE_P / asked:
+            return replace(there, by_run=False, inflation=1.0)
     return None
 
 
-def _unlikely(form: FreeForm, asked: int) -> bool:
-    cost = adequacy.PAIR_COST if len(form.variables) > 1 else 0.0
-    return form.degrees > 0 and form.log_p + cost < np.log(UNKNOWN_P) - np.log(asked)
+def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveChannel) -> State:
+    """With a curve in place of the effects on a channel, if it gains clearly more than they do."""
+    named = [each for each in state.terms if each.candidate is not None and channel in each.active.effect.channels]
+    if not named:
+        return state
+    rest = [each for each in state.terms if each not in named]
+    less = state.having(problem.refit([each.active for each in rest], state.fit.base), rest)
+    forms = free_curves(problem, less, (channel,))
+    if not forms or forms[0].degrees == 0:
+        return state
+    form = forms[0]
+    there = _with_curve(problem, less, form)
+    if loss(problem, less.fit, state) > rules.FORM_SHARE * loss(problem, less.fit, there):
+        return state
+    numbers = sum(1 + len(each.candidate.shape) for each in named if each.candidate is not None)
+    p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
+    least = 0.5 * float(chi2.isf(p_value, max(form.degrees - numbers, 1))) - 0.5 * max(len(named) - 1, 0)
+    better = loss(problem, state.fit, there) > form.pair_cost_nats + least
+    return there if better else state
 
 
-def _with_curve(search: Search, fitted: Fitted, items: list[Item], form: FreeForm) -> tuple[Fitted, list[Item]]:
-    """A finer curve over the same columns takes the place of a coarser one."""
+def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
+    """Whether random variation shows as much, in any of so many curves, with less than the rule's probability."""
+    return form.degrees > 0 and form.log_p + form.pair_cost_nats < np.log(rules.CURVE_P) - np.log(asked)
+
+
+def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
+    """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
     values = [0.0] * int(np.prod([len(each) for each in form.knots]))
     active = active_curve(form.channel, list(form.variables), [list(each) for each in form.knots], values)
-    added = Item(active, None)
-    others = [item for item in items if item.key != added.key]
-    there = refit(search.prepared, [*(item.active for item in others), active], fitted.base, ridge=RIDGE)
-    return there, [replace(item, active=each) for item, each in zip([*others, added], there.effects, strict=True)]
-
-
-def _shape(item: Item) -> tuple[tuple[str, float], ...]:
-    return item.entry.shape if item.entry is not None else ()
+    added = SelectedTerm(active, None)
+    terms = [*(each for each in state.terms if each.key != added.key), added]
+    fit = problem.refit([each.active for each in terms], state.fit.base)
+    return state.having(fit, terms).logging(f"added the curve {added.label}")

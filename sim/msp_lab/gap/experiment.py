@@ -1,26 +1,26 @@
-"""Which experiment would tell two effects apart that these data cannot: the rule of separability turned round.
+"""Which experiment would tell two effects apart that these data cannot.
 
-An effect, its rivals and the readings' contexts enter, a sentence with numbers leaves. Each context is spread out, the
-others as they were, until the two effects' scores differ by three standard errors for as many readings.
+An effect, its alternatives and the readings' contexts enter, a sentence with numbers leaves. Each context is spread
+out, the others as they were, until the two effects' scores differ by enough standard errors for as many readings.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.gap.tangent import CHANNELS
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import SelectedTerm, change_of
+from msp_lab.gap.exchange import AlternativeTerm
+from msp_lab.gap.prepared import CHANNELS
+from msp_lab.gap.problem import Problem
+from msp_lab.gap.refit import JointFit
 from msp_sim.effects.base import WORD_COLUMNS, Scene
 from msp_sim.effects.curve import FIELDS
 from msp_sim.model.model import Active, acts
 
-if TYPE_CHECKING:
-    from msp_lab.gap.rivals import RivalOf
-    from msp_lab.gap.search import Item, Search
-
 _Array = NDArray[np.float64]
-SEPARABLE = 3.0
 SPANS = {
     "true_range_cm": (20.0, 765.0, "cm"),
     "air_temperature_c": (-10.0, 45.0, "C"),
@@ -32,47 +32,48 @@ SPANS = {
     "vibration_hz": (0.0, 200.0, "Hz"),
     "uptime_s": (0.0, 3600.0, "s"),
 }
-"""How far a context can reasonably be varied."""
+"""How far a context can reasonably be varied, with its unit."""
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
+"""Of those spans, the smallest that is enough is suggested."""
 
 
-def to_tell_apart(search: "Search", item: "Item", rivals: Sequence["RivalOf"]) -> str:
-    """A sentence for each rival."""
-    return "; ".join(_sentence(search, item.active, each.active) for each in rivals)
+def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternatives: Sequence[AlternativeTerm]) -> str:
+    """A sentence for each alternative; `base` is the fit before any term."""
+    return "; ".join(_sentence(problem, base, term.active, each.active) for each in alternatives)
 
 
-def _sentence(search: "Search", own: Active, other: Active) -> str:
+def _sentence(problem: Problem, base: JointFit, own: Active, other: Active) -> str:
     best: tuple[float, str] | None = None
     for column in sorted((own.effect.columns | other.effect.columns) - WORD_COLUMNS):
-        if column not in SPANS or column not in search.some:
+        if column not in SPANS or column not in problem.some_contexts:
             continue
         low, high, unit = SPANS[column]
-        values = np.asarray(search.some[column], dtype=float)
+        values = np.asarray(problem.some_contexts[column], dtype=float)
         middle = float(np.clip(np.nanmedian(values), low, high))
         for share in SHARES:
             start, end = middle - share * (middle - low), middle + share * (high - middle)
             drawn = start + (end - start) * _even(values.size)
-            if _separation(search, own, other, {**search.some, column: drawn}) >= SEPARABLE:
+            if _separation(problem, base, own, other, {**problem.some_contexts, column: drawn}) >= rules.SEPARABLE_Z:
                 if best is None or share < best[0]:
                     text = f"vary {column} evenly from {start:.3g} to {end:.3g} {unit}".rstrip()
                     now = float(np.nanmax(values) - np.nanmin(values))
                     best = share, f"{text} (by {end - start:.3g}; here by {now:.3g}) in as many readings"
                 break
-    told = best[1] if best else f"{own.effect.experiment}; or {other.effect.experiment}"
-    return f"to tell {own.effect.name} from {other.effect.name}: {told}"
+    text = best[1] if best else f"{own.effect.experiment}; or {other.effect.experiment}"
+    return f"to tell {own.effect.name} from {other.effect.name}: {text}"
 
 
 def _even(n: int) -> _Array:
-    """Numbers spread evenly over 0 to 1 in an order that is like no other column's."""
+    """Numbers spread evenly over 0 to 1, in an order (golden ratio) that correlates with no column."""
     return np.asarray(np.mod(0.5 + np.arange(n) * 0.6180339887498949, 1.0))
 
 
-def _separation(search: "Search", own: Active, other: Active, contexts: dict[str, Any]) -> float:
+def _separation(problem: Problem, base: JointFit, own: Active, other: Active, contexts: dict[str, Any]) -> float:
     """Standard errors between two effects, by their templates in the channels' units of information."""
-    scene = Scene(search.model.sensor, contexts)
-    weights = np.sqrt(np.mean(search.null.here.by[:, : len(CHANNELS)] ** 2, axis=0))
+    scene = Scene(problem.model.sensor, contexts)
+    weights = np.sqrt(np.mean(base.here.by[:, : len(CHANNELS)] ** 2, axis=0))
     one, two = _templates(scene, own, weights), _templates(scene, other, weights)
-    size = float(np.sqrt(search.scale) * np.linalg.norm(one))
+    size = float(np.sqrt(problem.scale) * np.linalg.norm(one))
     if size == 0.0 or not np.any(two):
         return 0.0
     correlation = float((one * two).sum() / (np.linalg.norm(one) * np.linalg.norm(two)))
@@ -85,8 +86,7 @@ def _templates(scene: Scene, each: Active, weights: _Array) -> _Array:
     templates = np.zeros((n, len(CHANNELS) + 1))
     if known is False:
         return templates
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        change = each.effect.act(scene, each.values)
+    change = change_of(scene, each)
     for i, channel in enumerate(CHANNELS):
         moved = getattr(change, FIELDS[channel])
         if moved is not None:

@@ -1,7 +1,7 @@
 """What the gap workflow found, as plain values: the content of ``gap.json``.
 
 The steps of the workflow fill these records in; the terminal, the report and other programs read them. Nothing here
-computes or judges. A number that is not known is None.
+computes or decides. A number that is not known is None.
 """
 
 import json
@@ -26,27 +26,27 @@ Kind: TypeAlias = Literal["named", "indistinguishable", "unknown"]
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of the gap, on readings that took no part in choosing or fitting.
+    """One measure of the gap, on held-out readings.
 
     Attributes
     ----------
     before, after
-        With the model as it was given, and with what was added.
-    floor
-        What a simulated twin of the extended model shows in 95 of 100 cases: a gap that is not there.
+        With the given model, and with what was added.
+    noise_floor
+        What 95 of 100 tables that the extended model itself draws stay below: a gap that is not there.
     low, high
         95 % interval of `after`; its errors are those of whole runs.
     """
 
     before: float | None
     after: float | None = None
-    floor: float | None = None
+    noise_floor: float | None = None
     low: float | None = None
     high: float | None = None
 
 
 @dataclass(frozen=True)
-class Odds:
+class OddsMeasures:
     """How far the odds of each class of outlier are off: 1 is right, 2 is twice or half as often as in the model.
 
     Attributes
@@ -70,9 +70,10 @@ class Gap:
     Attributes
     ----------
     nats_per_reading
-        What a model that is free in each slice of context would gain a reading, less what it gains by chance [nat].
+        What a model that is free in each slice of context would gain per reading, less what it gains by random
+        variation [nat].
     bias_cm
-        Root mean square over the slices of the bias of the hits, less what chance adds [cm].
+        Root mean square over the slices of the bias of the hits, less what random variation adds [cm].
     spread_ratio
         By which factor the spread of the hits is off, root mean square over the slices of its logarithm.
     odds
@@ -82,11 +83,11 @@ class Gap:
     nats_per_reading: Measure
     bias_cm: Measure
     spread_ratio: Measure
-    odds: Odds
+    odds: OddsMeasures
 
 
 @dataclass(frozen=True)
-class Value:
+class FittedValue:
     """A fitted parameter with its 95 % interval."""
 
     value: float
@@ -96,7 +97,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Rival:
+class Alternative:
     """Another name for the same gap.
 
     Attributes
@@ -104,7 +105,7 @@ class Rival:
     name
         Effect of the catalogue.
     loss_nats
-        By how much its best fit is worse, in log-likelihood over the readings that are refitted [nat].
+        By how much its best fit is worse, in log-likelihood of the readings that are refitted [nat].
     correlation
         Of both effects' scores.
     of
@@ -126,31 +127,31 @@ class FoundEffect:
     name, of
         As in a model file; `of` is the sensor, run or target that it is of.
     verdict
-        named: no other effect of the catalogue does; indistinguishable: the rivals do as well.
+        named: no other effect of the catalogue does as well; indistinguishable: the alternatives do.
     parameters
-        By name, quoted from readings that took no part in choosing.
+        By name, from held-out readings.
     gain_nats
-        Gain in log score a reading on those [nat].
+        Gain in log score per reading on those [nat].
     z
         That gain over its standard error by runs.
-    rivals
-        Other names that cannot be told from it here.
+    alternatives
+        Other names that these data cannot tell from it.
     experiment
         What would tell them apart, or what would show it alone.
     """
 
     name: str
     verdict: Kind
-    parameters: Mapping[str, Value]
+    parameters: Mapping[str, FittedValue]
     gain_nats: float | None
     z: float | None
-    rivals: tuple[Rival, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
     experiment: str = ""
     of: str | None = None
 
 
 @dataclass(frozen=True)
-class Unknown:
+class UnknownEffect:
     """Something that no effect of the catalogue explains.
 
     Attributes
@@ -175,7 +176,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CalibrationFinding:
     """Something that belongs to the base model or to the data's form, and is no missing effect."""
 
     name: str
@@ -213,7 +214,7 @@ class Slice:
     bias_se_cm, log_spread_se, ...
         Standard errors, by runs where readings depend.
     nats
-        What a free model would gain a reading here, less chance [nat].
+        What a free model would gain per reading here, less random variation [nat].
     channel
         The measure that differs most.
     z, p_value
@@ -243,17 +244,17 @@ class Slice:
 
 
 @dataclass(frozen=True)
-class Step:
-    """A step of the way: the gap on the confirming readings after one more change.
+class PathStep:
+    """A step of the selection path: the gap on the held-out readings after one more change.
 
     Attributes
     ----------
     added
-        What was added last; empty: the model as given.
+        What was added last; empty: the given model.
     nats_per_reading
         As in `Gap`, after this step.
     log_score
-        Mean log probability of a confirming reading [nat].
+        Mean log probability of a held-out reading [nat].
     """
 
     added: str
@@ -262,7 +263,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Source:
+class ReadingsFile:
     """A file of readings."""
 
     path: str
@@ -272,7 +273,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Settings:
-    """How the workflow was asked to go, so that a step alone can go on from its file."""
+    """What the user asked for, so that each step can go on from the file of the one before."""
 
     model: str
     alpha: float = 0.05
@@ -296,15 +297,15 @@ class GapFindings:
         Readings that were compared, and in how many runs.
     gap, effects, unknown, calibration, not_testable, slices
         What was found.
-    could_have_seen
+    detectable
         The smallest effects that these data would have shown, in words.
     seconds
         How long it took.
-    path
-        The way from the given model to the extended one.
-    choosing, confirming
-        Runs on which effects are chosen and fitted, and those that took no part in it.
-    global_p_value
+    selection_path
+        The gap after each step from the given model to the extended one.
+    training_runs, held_out_runs
+        Runs on which effects are selected and fitted, and runs on which they are validated.
+    p_value
         Of the hypothesis that nothing is missing.
     sources, settings, messages, date
         Which data, how, what was noticed about them, and when.
@@ -317,18 +318,18 @@ class GapFindings:
     runs: int
     gap: Gap | None = None
     effects: tuple[FoundEffect, ...] = ()
-    unknown: tuple[Unknown, ...] = ()
-    calibration: tuple[Calibration, ...] = ()
+    unknown: tuple[UnknownEffect, ...] = ()
+    calibration: tuple[CalibrationFinding, ...] = ()
     not_testable: tuple[NotTestable, ...] = ()
     slices: tuple[Slice, ...] = ()
     seconds: float = 0.0
     sentence: str = ""
-    could_have_seen: str = ""
-    path: tuple[Step, ...] = ()
-    choosing: tuple[str, ...] = ()
-    confirming: tuple[str, ...] = ()
-    global_p_value: float | None = None
-    sources: tuple[Source, ...] = ()
+    detectable: str = ""
+    selection_path: tuple[PathStep, ...] = ()
+    training_runs: tuple[str, ...] = ()
+    held_out_runs: tuple[str, ...] = ()
+    p_value: float | None = None
+    sources: tuple[ReadingsFile, ...] = ()
     settings: Settings = Settings("")
     messages: tuple[str, ...] = ()
     date: str = ""
@@ -337,7 +338,8 @@ class GapFindings:
 
 
 @cache
-def _form() -> TypeAdapter[GapFindings]:
+def findings_form() -> TypeAdapter[GapFindings]:
+    """Reads and writes findings."""
     return TypeAdapter(GapFindings)
 
 
@@ -350,7 +352,7 @@ def as_json(findings: GapFindings) -> str:
     >>> from_json(as_json(found)) == found
     True
     """
-    content = json.loads(_form().dump_json(findings), parse_float=lambda number: float(f"{float(number):.7g}"))
+    content = json.loads(findings_form().dump_json(findings), parse_float=lambda number: float(f"{float(number):.7g}"))
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -363,7 +365,7 @@ def from_json(text: str) -> GapFindings:
         It is no such JSON.
     """
     try:
-        return _form().validate_json(text)
+        return findings_form().validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.gap.findings import Calibration, Source
+from msp_lab.gap import rules
+from msp_lab.gap.findings import CalibrationFinding, ReadingsFile
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import step_of
@@ -23,25 +24,15 @@ from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
 
-FEW_RUNS = 4
-"""With fewer runs, what differs from run to run cannot be told from what differs inside them."""
-POINT_MASS_SHARE = 0.001
-"""Of all readings; a rarer value is no code."""
-POINT_MASS_TIMES = 8.0
-"""How many times as frequent as the values beside it a point mass is, among readings that are no hits."""
-NARROW_TIMES = 30.0
-"""And than the more frequent of the two next to it: what stands in the beam is narrow, and no point."""
-FAR_SIGMAS = 6.0
-
 
 @dataclass(frozen=True)
 class Readings:
-    """What is compared.
+    """Readings that can be compared with a model.
 
     Attributes
     ----------
     data
-        Rows with a reading and a true range; `run` is there, and `previous_reading_cm`.
+        Rows with a reading and a true range; they have the columns `run` and `previous_reading_cm`.
     sources
         The files.
     calibration
@@ -53,8 +44,8 @@ class Readings:
     """
 
     data: MeasuredData
-    sources: tuple[Source, ...]
-    calibration: tuple[Calibration, ...] = ()
+    sources: tuple[ReadingsFile, ...]
+    calibration: tuple[CalibrationFinding, ...] = ()
     messages: tuple[str, ...] = ()
     constant: tuple[tuple[str, str], ...] = ()
 
@@ -69,11 +60,11 @@ def read_readings(
     paths
         CSV files in the one form, recordings with a reference, or with a map other people's tables.
     model
-        What they are to be held against.
+        That they are to be compared with.
     column_map
         Names and units of the columns.
     run_column
-        The column that tells runs apart; None: `run`, and where there is none each file is one.
+        The column that names the runs; None: `run`, and where there is none each file is one.
 
     Raises
     ------
@@ -85,7 +76,9 @@ def read_readings(
     loaded = load_readings(paths, model.sensor, column_map, run_column=run_column)
     # By name, so that nothing depends on the order in which the files are given.
     data = loaded.data.select(time_order(loaded.data.columns))
-    sources = tuple(Source(str(path), each.sha256, each.rows) for path, each in zip(paths, loaded.sources, strict=True))
+    sources = tuple(
+        ReadingsFile(str(path), each.sha256, each.rows) for path, each in zip(paths, loaded.sources, strict=True)
+    )
     data, left_out = _compared_rows(data)
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
@@ -106,7 +99,7 @@ def _compared_rows(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     return (data if kept.all() else data.select(kept)), messages
 
 
-def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[Calibration]]:
+def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:
     reading_cm = data["reading_cm"]
     whole = np.rint(reading_cm)
     off = reading_cm != whole
@@ -116,48 +109,48 @@ def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[Calib
     finding = (
         f"{100.0 * off.mean():.3g} % of the readings are no whole centimetres"
         + ("" if step is None else f" (their step is {step:g} cm)")
-        + f", which is what {model.sensor.name} is said to read; they are rounded before they are compared, and what "
-        "is below a centimetre is not seen"
+        + f", as {model.sensor.name} reads; they are rounded before comparison, so less than a centimetre is not visible"
     )
     columns = {**data.columns, "reading_cm": whole, PREVIOUS: np.rint(data[PREVIOUS])}
-    return MeasuredData(columns), [Calibration("resolution", finding, before=1.0, after=step, unit="cm")]
+    return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=1.0, after=step, unit="cm")]
 
 
-def _coarse(reading_cm: NDArray[Any], model: Model) -> list[Calibration]:
+def _coarse(reading_cm: NDArray[Any], model: Model) -> list[CalibrationFinding]:
     """Readings on a coarser grid than the model's."""
     usual = reading_cm[(reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)]
     for step in (10, 5, 4, 3, 2):
-        if usual.size >= 50 and np.unique(usual).size > 5 and (np.mod(usual, step) == 0).mean() > 0.99:
+        if usual.size >= 50 and np.unique(usual).size > 5 and (np.mod(usual, step) == 0).mean() > rules.COARSE_SHARE:
             text = f"the readings come in steps of {step} cm, and the model's in steps of 1 cm"
-            return [Calibration("resolution", text, before=1.0, after=float(step), unit="cm")]
+            return [CalibrationFinding("resolution", text, before=1.0, after=float(step), unit="cm")]
     return []
 
 
-def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[Calibration]]:
-    """Set aside the values that come again and again whatever the range is, and that the model has no code for."""
+def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:
+    """Set aside values that repeat whatever the range is, and that the model does not declare as codes."""
     reading_cm, sensor = data["reading_cm"], model.sensor
     centre = model.base.calibration.forward(data["true_range_cm"])
-    far = np.abs(reading_cm - centre) > FAR_SIGMAS * sensor.reading_model.sigma_cm + 0.03 * centre + 2.0
+    sigmas, share, far_cm = rules.CODE_FAR
+    far = np.abs(reading_cm - centre) > sigmas * sensor.reading_model.sigma_cm + share * centre + far_cm
     values, counts = np.unique(reading_cm[far], return_counts=True)
     declared = {float(sensor.minimum_cm), float(sensor.maximum_cm), float(SATURATED_CM)}
     codes = []
     for value, count in zip(values.tolist(), counts.tolist(), strict=True):
-        # An offset or a fault of the code is an effect's business: a point mass comes at ranges that differ.
-        if value in declared or count < max(5.0, POINT_MASS_SHARE * reading_cm.size):
+        # What an effect explains comes at one range; a code comes at ranges that differ.
+        if value in declared or count < max(rules.CODE_MIN_READINGS, rules.CODE_SHARE * reading_cm.size):
             continue
-        beside = counts[(np.abs(values - value) <= 3.0) & (values != value)].sum() / 6.0
+        near = counts[(np.abs(values - value) <= 3.0) & (values != value)].sum() / 6.0
         next_to = counts[np.abs(values - value) == 1.0].max(initial=0)
         here = data["true_range_cm"][reading_cm == value]
-        alone = count > max(POINT_MASS_TIMES * (beside + 1.0), NARROW_TIMES * next_to)
-        if alone and np.ptp(here) > 0.2 * max(np.ptp(data["true_range_cm"]), 1.0):
+        alone = count > max(rules.CODE_TIMES_NEIGHBOURS * (near + 1.0), rules.CODE_TIMES_NEXT * next_to)
+        if alone and np.ptp(here) > rules.CODE_SPAN * max(np.ptp(data["true_range_cm"]), 1.0):
             codes.append(value)
     if not codes:
         return data, []
     is_code = np.isin(reading_cm, codes)
-    if is_code.mean() > 0.9:
+    if is_code.mean() > rules.CODE_MAX_SHARE:
         return data, []
     found = [
-        Calibration(
+        CalibrationFinding(
             "code",
             f"{value:g} cm comes in {100.0 * np.mean(reading_cm == value):.3g} % of the readings, at true ranges of "
             f"{data['true_range_cm'][reading_cm == value].min():.0f} to "
@@ -197,10 +190,10 @@ def _about_contexts(constant: Sequence[tuple[str, str]]) -> list[str]:
 
 def _about_runs(run: _Words) -> list[str]:
     runs = np.unique(run).size
-    if runs >= FEW_RUNS:
+    if runs >= rules.MIN_RUNS:
         return []
     what = "1 run" if runs == 1 else f"{runs} runs"
     return [
         f"Found {what}: what is constant in a run but differs between runs (an offset of a session, a thermometer) "
-        "cannot be judged; blocks of readings stand in for runs."
+        "is not identifiable; blocks of readings are used in place of runs."
     ]

@@ -11,15 +11,15 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from msp_lab.gap.findings import FoundEffect, Gap, GapFindings, Measure, Unknown
-from msp_lab.gap.refit import to_sensor
+from msp_lab.gap.extended_model import to_sensor
+from msp_lab.gap.findings import FoundEffect, Gap, GapFindings, Measure, UnknownEffect
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 from msp_sim.model.model import Model
 
 MODEL = "model.yaml"
-PROVED = "model_as_proved.yaml"
+TRAINING_FIT = "model_training_fit.yaml"
 _DIGITS = 6
 
 
@@ -70,10 +70,10 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str) -
 
 
 def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
-    """The entries of the added effects with intervals and evidence; those that were there stay."""
+    """The entries of the added effects with intervals and evidence; those of the given model stay."""
     effects = {(each.name, each.of): each for each in findings.effects}
     curves = {(each.channel, each.variables): each for each in findings.unknown}
-    told = []
+    found = []
     for entry in entries:
         effect = effects.get((entry["name"], entry.get("of")))
         curve = curves.get((entry.get("channel", ""), tuple(entry.get("variables", ()))))
@@ -82,8 +82,8 @@ def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list
             entry = {**entry, "parameters": values, "evidence": _of_effect(effect, findings)}
         elif curve is not None and "evidence" not in entry:
             entry = {**entry, "evidence": _of_curve(curve, findings)}
-        told.append(entry)
-    return told
+        found.append(entry)
+    return found
 
 
 def _value(name: str, value: float, effect: FoundEffect) -> Any:
@@ -99,12 +99,14 @@ def _of_effect(effect: FoundEffect, findings: GapFindings) -> dict[str, Any]:
         "verdict": effect.verdict,
         "gain_nats_per_reading": effect.gain_nats,
         "z": effect.z,
-        "alternatives": [rival.name if rival.of is None else f"{rival.name} of {rival.of}" for rival in effect.rivals],
+        "alternatives": [
+            other.name if other.of is None else f"{other.name} of {other.of}" for other in effect.alternatives
+        ],
         "experiment": effect.experiment,
     }
 
 
-def _of_curve(curve: Unknown, findings: GapFindings) -> dict[str, Any]:
+def _of_curve(curve: UnknownEffect, findings: GapFindings) -> dict[str, Any]:
     return {
         **_provenance(findings),
         "verdict": "unknown",
@@ -139,7 +141,7 @@ def _side(gap: Gap, side: str) -> dict[str, float | None]:
 
 
 def _calibrated(findings: GapFindings) -> dict[str, Any]:
-    """For the model's own list: what this file was made from, and which of its base numbers were fitted again."""
+    """For the model's own list: what this file was made from, and which of its base numbers changed."""
     return {
         "made_by": "msp-lab gap",
         "from": Path(findings.settings.model).name,
@@ -163,7 +165,7 @@ def _wrapped(lines: list[str], width: int = 118) -> list[str]:
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers to six significant digits: more than any of them is known to."""
+    """Numbers to six significant digits, more than any of them is known to."""
     if isinstance(value, dict):
         return {name: _rounded(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

@@ -1,6 +1,6 @@
-"""The gap in pictures: residuals before and after, the probability integral transform, the way of the gap, slices.
+"""The gap in pictures: residuals before and after, the probability integral transform, the selection path, slices.
 
-Findings, both models and the confirming readings enter, figures leave. Nothing is judged here; needs the extra ``lab``.
+Findings, both models and the held-out readings enter, figures leave. Nothing is decided here; needs the extra ``lab``.
 """
 
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from msp_lab.gap.cells import Partition, partitions
-from msp_lab.gap.findings import GapFindings, Slice, Unknown
-from msp_lab.gap.measures import Table
-from msp_lab.gap.tables import shown_slices, slice_words
-from msp_lab.gap.words import column_words, step_name
+from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect
+from msp_lab.gap.labels import axis_label, step_name
+from msp_lab.gap.measures import HeldOutReadings
+from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, new_figure, note
@@ -25,24 +25,27 @@ from msp_sim.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, n
 _Array = NDArray[np.float64]
 
 BEFORE, AFTER = VERMILION, BLUE
-TWINS = 12
+REPLICATES = 12
+"""Tables drawn for what the model expects in a picture: enough for its band to be smooth."""
 DOTS = 4000
+"""Readings shown as dots: more make a file larger and a picture darker."""
 PIT_BINS = 20
 NO_HIT_SIGMAS = 4.0
+"""A reading farther from the model's centre is no hit, in pictures of the outliers: 1 in 16,000 hits is."""
 CLOSEST = 0.04
 """Two points of a picture are at least so far apart, as a share of its width."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A context column to draw over, and whether bias and spread or the outliers are what to look at."""
+    """A context column to draw over, and whether it is about outliers or about bias and spread."""
 
     column: str
     of_outliers: bool
 
 
-def subjects(findings: GapFindings, table: Table, most: int = 3) -> list[Subject]:
-    """What matters: the columns of the effects found, of the unknown, else of the slice that differs most."""
+def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) -> list[Subject]:
+    """The columns of the effects found, of unknown effects, or else of the slice that differs most."""
     found: list[Subject] = []
     for each in findings.effects:
         effect = CATALOGUE.get(each.name)
@@ -57,33 +60,38 @@ def subjects(findings: GapFindings, table: Table, most: int = 3) -> list[Subject
             found.append(Subject(piece.variables[0], piece.channel not in ("bias", "spread")))
             break
     found.append(Subject("true_range_cm", False))
-    known = [each for each in dict.fromkeys(found) if each.column in table.contexts]
-    usable = [each for each in known if len(partitions(table.contexts, [each.column], pairs=False)) > 1]
+    known = [each for each in dict.fromkeys(found) if each.column in readings.contexts]
+    usable = [each for each in known if len(partitions(readings.contexts, [each.column], pairs=False)) > 1]
     wanted = max(1, min(most, len(findings.effects) + len(findings.unknown)))
     return usable[:wanted]
 
 
 def draw_residuals(
-    wanted: Sequence[Subject], before: Model, after: Model, table: Table, rng: np.random.Generator, added: str
+    wanted: Sequence[Subject],
+    before: Model,
+    after: Model,
+    readings: HeldOutReadings,
+    rng: np.random.Generator,
+    added: str,
 ) -> Figure:
     """One row a context: what is measured against what the model expects, before on the left and after on the right.
 
-    `added` says in words what the model has after.
+    `added` labels the model after.
     """
     figure = new_figure(0.8 + 2.45 * len(wanted))
     rows = figure.subplots(len(wanted), 2, sharey="row", squeeze=False)
     for subject, (left, right) in zip(wanted, rows, strict=True):
-        part = _apart(partitions(table.contexts, [subject.column], pairs=False)[1])
+        part = _apart(partitions(readings.contexts, [subject.column], pairs=False)[1])
         drawn = _draw_share if subject.of_outliers else _draw_residual
         limits = [
-            drawn(axes, model, table, part, subject.column, colour, rng)
+            drawn(axes, model, readings, part, subject.column, colour, rng)
             for axes, model, colour in ((left, before, BEFORE), (right, after, AFTER))
         ]
         left.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-        left.set_ylabel("share that is no hit [%]" if subject.of_outliers else "reading − model [cm]")
+        left.set_ylabel("readings that are no hit [%]" if subject.of_outliers else "reading − model [cm]")
         for axes in (left, right):
-            axes.set_xlabel(column_words(subject.column))
-    rows[0][0].set_title("before: the model as given")
+            axes.set_xlabel(axis_label(subject.column))
+    rows[0][0].set_title("before: given model")
     rows[0][1].set_title(f"after: {added}")
     handles: dict[str, Any] = {}
     for row in rows:
@@ -93,19 +101,22 @@ def draw_residuals(
     return figure
 
 
-def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator, added: str) -> Figure:
+def draw_pit(before: Model, after: Model, readings: HeldOutReadings, rng: np.random.Generator, added: str) -> Figure:
     """Histograms of the randomised probability integral transform: flat where the model is right."""
     figure = new_figure(2.9)
     left, right = figure.subplots(1, 2, sharey=True)
-    expected = len(table) / PIT_BINS
+    expected = len(readings) / PIT_BINS
     deviation = 1.96 * np.sqrt(expected * (1.0 - 1.0 / PIT_BINS))
     for axes, model, colour, title in (
-        (left, before, BEFORE, "before: the model as given"),
+        (left, before, BEFORE, "before: given model"),
         (right, after, AFTER, f"after: {added}"),
     ):
-        counts, edges = np.histogram(_pit(model, table, rng), PIT_BINS, (0.0, 1.0))
+        counts, edges = np.histogram(_pit(model, readings, rng), PIT_BINS, (0.0, 1.0))
         axes.axhspan(
-            (expected - deviation) / expected, (expected + deviation) / expected, color=PALE, label="95 % of chance"
+            (expected - deviation) / expected,
+            (expected + deviation) / expected,
+            color=PALE,
+            label="95 % of random variation",
         )
         axes.stairs(counts / expected, edges, fill=True, color=colour, alpha=0.75)
         axes.axhline(1.0, color=INK, linewidth=0.8)
@@ -118,17 +129,17 @@ def draw_pit(before: Model, after: Model, table: Table, rng: np.random.Generator
 
 
 def draw_path(findings: GapFindings) -> Figure:
-    """The gap after each step, with what chance alone would show."""
-    steps = [each for each in findings.path if each.nats_per_reading is not None]
+    """The gap after each step, with the noise floor."""
+    steps = [each for each in findings.selection_path if each.nats_per_reading is not None]
     assert findings.gap is not None
-    floor = findings.gap.nats_per_reading.floor or 1e-4
+    floor = findings.gap.nats_per_reading.noise_floor or 1e-4
     names = [step_name(each.added) for each in steps]
     least = floor / 4.0
     widths = [max(each.nats_per_reading or 0.0, least) for each in steps]
     figure = new_figure(1.2 + 0.36 * len(steps))
     axes = figure.subplots()
     axes.set_xscale("log")
-    axes.axvspan(least, floor, color=PALE, label="chance: where 95 of 100 simulated twins are")
+    axes.axvspan(least, floor, color=PALE, label="noise floor: 95 % of simulated replicates")
     colours = [BEFORE, *([AFTER] * (len(steps) - 1))]
     axes.barh(range(len(steps)), widths, left=0.0, height=0.6, color=colours)
     axes.set_xlim(least, max(widths) * 2.2)
@@ -142,13 +153,13 @@ def draw_path(findings: GapFindings) -> Figure:
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     _plain_decades(axes)
-    axes.set_xlabel("gap on the confirming runs [nats a reading], logarithmic")
+    axes.set_xlabel("gap on held-out runs [nats per reading], logarithmic")
     legend_below(figure)
     return figure
 
 
 def draw_slices(findings: GapFindings) -> Figure:
-    """What each slice differs in most, before and after, with its error: in cm, or as a ratio."""
+    """Bias and ratios of each slice, before and after, with their errors."""
     slices = shown_slices(findings)
     figure = new_figure(1.3 + 0.3 * len(slices))
     left, right = figure.subplots(1, 2, sharey=True)
@@ -157,7 +168,7 @@ def draw_slices(findings: GapFindings) -> Figure:
     many = len(ratios) > 1
     for axes, names, label in (
         (left, ("bias_cm",), "bias of the hits [cm]"),
-        (right, ratios, "spread and odds, as ratios to the model" if many else "spread, as ratio to the model"),
+        (right, ratios, "spread and odds, ratio to the model" if many else "spread, ratio to the model"),
     ):
         for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
             what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
@@ -180,7 +191,7 @@ def draw_slices(findings: GapFindings) -> Figure:
     low, high = right.get_xlim()
     right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
     _plain_decades(right)
-    left.set_yticks(places, [slice_words(each) for each in slices])
+    left.set_yticks(places, [slice_with_count(each) for each in slices])
     left.invert_yaxis()
     handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
     legend_below(figure, list(handles.values()))
@@ -194,7 +205,7 @@ def _plain_decades(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
-def draw_curve(each: Unknown) -> Figure:
+def draw_curve(each: UnknownEffect) -> Figure:
     """An unknown effect over its variable, with its band."""
     figure = new_figure(2.8)
     axes = figure.subplots()
@@ -202,7 +213,7 @@ def draw_curve(each: Unknown) -> Figure:
     axes.fill_between(value, low, high, color=PALE, label="95 % band")
     axes.plot(value, curve, color=BLUE, marker="o", label="fitted")
     axes.axhline(0.0, color=INK, linewidth=0.8)
-    axes.set_xlabel(column_words(each.variables[0]))
+    axes.set_xlabel(axis_label(each.variables[0]))
     axes.set_ylabel(
         {"bias": "bias [cm]", "spread": "log of the spread"}.get(each.channel, f"log odds of {each.channel}")
     )
@@ -211,23 +222,31 @@ def draw_curve(each: Unknown) -> Figure:
 
 
 def _draw_residual(
-    axes: Axes, model: Model, table: Table, part: Partition, column: str, colour: str, rng: np.random.Generator
+    axes: Axes,
+    model: Model,
+    readings: HeldOutReadings,
+    part: Partition,
+    column: str,
+    colour: str,
+    rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """Residuals as dots, medians of bins with their errors, and the band in which the model expects two of three."""
-    centre = _centre(model, table)
-    residual = table.reading_cm - centre
-    x = _places(table, part, column)
+    """Residuals as dots, medians of bins with their errors, and the band where the model expects two of three."""
+    centre = _centre(model, readings)
+    residual = readings.reading_cm - centre
+    x = _places(readings, part, column)
     low, middle, high, error = _of_bins(residual, part)
-    twin = np.stack([_of_bins(model.sample(table.contexts, rng) - centre, part)[:3] for _ in range(TWINS)]).mean(axis=0)
-    wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, twin[2] - twin[0]])))
+    expected = np.stack(
+        [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
+    ).mean(axis=0)
+    wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, expected[2] - expected[0]])))
     far = np.abs(middle[np.isfinite(middle)])
-    # A bin of outliers alone must not make all others a line.
+    # One bin of outliers must not flatten all others to a line.
     reach = float(far[far <= 8.0 * np.median(far) + 2.0 * wide].max()) + wide + 1.0
-    shown = rng.permutation(len(table))[:DOTS]
+    shown = rng.permutation(len(readings))[:DOTS]
     jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
     at = _bin_places(part)
-    _draw_expected(axes, part, twin[0], twin[1], twin[2], "two readings in three, as the model has it")
+    _draw_expected(axes, part, expected[0], expected[1], expected[2], "two of three readings, by the model")
     axes.errorbar(
         at,
         middle,
@@ -235,38 +254,42 @@ def _draw_residual(
         fmt="o",
         color=colour,
         markersize=4.5,
-        label="measured, against the model before" if colour == BEFORE else "measured, against the model after",
+        label="measured, before" if colour == BEFORE else "measured, after",
         zorder=5,
     )
     outside = float(np.mean(np.abs(residual) > reach))
     if outside > 0.0:
         note(axes, f"{100.0 * outside:.2g} % outside of the picture", y=0.03)
-    _name_words(axes, part)
+    _label_words(axes, part)
     return -reach, reach
 
 
 def _draw_share(
-    axes: Axes, model: Model, table: Table, part: Partition, column: str, colour: str, rng: np.random.Generator
+    axes: Axes,
+    model: Model,
+    readings: HeldOutReadings,
+    part: Partition,
+    column: str,
+    colour: str,
+    rng: np.random.Generator,
 ) -> tuple[float, float]:
     """Share of readings that are no hit, measured and expected."""
-    centre = _centre(model, table)
-    sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(table.contexts)])
+    centre = _centre(model, readings)
+    sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(readings.contexts)])
 
     def share(reading_cm: _Array) -> _Array:
         with np.errstate(invalid="ignore"):
             no_hit = ~(np.abs(reading_cm - centre) <= NO_HIT_SIGMAS * sigma_cm + 0.5)
         return np.bincount(part.cell, no_hit, len(part.labels)) / np.maximum(part.counts, 1)
 
-    twins = np.stack([share(model.sample(table.contexts, rng)) for _ in range(4 * TWINS)])
-    measured = share(table.reading_cm)
+    shares = np.stack([share(model.sample(readings.contexts, rng)) for _ in range(4 * REPLICATES)])
+    measured = share(readings.reading_cm)
     counts = np.maximum(part.counts, 1)
     error = 1.96 * np.sqrt(np.maximum(measured * (1.0 - measured), 0.5 / counts) / counts)
     at = _bin_places(part)
     drawn = np.isfinite(at)
-    low, high = np.quantile(twins, [0.025, 0.975], axis=0)
-    _draw_expected(
-        axes, part, 100.0 * low, 100.0 * twins.mean(axis=0), 100.0 * high, "95 % of simulated twins (shares)"
-    )
+    low, high = np.quantile(shares, [0.025, 0.975], axis=0)
+    _draw_expected(axes, part, 100.0 * low, 100.0 * shares.mean(axis=0), 100.0 * high, "95 % of simulated replicates")
     axes.errorbar(
         at,
         100.0 * measured,
@@ -274,26 +297,26 @@ def _draw_share(
         fmt="o",
         color=colour,
         markersize=4.5,
-        label="measured, against the model before" if colour == BEFORE else "measured, against the model after",
+        label="measured, before" if colour == BEFORE else "measured, after",
     )
-    _name_words(axes, part)
+    _label_words(axes, part)
     return 0.0, 1.15 * 100.0 * float(max((measured + error)[drawn].max(), high[drawn].max()))
 
 
 def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, high: _Array, label: str) -> None:
-    """What the model expects in each cell: a line and a band over numbers, a box each over words."""
+    """What the model expects in each cell: a line and a band over numbers, a box for each word."""
     at = _bin_places(part)
     if part.centres is None:
         axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=label)
-        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="as the model has it")
+        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="model")
         return
     order = np.argsort(at)
     axes.fill_between(at[order], low[order], high[order], color=PALE, zorder=0, label=label)
-    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="as the model has it")
+    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="model")
 
 
 def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array, _Array]:
-    """A sixth, the middle and five sixths of each bin, and the middle's standard error."""
+    """The quantiles 1/6, 1/2 and 5/6 of each bin, and the standard error of the middle one."""
     order = np.argsort(part.cell, kind="stable")
     pieces = np.split(order, np.cumsum(part.counts)[:-1])
     quantiles = np.array(
@@ -307,18 +330,18 @@ def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array,
     return quantiles[:, 0], quantiles[:, 2], quantiles[:, 4], error
 
 
-def _centre(model: Model, table: Table) -> _Array:
-    """Where the model has each reading's hit [cm]: what is nearer than the shortest reading reads that."""
-    centre_cm = np.concatenate([rows.centre_cm for _, rows in model.chunks(table.contexts)])
+def _centre(model: Model, readings: HeldOutReadings) -> _Array:
+    """The centre of each reading's hit [cm], within the sensor's limits."""
+    centre_cm = np.concatenate([rows.centre_cm for _, rows in model.chunks(readings.contexts)])
     return np.asarray(np.clip(centre_cm, model.sensor.minimum_cm, model.sensor.maximum_cm), dtype=np.float64)
 
 
-def _places(table: Table, part: Partition, column: str) -> _Array:
-    return np.asarray(table.contexts[column], dtype=float) if part.centres is not None else part.cell.astype(float)
+def _places(readings: HeldOutReadings, part: Partition, column: str) -> _Array:
+    return np.asarray(readings.contexts[column], dtype=float) if part.centres is not None else part.cell.astype(float)
 
 
 def _apart(part: Partition) -> Partition:
-    """A partition in which no two cells of a number lie so close that their points would cover each other."""
+    """A partition whose cells lie so far apart that their points do not cover each other."""
     if part.centres is None or np.isfinite(part.centres).sum() < 2:
         return part
     least = float(np.ptp(part.centres[np.isfinite(part.centres)])) * CLOSEST
@@ -340,22 +363,22 @@ def _bin_places(part: Partition) -> _Array:
     return np.arange(len(part.labels), dtype=float) if part.centres is None else part.centres
 
 
-def _name_words(axes: Axes, part: Partition) -> None:
+def _label_words(axes: Axes, part: Partition) -> None:
     if part.centres is None:
         names = [label.split(" ", 1)[-1] for label in part.labels]
         axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
 
 
-def _pit(model: Model, table: Table, rng: np.random.Generator) -> _Array:
-    found = np.empty(len(table))
-    for part, rows in model.chunks(table.contexts):
-        reading = table.reading_cm[part]
+def _pit(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> _Array:
+    found = np.empty(len(readings))
+    for part, rows in model.chunks(readings.contexts):
+        reading = readings.reading_cm[part]
         found[part] = np.exp(rows.log_below(reading)) + rng.random(reading.size) * np.exp(rows.log_prob(reading))
     return np.clip(found, 0.0, 1.0)
 
 
 def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:
-    """The spread, and those odds that are what a slice differs in most."""
+    """The spread, and those odds in which some slice differs most."""
     found = ["log_spread"]
     for channel in ("short", "missed", "random"):
         if any(each.channel == channel for each in slices):

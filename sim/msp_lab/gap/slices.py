@@ -1,10 +1,9 @@
 """Where readings and model disagree: slices of context, ranked by what differs, corrected for their number.
 
-Readings, a model and partitions enter; slices leave. Each slice is asked for its five numbers (bias, spread, odds of
-short, missed and random readings) by the efficient score of the model; the largest of all is judged by the step-down
-maximum of their multiplier bootstrap over units (Westfall and Young 1993; Chernozhukov, Chetverikov & Kato 2013,
-Annals of Statistics 41). What was fitted in the slice is shown beside it. This finds less than a catalogue of effects
-does, and says where to look.
+Readings, a model and partitions enter; slices leave. The five numbers of each slice (bias, spread, odds of short,
+missed and random readings) are tested by their scores; p-values come from the step-down maximum of their multiplier
+bootstrap over units (Westfall and Young 1993; Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). This
+finds less than a catalogue of effects does, and says where to look.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,28 +13,30 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap import rules
+from msp_lab.gap.bootstrap import unit_sums
+from msp_lab.gap.cell_fits import CellFits, one_step, scores_of
 from msp_lab.gap.cells import Partition, Stack
-from msp_lab.gap.chance import FEWEST_UNITS, unit_sums
 from msp_lab.gap.findings import Slice
-from msp_lab.gap.free_fit import CHANNELS, FreeFit, one_step, scores_of
-from msp_lab.gap.measures import Table, Twins, free_fits
+from msp_lab.gap.measures import HeldOutReadings, Replicates, free_fits
+from msp_lab.gap.prepared import CHANNELS
 from msp_sim.model.model import Model
 from msp_sim.model.rows import Rows
 
 _Array = NDArray[np.float64]
 
-DRAWS = 999
 SHOWN = 40
+"""Slices that are listed at most; the page shows fewer."""
 PAIRS_SHOWN = 2
-"""Pairs of variables of which slices are shown: more say the same again."""
-Fits: TypeAlias = Mapping[tuple[str, ...], FreeFit]
+"""Pairs of variables of which slices are listed: more repeat the same."""
+Fits: TypeAlias = Mapping[tuple[str, ...], CellFits]
 
 
 def ranked(
     model: Model,
-    table: Table,
+    readings: HeldOutReadings,
     parts: Sequence[Partition],
-    twins: Twins,
+    drawn: Replicates,
     known: Fits,
     rng: np.random.Generator,
     shown: int = SHOWN,
@@ -44,19 +45,19 @@ def ranked(
 
     Parameters
     ----------
-    model, table, parts, twins
+    model, readings, parts, drawn
         As for `measures.measure`.
     known
         Free fits that there are already, by the partition's variables.
     rng
-        Source of the bootstrap's multipliers.
+        Random generator of the bootstrap's multipliers.
     shown
         At most so many slices.
     """
-    rows, stack = model.rows(table.contexts), Stack.of(parts)
-    _, scores = scores_of(rows, table.reading_cm)
-    step = one_step(stack.sums(scores), twins.information, stack, rows.sigma_cm)
-    z, shares = _contributions(scores, table.unit, stack, step, rows.sigma_cm)
+    rows, stack = model.rows(readings.contexts), Stack.of(parts)
+    _, scores = scores_of(rows, readings.reading_cm)
+    step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
+    z, shares = _contributions(scores, readings.unit, stack, step, rows.sigma_cm)
     p_value = _step_down(np.abs(z).ravel(), shares.reshape(z.size, -1), rng).reshape(z.shape)
     channel = np.abs(z).argmax(axis=1)
     largest = np.abs(z).max(axis=1)
@@ -72,9 +73,9 @@ def ranked(
             pairs.append(variables)
         if len(first) < shown and number != 0:
             first.append(number)
-    # What is said of a slice is its own fit, not the one step that only ranks it.
+    # A slice is listed with its own fit, not with the one step that only ranks it.
     wanted = {places[number][0].variables for number in first}
-    fits = _fits(rows, table, [part for part in parts if part.variables in wanted], known)
+    fits = _fits(rows, readings, [part for part in parts if part.variables in wanted], known)
     found = []
     for number in first:
         part, k = places[number]
@@ -84,45 +85,45 @@ def ranked(
     return tuple(found)
 
 
-def again(
-    slices: Sequence[Slice], model: Model, table: Table, parts: Sequence[Partition], known: Fits
+def remeasured(
+    slices: Sequence[Slice], model: Model, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits
 ) -> tuple[Slice, ...]:
-    """The same slices with what they show of another model beside it."""
+    """The same slices with what they show of another model in `after`."""
     wanted = {each.variables for each in slices}
     asked = [part for part in parts if part.variables in wanted]
-    fits = _fits(model.rows(table.contexts), table, asked, known)
+    fits = _fits(model.rows(readings.contexts), readings, asked, known)
     numbers: dict[str, dict[str, float | None]] = {}
     for part in asked:
         numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
     return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
 
 
-def _fits(rows: Rows, table: Table, parts: Sequence[Partition], known: Fits) -> Fits:
+def _fits(rows: Rows, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits) -> Fits:
     """Free fits of these partitions: those that are known, and the others."""
     others = [part for part in parts if part.variables not in known]
-    return {**known, **(free_fits(rows, table, others) if others else {})}
+    return {**known, **(free_fits(rows, readings, others) if others else {})}
 
 
 def _contributions(
-    scores: _Array, unit: NDArray[np.intp], stack: Stack, fit: FreeFit, sigma_cm: _Array
+    scores: _Array, unit: NDArray[np.intp], stack: Stack, fit: CellFits, sigma_cm: _Array
 ) -> tuple[_Array, _Array]:
-    """Of each slice and number the statistic (K, 5), and the units' shares in it (K, 5, U)."""
+    """The statistic of each slice and number (K, 5), and the units' shares in it (K, 5, U)."""
     per_cell, about_mean, there = unit_sums(scores[stack.readings], unit, stack)
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
     deviation = np.sqrt((about_mean**2).sum(axis=1))
     scale = np.zeros((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
     expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
-    # Of a class of which nothing came the units show no spread, so at least what the model expects.
+    # Units show no spread of a class that never came, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
-    few = there < FEWEST_UNITS
+    few = there < rules.MIN_CELL_UNITS
     deviation[few] = np.inf
     statistic = per_cell.sum(axis=1) / deviation
     return statistic, np.moveaxis(about_mean / deviation[:, None, :], 1, 2)
 
 
-def _information(fit: FreeFit, scale: _Array) -> _Array:
-    """About what the model expects of a score's variance, from the errors of the one step."""
+def _information(fit: CellFits, scale: _Array) -> _Array:
+    """About the variance of a score that the model expects, from the errors of the one step."""
     errors = fit.errors.copy()
     errors[:, 0] /= np.maximum(scale[:, 0], 1e-12)
     found: _Array = 1.0 / np.maximum(errors, 1e-12) ** 2
@@ -135,28 +136,28 @@ def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _
     shares = shares[order]
     above = np.zeros(statistic.size)
     block = 100
-    for start in range(0, DRAWS, block):
-        signs = rng.standard_normal((shares.shape[1], min(block, DRAWS - start)))
-        drawn = np.abs(shares @ signs)
-        largest_below = np.maximum.accumulate(drawn[::-1], axis=0)[::-1]
+    for start in range(0, rules.SLICE_DRAWS, block):
+        signs = rng.standard_normal((shares.shape[1], min(block, rules.SLICE_DRAWS - start)))
+        null = np.abs(shares @ signs)
+        largest_below = np.maximum.accumulate(null[::-1], axis=0)[::-1]
         above += (largest_below >= statistic[order, None]).sum(axis=1)
     p_value = np.empty(statistic.size)
-    p_value[order] = np.maximum.accumulate((above + 1.0) / (DRAWS + 1.0))
+    p_value[order] = np.maximum.accumulate((above + 1.0) / (rules.SLICE_DRAWS + 1.0))
     return p_value
 
 
-def _numbers(fit: FreeFit, k: int) -> dict[str, float | None]:
+def _numbers(fit: CellFits, k: int) -> dict[str, float | None]:
     names = ("bias_cm", "log_spread", "log_odds_short", "log_odds_missed", "log_odds_random")
     found: dict[str, float | None] = {name: float(value) for name, value in zip(names, fit.values[k], strict=True)}
     found["nats"] = _nats(fit, k)
     return found
 
 
-def _nats(fit: FreeFit, k: int) -> float:
-    return float((fit.gain_nats[k] - fit.chance_nats[k]) / max(int(fit.counts[k]), 1))
+def _nats(fit: CellFits, k: int) -> float:
+    return float((fit.gain_nats[k] - fit.noise_nats[k]) / max(int(fit.counts[k]), 1))
 
 
-def _slice(partition: Partition, k: int, fit: FreeFit, channel: str, z: float, p_value: float) -> Slice:
+def _slice(partition: Partition, k: int, fit: CellFits, channel: str, z: float, p_value: float) -> Slice:
     (bias, spread, short, missed, random) = fit.values[k].tolist()
     (bias_se, spread_se, short_se, missed_se, random_se) = fit.errors[k].tolist()
     return Slice(

@@ -1,6 +1,6 @@
 """The tables of a gap's page: measures, steps, slices, parameters and the model's own numbers.
 
-Findings and models enter, rows of words leave. Nothing is computed or judged here.
+Findings and models enter, rows of text leave. Nothing is decided here.
 """
 
 import itertools
@@ -8,53 +8,54 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice
-from msp_lab.gap.judge import bounds
-from msp_lab.gap.words import plain, step_name
+from msp_lab.gap.labels import slice_label, step_name
+from msp_lab.gap.verdict import bounds
 from msp_range.descriptions import descriptions
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
 from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model
 from msp_sim.page.page import Table
 
-SURE = 0.05
-"""p-value below which a slice is shown."""
 MOST_SLICES = 14
+"""Slices on the page at most: one picture is as high as a screen."""
 
 
 def measures_table(findings: GapFindings, given: Model) -> Table | None:
-    """The gap in its measures, before and after, with chance and the bound; None where it was not measured."""
+    """The gap in its measures, before and after, with noise floor and bound; None where it was not measured."""
     gap = findings.gap
     if gap is None:
         return None
     bound = bounds(findings, given)
     lines = [
-        ("gap [nats a reading]", gap.nats_per_reading, bound["nats_per_reading"]),
+        ("gap [nats per reading]", gap.nats_per_reading, bound["nats_per_reading"]),
         ("bias [cm]", gap.bias_cm, bound["bias_cm"]),
-        ("spread, by which factor off", gap.spread_ratio, bound["spread_ratio"]),
-        ("odds of short readings, by which factor off", gap.odds.short, None),
-        ("odds of missed echoes, by which factor off", gap.odds.missed, None),
-        ("odds of random readings, by which factor off", gap.odds.random, None),
+        ("spread, off by a factor of", gap.spread_ratio, bound["spread_ratio"]),
+        ("odds of short readings, off by a factor of", gap.odds.short, None),
+        ("odds of missed echoes, off by a factor of", gap.odds.missed, None),
+        ("odds of random readings, off by a factor of", gap.odds.random, None),
     ]
     if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
-        lines.append(("readings that the model cannot give, by which factor off", gap.odds.code, None))
+        lines.append(("readings that the model cannot give, off by a factor of", gap.odds.code, None))
     return Table(
         "measures",
         "The gap in its measures",
-        ("measure", "before", "after", "95 % interval", "chance (twins)", "counts as closed up to"),
+        ("measure", "before", "after", "95 % interval", "noise floor", "closed up to"),
         tuple((name, *_row(measure, limit)) for name, measure, limit in lines),
-        "On the confirming runs. Root mean squares over the slices of the context in which it is surest, less what "
-        "chance adds. A factor of 1 is right. The interval is that of the last value, by a bootstrap over runs, or of "
-        "blocks of readings where runs are few. Chance is what 95 of 100 simulated twins stay below.",
+        "On held-out runs. Root mean squares over the slices of the context in which the measure is most certain, less "
+        "random variation. A factor of 1 is right. The interval is that of the last value, with errors of whole runs, "
+        "or of blocks of readings where runs are few. 95 of 100 tables that the extended model draws stay below the "
+        "noise floor.",
     )
 
 
 def steps_table(findings: GapFindings) -> Table | None:
-    """The way of the gap in numbers; None where nothing was added."""
-    if len(findings.path) < 2:
+    """The gap after each step in numbers; None where nothing was added."""
+    if len(findings.selection_path) < 2:
         return None
     rows = []
-    for before, step in itertools.pairwise((None, *findings.path)):
+    for before, step in itertools.pairwise((None, *findings.selection_path)):
         assert step is not None
         gained = None if before is None else _less(step.log_score, before.log_score)
         rows.append(
@@ -65,25 +66,25 @@ def steps_table(findings: GapFindings) -> Table | None:
         "Each step in numbers",
         ("model", "gap [nats]", "mean log score [nats]", "gain [nats]"),
         tuple(rows),
-        "A reading of the confirming runs; the log score is that of a whole centimetre or a code.",
+        "Per reading of the held-out runs; the log score is that of a whole centimetre or a code.",
     )
 
 
 def slices_table(findings: GapFindings) -> Table:
-    """The slices that differ for sure, in all channels."""
+    """The slices that differ significantly, in all channels."""
     return Table(
         "slices-table",
         "Slices in numbers",
         ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
         tuple(row for each in shown_slices(findings) for row in _slice_rows(each)),
-        "Against the model as given, with standard errors; below it, what is left with what was added. Spread and odds "
-        "are ratios to the model; few: too few such readings to tell. p-values are corrected for the number of slices "
-        "and measures.",
+        "Compared with the given model, with standard errors; below, what is left with what was added. Spread and odds "
+        "are ratios to the model; few: too few such readings for a ratio. p-values are corrected for the number of "
+        "slices and measures.",
     )
 
 
 def parameters_table(found: FoundEffect, effect: Effect | None) -> Table:
-    """Of an effect that was found: each number with its interval, and what it means."""
+    """The parameters of an effect that was found: value, interval and meaning."""
     meanings = {each.name: each.meaning for each in effect.parameters} if effect is not None else {}
     rows = tuple(
         (
@@ -99,9 +100,9 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> Table:
 
 
 def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
-    """The numbers of the base mixture, as given and as they are in the extended model."""
+    """The numbers of the base mixture in the given and in the extended model."""
     before, after = given.sensor.reading_model, extended.sensor.reading_model
-    judged = {each.name: each for each in findings.calibration}
+    calibrated = {each.name: each for each in findings.calibration}
     rows = []
     for part, one, other, section in (
         ("weights.", before.weights, after.weights, Weights),
@@ -111,7 +112,7 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
             old, new = getattr(one, name), getattr(other, name)
             if not isinstance(old, float | int):
                 continue
-            found = judged.get(part + name)
+            found = calibrated.get(part + name)
             known = found is not None and found.low is not None and found.high is not None
             interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
             meaning = description.split("\n")[0].rstrip(".").replace("`", "")
@@ -119,32 +120,34 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
     return Table(
         "model-numbers",
         "The model's own numbers",
-        ("number", "meaning", "as given", "in model.yaml", "95 % interval"),
+        ("number", "meaning", "given", "in model.yaml", "95 % interval"),
         tuple(rows),
-        "All are fitted again with whatever is added. An interval stands where the confirming runs show that the given "
-        "value is not right: that is calibration.",
+        "All are refitted with whatever is added. Those with an interval are calibration: held-out runs show that the "
+        "given value is wrong.",
         words=2,
     )
 
 
 def shown_slices(findings: GapFindings) -> list[Slice]:
-    """Those slices that differ for sure, the surest first, and the whole."""
-    sure = [each for each in findings.slices if each.p_value is not None and each.p_value < SURE and each.variables]
-    # A pair repeats what one of its variables says, unless it says more.
-    single = [each for each in sure if len(each.variables) == 1]
+    """The whole, and the slices that differ significantly, the most significant first."""
+    significant = [
+        each for each in findings.slices if each.p_value is not None and each.p_value < rules.SLICE_P and each.variables
+    ]
+    # A pair repeats what one of its variables shows.
+    single = [each for each in significant if len(each.variables) == 1]
     seen = {name for each in single for name in each.variables}
-    pairs = [each for each in sure if len(each.variables) > 1 and not set(each.variables) & seen]
+    pairs = [each for each in significant if len(each.variables) > 1 and not set(each.variables) & seen]
     whole = [each for each in findings.slices if not each.variables]
     return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
 
 
-def slice_words(each: Slice) -> str:
-    """A slice's name as people write it, and how many readings it has."""
-    return f"{plain(each.where)} ({each.readings:,})"
+def slice_with_count(each: Slice) -> str:
+    """A slice's label, and how many readings it has."""
+    return f"{slice_label(each.where)} ({each.readings:,})"
 
 
 def short(value: float | None) -> str:
-    """A number to the digits that a person reads; nothing where it is not known."""
+    """A number with few digits; nothing where it is not known."""
     if value is None:
         return ""
     return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
@@ -153,12 +156,12 @@ def short(value: float | None) -> str:
 def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
     low, high = short(measure.low), short(measure.high)
     interval = f"{low} to {high}" if low and high else ""
-    return (short(measure.before), short(measure.after), interval, short(measure.floor), short(limit))
+    return (short(measure.before), short(measure.after), interval, short(measure.noise_floor), short(limit))
 
 
 def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
-    """A row before, and one after where there is an after."""
-    cells = [slice_words(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
+    """A row for before, and one for after where it was measured."""
+    cells = [slice_with_count(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
     later = ["after", _signed(each.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
         value, error, left = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)

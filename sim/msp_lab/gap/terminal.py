@@ -7,8 +7,8 @@ from rich.table import Table
 from rich.text import Text
 
 from msp_lab.gap.findings import GapFindings, Measure
+from msp_lab.gap.labels import capitalised, slice_label
 from msp_lab.gap.model_file import MODEL
-from msp_lab.gap.words import capitalised, plain
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import PlainConsole, console
 from msp_sim.terminal import Bar
@@ -17,8 +17,8 @@ COLOURS = {"nothing missing": "green", "explained": "green", "partly explained":
 SLICES = 5
 
 
-class Progressing(Bar):
-    """A bar on a terminal, and elsewhere a line for each thing that is begun."""
+class ProgressBar(Bar):
+    """A bar on a terminal, and elsewhere a line for each part of the work."""
 
     def __init__(self) -> None:
         self.clock: Clock = SystemClock()
@@ -32,8 +32,8 @@ class Progressing(Bar):
         )
         super().__init__(*columns, total=1.0, on=self._console)
 
-    def say(self, what: str, share: float) -> None:
-        """Tell what is being done, and which share of the whole is behind it."""
+    def report(self, what: str, share: float) -> None:
+        """Show what is being done, and which share of the whole is done."""
         if self.is_shown:
             self.show(what, share)
         elif what != self._last:
@@ -48,14 +48,14 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
     if findings.gap is not None:
         out.print(_gap_table(findings))
     for each in findings.effects:
-        if each.rivals and each.experiment:
+        if each.alternatives and each.experiment:
             out.print(capitalised(each.experiment), highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
-            out.print(f"  {plain(piece.where)}: {piece.channel}{p}", highlight=False)
-    if findings.could_have_seen and not findings.effects and not findings.unknown:
-        out.print(f"These data would have shown: {findings.could_have_seen}", highlight=False)
+            out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}", highlight=False)
+    if findings.detectable and not findings.effects and not findings.unknown:
+        out.print(f"These data would have shown: {findings.detectable}", highlight=False)
     for message in findings.messages:
         out.print(f"note: {message}", style="dim", highlight=False)
     columns = sorted({name for each in findings.not_testable for name in each.columns})
@@ -78,11 +78,11 @@ def _gap_table(findings: GapFindings) -> Table:
     gap = findings.gap
     assert gap is not None
     table = Table(show_edge=False, pad_edge=False)
-    table.add_column("on the confirming runs")
-    for heading in ("before", "after", "95 %", "chance"):
+    table.add_column("on held-out runs")
+    for heading in ("before", "after", "95 %", "noise floor"):
         table.add_column(heading, justify="right")
     for label, measure in (
-        ("gap [nats a reading]", gap.nats_per_reading),
+        ("gap [nats per reading]", gap.nats_per_reading),
         ("bias [cm]", gap.bias_cm),
         ("spread, factor", gap.spread_ratio),
         ("odds of short, factor", gap.odds.short),
@@ -95,7 +95,7 @@ def _gap_table(findings: GapFindings) -> Table:
 
 def _cells(measure: Measure) -> tuple[str, ...]:
     interval = "" if measure.low is None or measure.high is None else f"{measure.low:.3g} to {measure.high:.3g}"
-    return (_number(measure.before), _number(measure.after), interval, _number(measure.floor))
+    return (_number(measure.before), _number(measure.after), interval, _number(measure.noise_floor))
 
 
 def _number(value: float | None) -> str:

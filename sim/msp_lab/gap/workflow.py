@@ -1,242 +1,233 @@
 """The gap workflow from measured readings to an extended model: compare, name, add.
 
-Readings, a model and a generator enter; `GapFindings` and models leave. Runs are parted once, before anything is
-looked at: on one part effects are chosen and fitted, on the other, the confirming runs, every gap is measured.
+Readings and a model enter; `GapFindings` and models leave. Runs are split once, before anything is looked at: on the
+training runs effects are selected and fitted, on the held-out runs every gap is measured.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.gap import findings as found
+from msp_lab.gap import rules
 from msp_lab.gap.cells import Partition, partitions, varying
-from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, PathStep, Settings
 from msp_lab.gap.intake import Readings
-from msp_lab.gap.judge import sentence, verdict
-from msp_lab.gap.measures import Measures, Table, Twins, measure, twins, usable
-from msp_lab.gap.slices import again, ranked
-from msp_lab.gap.units import Split, split
-from msp_lab.gap.workbench import Explanation, explain
+from msp_lab.gap.measures import HeldOutReadings, Measures, Replicates, measure, replicates, usable
+from msp_lab.gap.naming import ExtendedModels, name_effects
+from msp_lab.gap.problem import Progress
+from msp_lab.gap.runs import Split, split
+from msp_lab.gap.slices import ranked, remeasured
+from msp_lab.gap.verdict import sentence, verdict
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.model import Model
 
-Say = Callable[[str, float], None]
-"""What is being done, and which share of the whole is behind it."""
-
-MOST_MEASURED = 12_000
-"""Confirming readings on which the four measures are taken; of more, every k-th."""
-TWINS = 20
-RUNS_AS_UNITS = 8
-"""Runs: with fewer, blocks of consecutive readings are the units of chance."""
-BLOCKS = 64
-LEAST_WEIGHT = 1e-4
-"""A kind of reading that a model says never to come could be compared with nothing: it gets this share."""
 NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm"})
 
 
 @dataclass(frozen=True)
-class Compared:
-    """What the confirming readings are held against, and how far the given model is from them.
+class Comparison:
+    """Readings and the model that they are compared with.
 
     Attributes
     ----------
-    before
-        The given model.
+    model
+        The given model, without kinds of reading at a share of 0.
     data
         All columns of all readings, by name.
-    parts
-        Which readings are for choosing and fitting, and which confirm.
-    table
-        The confirming readings that are measured on; all can be given by the model.
-    partition
-        Slices of them.
-    twins, measures
-        Of the given model.
-    findings
-        So far.
+    split
+        Which readings are for training and which are held out.
+    held_out
+        The held-out readings that are measured on; the model can give all of them.
+    partitions
+        Slices of those.
+    impossible
+        Share of the held-out readings that the model cannot give.
+    settings, readings
+        What was asked for, and the readings as they were read.
+    messages
+        What was noticed.
     """
 
-    before: Model
+    model: Model
     data: Mapping[str, NDArray[Any]]
-    parts: Split
-    table: Table
-    partition: list[Partition]
-    twins: Twins
-    measures: Measures
+    split: Split
+    held_out: HeldOutReadings
+    partitions: list[Partition]
     impossible: float
-    findings: GapFindings
+    settings: Settings
+    readings: Readings
+    messages: tuple[str, ...]
+
+    @classmethod
+    def of(cls, readings: Readings, model: Model, settings: Settings) -> "Comparison":
+        """Split the runs, and take the held-out readings to measure on.
+
+        Parameters
+        ----------
+        readings
+            From `intake.read_readings`.
+        model
+            The given model.
+        settings
+            With the random seed.
+        """
+        model, messages = with_least_weights(model)
+        data = dict(readings.data.columns)
+        parts = split(data, data["reading_cm"], np.random.default_rng([settings.seed, 0]), run_column="run")
+        rows = np.flatnonzero(parts.held_out)
+        rows = rows[:: max(1, -(-rows.size // rules.MAX_MEASURED))]
+        contexts = {name: column[rows] for name, column in data.items()}
+        held_out = HeldOutReadings(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
+        can = usable(model, held_out)
+        held_out = held_out.take(can)
+        names = [name for name in varying(held_out.contexts) if name not in NO_SLICES]
+        return cls(
+            model,
+            data,
+            parts,
+            held_out,
+            partitions(held_out.contexts, names),
+            float(1.0 - can.mean()),
+            settings,
+            readings,
+            (*readings.messages, *messages, *parts.messages),
+        )
 
 
 @dataclass(frozen=True)
-class Added:
-    """The end of the workflow: the extended model, as it was proved and as it is quoted.
+class MeasuredGap:
+    """The gap of one model on the held-out readings that it can give.
 
     Attributes
     ----------
-    proved
-        With the coefficients of the runs that it was chosen on: what the confirming runs judged.
-    model
-        With coefficients of the confirming runs, which choosing has not made too large.
-    findings
-        All.
+    readings, partitions
+        Those readings, and slices of them.
+    replicates, measures
+        Of the model.
+    impossible
+        Share of the held-out readings that it cannot give.
     """
 
-    proved: Model
-    model: Model
-    findings: GapFindings
+    readings: HeldOutReadings
+    partitions: list[Partition]
+    replicates: Replicates
+    measures: Measures
+    impossible: float
+
+    @classmethod
+    def of(cls, model: Model, comparison: Comparison, rng: np.random.Generator) -> "MeasuredGap":
+        """Measure a model."""
+        can = usable(model, comparison.held_out)
+        held_out = comparison.held_out.take(can)
+        parts = comparison.partitions if can.all() else [each.take(can) for each in comparison.partitions]
+        drawn = replicates(model, held_out, parts, rules.REPLICATES, rng)
+        return cls(held_out, parts, drawn, measure(model, held_out, parts, drawn), float(1.0 - can.mean()))
 
 
 def with_least_weights(model: Model) -> tuple[Model, list[str]]:
-    """The model with no kind of reading at a share of exactly 0, and what there is to say of it."""
+    """The model with no kind of reading at a share of 0, and a message if that changed it."""
     weights = model.sensor.reading_model.weights
     shares = weights.model_dump()
-    missing = [name for name, share in shares.items() if share < LEAST_WEIGHT]
+    missing = [name for name, share in shares.items() if share < rules.MIN_WEIGHT]
     if not missing:
         return model, []
-    raised = {name: max(share, LEAST_WEIGHT) for name, share in shares.items()}
+    raised = {name: max(share, rules.MIN_WEIGHT) for name, share in shares.items()}
     total = sum(raised.values())
     changed = weights.model_copy(update={name: share / total for name, share in raised.items()})
     mixture = model.sensor.reading_model.model_copy(update={"weights": changed})
     sensor = model.sensor.model_copy(update={"reading_model": mixture})
     text = (
-        f"The model gives {' and '.join(missing)} readings a share of 0; {LEAST_WEIGHT:g} is taken, since nothing can "
-        "be compared with what is said never to come."
+        f"The model gives {' and '.join(missing)} readings a share of 0; {rules.MIN_WEIGHT:g} is used, since a reading "
+        "of probability 0 would decide the comparison alone."
     )
     return replace(model, sensor=sensor), [text]
 
 
-def compare(readings: Readings, model: Model, settings: Settings, date: str, say: Say) -> Compared:
-    """Where readings and model disagree, on the confirming runs.
-
-    Parameters
-    ----------
-    readings
-        From `intake.read_readings`.
-    model
-        What they are held against.
-    settings
-        Its seed is that of all chance.
-    date
-        For the record.
-    say
-        Is told what is being done.
-    """
-    model, weighed = with_least_weights(model)
-    data = dict(readings.data.columns)
+def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
+    """Where readings and model disagree, on the held-out runs; `date` is recorded."""
+    settings = comparison.settings
     rng = np.random.default_rng([settings.seed, 1])
-    say("simulating twins of the readings", 0.05)
-    parts, table, impossible = confirming(readings, model, settings)
-    names = [name for name in varying(table.contexts) if name not in NO_SLICES]
-    partition = partitions(table.contexts, names)
-    drawn = twins(model, table, partition, TWINS, rng)
-    say("comparing slices of context", 0.15)
-    measured = measure(model, table, partition, drawn)
-    slices = ranked(model, table, partition, drawn, measured.fits, rng)
-    before = _gap(measured, None, drawn, impossible, None)
-    findings = GapFindings(
+    report("simulating replicates of the readings", 0.05)
+    before = MeasuredGap.of(comparison.model, comparison, rng)
+    report("comparing slices of context", 0.15)
+    slices = ranked(comparison.model, before.readings, before.partitions, before.replicates, before.measures.fits, rng)
+    return GapFindings(
         verdict=None,
-        rows=len(readings.data),
-        runs=int(np.unique(data["run"]).size),
-        gap=before,
-        calibration=readings.calibration,
+        rows=len(comparison.readings.data),
+        runs=int(np.unique(comparison.data["run"]).size),
+        gap=_gap(before, comparison.impossible),
+        calibration=comparison.readings.calibration,
         slices=slices,
-        choosing=parts.fit_runs,
-        confirming=parts.confirm_runs,
-        sources=readings.sources,
+        training_runs=comparison.split.training_runs,
+        held_out_runs=comparison.split.held_out_runs,
+        sources=comparison.readings.sources,
         settings=settings,
-        messages=(*readings.messages, *weighed, *parts.messages),
+        messages=comparison.messages,
         date=date,
-        path=(found.Step("", measured.nats.value, measured.log_score),),
+        selection_path=(PathStep("", before.measures.nats.value, before.measures.log_score),),
     )
-    return Compared(model, data, parts, table, partition, drawn, measured, impossible, findings)
 
 
-def confirming(readings: Readings, model: Model, settings: Settings) -> tuple[Split, Table, float]:
-    """The parting of the runs, the confirming readings to measure on, and the share that the model cannot give."""
-    data = dict(readings.data.columns)
-    parts = split(data, data["reading_cm"], np.random.default_rng([settings.seed, 0]), run_column="run")
-    rows = np.flatnonzero(parts.confirm)
-    rows = rows[:: max(1, -(-rows.size // MOST_MEASURED))]
-    contexts = {name: column[rows] for name, column in data.items()}
-    table = Table(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
-    can = usable(model, table)
-    return parts, table.take(can), float(1.0 - can.mean())
-
-
-def name(compared: Compared, say: Say) -> tuple[GapFindings, Explanation]:
-    """Name what is missing, with rivals, on the runs for choosing; the confirming runs say what it gains."""
-    settings = compared.findings.settings
-    rng = np.random.default_rng([settings.seed, 2])
-    contexts = {key: column for key, column in compared.data.items() if key != "reading_cm"}
-    explained = explain(
-        compared.before,
-        contexts,
-        compared.data["reading_cm"],
-        compared.parts,
-        rng,
+def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:
+    """Name what is missing, with alternatives, on the training runs; the held-out runs validate it."""
+    settings = comparison.settings
+    named = name_effects(
+        comparison.model,
+        {key: column for key, column in comparison.data.items() if key != "reading_cm"},
+        comparison.data["reading_cm"],
+        comparison.split,
+        np.random.default_rng([settings.seed, 2]),
         alpha=settings.alpha,
-        max_effects=settings.max_effects,
-        progress=lambda what, share: say(what, 0.2 + 0.6 * share),
-    )
-    could_see = "; ".join(
-        f"{effect} above {smallest:.2g} {'' if unit == '1' else unit}".rstrip()
-        for effect, _, smallest, unit in explained.detectable
+        max_terms=settings.max_effects,
+        report=lambda what, share: report(what, 0.2 + 0.6 * share),
     )
     findings = replace(
-        compared.findings,
-        effects=explained.effects,
-        unknown=explained.unknown,
-        calibration=(*compared.findings.calibration, *explained.calibration),
-        not_testable=explained.not_testable,
-        could_have_seen=could_see,
-        global_p_value=explained.global_p_value,
-        messages=(
-            *compared.findings.messages,
-            *explained.messages,
-            *(f"{dropped} was tried and dropped: {why}." for dropped, why in explained.dropped),
-        ),
+        findings,
+        effects=named.effects,
+        unknown=named.unknown,
+        calibration=(*findings.calibration, *named.calibration),
+        not_testable=named.not_testable,
+        detectable=named.detectable,
+        p_value=named.p_value,
+        messages=(*findings.messages, *named.messages, *(f"{term} was dropped: {why}." for term, why in named.dropped)),
     )
-    return findings, explained
+    return findings, named.models
 
 
-def add(compared: Compared, findings: GapFindings, explained: Explanation, say: Say) -> Added:
-    """Measure the gap again with what was added, and judge."""
-    say("measuring what is left of the gap", 0.82)
-    proved, table = explained.model_fit, compared.table
-    rng = np.random.default_rng([findings.settings.seed, 3])
-    can = usable(proved, table)
-    table = table.take(can)
-    partition = [each.take(can) for each in compared.partition] if not can.all() else compared.partition
-    drawn = twins(proved, table, partition, TWINS, rng)
-    measured = measure(proved, table, partition, drawn)
-    gap = _gap(compared.measures, measured, drawn, compared.impossible, 1.0 - float(can.mean()))
-    say("measuring each step of the way", 0.95)
-    scores = [(step.name, _log_score(step.model, compared.table)) for step in explained.path if step.name]
-    # The last step is the gap that was measured; each before it had what the ones after it gain.
-    later = [found.Step(step, _left(measured, scores[-1][1] - score), score) for step, score in scores]
-    slices = again(findings.slices, proved, table, partition, measured.fits)
-    findings = replace(findings, gap=gap, path=(*findings.path, *later), slices=slices)
-    findings = replace(findings, verdict=verdict(findings, compared.before))
-    return Added(proved, explained.model, replace(findings, sentence=sentence(findings)))
+def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, report: Progress) -> GapFindings:
+    """Measure the gap that is left with what was named, and reach a verdict."""
+    report("measuring what is left of the gap", 0.82)
+    model = models.training_fit
+    after = MeasuredGap.of(model, comparison, np.random.default_rng([comparison.settings.seed, 3]))
+    report("measuring the gap after each step", 0.95)
+    scores = [(step.added, _log_score(step.model, comparison.held_out)) for step in models.path if step.added]
+    # The last step is the gap that was measured; each step before it had what the later ones gain.
+    left = after.measures.nats.value
+    later = [PathStep(added, max(left + scores[-1][1] - score, 0.0), score) for added, score in scores]
+    assert findings.gap is not None
+    findings = replace(
+        findings,
+        gap=_gap(after, comparison.impossible, findings.gap),
+        selection_path=(*findings.selection_path, *later),
+        slices=remeasured(findings.slices, model, after.readings, after.partitions, after.measures.fits),
+    )
+    findings = replace(findings, verdict=verdict(findings, comparison.model))
+    return replace(findings, sentence=sentence(findings))
 
 
-def _left(measured: Measures, gain: float) -> float:
-    return max(measured.nats.value + gain, 0.0)
-
-
-def _log_score(model: Model, table: Table) -> float:
-    return float(np.maximum(model.log_prob(table.reading_cm, table.contexts), np.log(1e-12)).mean())
+def _log_score(model: Model, readings: HeldOutReadings) -> float:
+    return float(np.maximum(model.log_prob(readings.reading_cm, readings.contexts), np.log(1e-12)).mean())
 
 
 def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
     """Runs, or where they are few, blocks of consecutive readings of them."""
     names, unit, counts = np.unique(runs, return_inverse=True, return_counts=True)
-    if names.size >= RUNS_AS_UNITS:
+    if names.size >= rules.UNITS_FROM_RUNS:
         return np.asarray(unit, dtype=np.intp)
-    length = max(int(np.ceil(runs.size / BLOCKS)), 5)
+    length = max(int(np.ceil(runs.size / rules.UNIT_BLOCKS)), rules.MIN_BLOCK_READINGS)
     place = np.zeros(runs.size, dtype=np.intp)
     for i in range(names.size):
         rows = np.flatnonzero(unit == i)
@@ -245,27 +236,32 @@ def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
     return np.asarray(blocks, dtype=np.intp)
 
 
-def _gap(
-    before: Measures, after: Measures | None, drawn: Twins, impossible: float, impossible_after: float | None
-) -> found.Gap:
-    def number(key: str) -> found.Measure:
-        first, floor = before.numbers()[key], drawn.floor[key]
-        if after is None:
-            # Nothing has been added, so the interval is that of the gap itself.
-            return found.Measure(*(_known(each) for each in (first.value, np.nan, floor, first.low, first.high)))
-        last = after.numbers()[key]
-        return found.Measure(*(_known(each) for each in (first.value, last.value, floor, last.low, last.high)))
+def _gap(measured: MeasuredGap, impossible: float, before: Gap | None = None) -> Gap:
+    """The gap of the given model, or with `before` that of the extended one.
 
-    code = found.Measure(
-        1.0 + impossible / LEAST_WEIGHT,
-        None if impossible_after is None else 1.0 + impossible_after / LEAST_WEIGHT,
-        1.0,
-    )
-    return found.Gap(
-        number("nats"),
-        number("bias_cm"),
-        number("spread_ratio"),
-        found.Odds(number("short"), number("missed"), number("random"), code),
+    As long as nothing was added, the interval is that of the gap itself.
+    """
+    numbers, floor = measured.measures.numbers(), measured.replicates.noise_floor
+
+    def number(key: str, earlier: Measure | None) -> Measure:
+        now = numbers[key]
+        value, low, high = (_known(each) for each in (now.value, now.low, now.high))
+        if earlier is None:
+            return Measure(value, None, _known(floor[key]), low, high)
+        return Measure(earlier.before, value, _known(floor[key]), low, high)
+
+    code_before, code_after = (1.0 + share / rules.MIN_WEIGHT for share in (impossible, measured.impossible))
+    odds = before.odds if before is not None else None
+    return Gap(
+        number("nats", before.nats_per_reading if before else None),
+        number("bias_cm", before.bias_cm if before else None),
+        number("spread_ratio", before.spread_ratio if before else None),
+        OddsMeasures(
+            number("short", odds.short if odds else None),
+            number("missed", odds.missed if odds else None),
+            number("random", odds.random if odds else None),
+            Measure(code_before, None if before is None else code_after, 1.0),
+        ),
     )
 
 

@@ -2,7 +2,7 @@
 
 The distribution of readings, the readings and cells enter; for each cell a shift of the hits, a factor of their spread
 and odds of short, missed and random readings leave, fitted by maximum likelihood, with what they gain and how much of
-that is chance. The errors know of the units: the runs or blocks of readings that depend on each other.
+that is random variation. The errors are those of the units: the runs or blocks of readings that depend on each other.
 """
 
 from dataclasses import dataclass, replace
@@ -11,70 +11,66 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap import rules
+from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
-from msp_lab.gap.chance import unit_variance
+from msp_lab.gap.prepared import CHANNELS
 from msp_sim.model.rows import Rows
 from msp_sim.model.slopes import slopes
 
 _Array = NDArray[np.float64]
 
-CHANNELS = ("bias", "spread", "short", "missed", "random")
-PRIOR = np.diag(1.0 / np.square((50.0, 2.0, 2.5, 2.5, 2.5)))
-"""Weak, of the bias in standard deviations of a hit: what a cell says nothing of stays where it is."""
+PRIOR = np.diag(1.0 / np.square(rules.CELL_PRIOR_DEVIATION))
 ROUNDS = 12
+"""Newton steps at most."""
 SHORTER = (1.0, 0.3, 0.05)
-"""Of a step that makes it worse."""
+"""A step that makes the fit worse is tried again at these lengths."""
 ENOUGH_NATS = 0.005
-"""A cell that gains less in a round is fitted."""
-MOST_BIAS_CM, MOST_BIAS_SHARE = 10.0, 0.2
-"""Of the range: what is farther off is another echo, and no bias of this one."""
-LEAST_HITS = 10
-LARGEST_VARIANCE = 0.3
-"""Of the logarithm of a class's odds in a cell, for the cell to count: about three such outliers."""
+"""A cell that gains less in a step is done: the smallest gap that counts, of one reading."""
 PAIRS = tuple(combinations_with_replacement(range(len(CHANNELS)), 2))
 
 
 @dataclass(frozen=True)
-class FreeFit:
+class CellFits:
     """The five numbers of each of K cells, and what they gain.
 
     Attributes
     ----------
     counts
-        Readings a cell, (K,).
+        Readings in each cell, (K,).
     values, errors
-        (K, 5): bias [cm], logarithms of spread and odds; standard errors that know of the units.
-    gain_nats, chance_nats
-        In log-likelihood, and how much of it is chance, both sums over a cell, (K,).
+        (K, 5): bias [cm], logarithms of spread and odds; standard errors by units.
+    gain_nats, noise_nats
+        In log-likelihood, and how much of it is random variation, both sums over a cell, (K,).
     """
 
     counts: NDArray[np.intp]
     values: _Array
     errors: _Array
     gain_nats: _Array
-    chance_nats: _Array
+    noise_nats: _Array
 
     @property
     def nats(self) -> float:
-        """Gain a reading without what is chance."""
-        return float((self.gain_nats - self.chance_nats).sum() / max(self.counts.sum(), 1))
+        """Gain per reading, less random variation."""
+        return float((self.gain_nats - self.noise_nats).sum() / max(self.counts.sum(), 1))
 
     @property
     def nats_error(self) -> float:
-        """Its standard error, were the gain a sum of squares of normal numbers."""
-        excess = np.maximum(self.gain_nats - self.chance_nats, 0.0)
-        per_number = self.chance_nats / len(CHANNELS) * 2.0
+        """Its standard error, as that of a sum of squares of normal numbers."""
+        excess = np.maximum(self.gain_nats - self.noise_nats, 0.0)
+        per_number = self.noise_nats / len(CHANNELS) * 2.0
         variance = (len(CHANNELS) / 2.0) * per_number**2 + 2.0 * per_number * excess
         return float(np.sqrt(variance.sum()) / max(self.counts.sum(), 1))
 
     def mean_square(self, channel: str) -> tuple[float, float]:
-        """Mean over the cells of a number's square, without what is chance; and its standard error."""
+        """Mean over the cells of a number's square, less random variation; and its standard error."""
         i = CHANNELS.index(channel)
         values, variance = self.values[:, i], self.errors[:, i] ** 2
         known = np.isfinite(values) & (variance > 0.0)
         if channel not in ("bias", "spread"):
-            known &= variance < LARGEST_VARIANCE
-        if known.sum() < 0.7 * values.size:
+            known &= variance < rules.CELL_MAX_LOG_ODDS_VARIANCE
+        if known.sum() < rules.CELL_KNOWN_SHARE * values.size:
             return 0.0, np.inf
         values, variance = values[known], variance[known]
         # Odds of rare outliers are known much better in some cells than in others.
@@ -84,10 +80,10 @@ class FreeFit:
         error = float(np.sqrt((weight**2 * (2.0 * variance**2 + 4.0 * variance * values**2)).sum()))
         return square, error
 
-    def take(self, cells: slice) -> "FreeFit":
-        """Of some of the cells."""
-        return FreeFit(
-            self.counts[cells], self.values[cells], self.errors[cells], self.gain_nats[cells], self.chance_nats[cells]
+    def take(self, cells: slice) -> "CellFits":
+        """Some of the cells."""
+        return CellFits(
+            self.counts[cells], self.values[cells], self.errors[cells], self.gain_nats[cells], self.noise_nats[cells]
         )
 
 
@@ -97,9 +93,9 @@ def scores_of(rows: Rows, reading_cm: _Array, numbers: _Array | None = None) -> 
     Parameters
     ----------
     rows, reading_cm
-        All readings are ones that the model can give.
+        The model can give all readings.
     numbers
-        The five numbers of each reading (n, 5), the bias in standard deviations; None: nothing.
+        The five numbers of each reading (n, 5), the bias in standard deviations of a hit; None: all 0.
     """
     log_p, by = slopes(rows if numbers is None else _moved(rows, numbers), reading_cm)
     scores = by[:, : len(CHANNELS)]
@@ -124,7 +120,7 @@ def products(scores: _Array) -> _Array:
 
 
 def apart(sums: _Array) -> tuple[_Array, _Array]:
-    """Of sums of `products` (K, 20) those of the scores (K, 5), and those of their outer products (K, 5, 5)."""
+    """From sums of `products` (K, 20) those of the scores (K, 5), and of their outer products (K, 5, 5)."""
     size = len(CHANNELS)
     left, right = np.array(PAIRS).T
     outer = np.empty((sums.shape[0], size, size))
@@ -134,15 +130,15 @@ def apart(sums: _Array) -> tuple[_Array, _Array]:
 
 def one_step(
     total: _Array, information: _Array, stack: Stack, sigma_cm: _Array, by_unit: _Array | None = None
-) -> FreeFit:
+) -> CellFits:
     """The free fit by one step of Fisher's scoring from the model: right where the gap is small, and quick.
 
     Parameters
     ----------
     total
-        Sums of the scores, (K, 5).
+        ScoreSums of the scores, (K, 5).
     information
-        Of each cell (K, 5, 5), from twins: of outliers that are few the readings say little.
+        Of each cell (K, 5, 5), from replicates: readings with few outliers say little about them.
     stack, sigma_cm
         Cells, and the standard deviation of each reading's hit [cm], (n,).
     by_unit
@@ -150,25 +146,25 @@ def one_step(
     """
     inverse = np.asarray(np.linalg.inv(information + PRIOR), dtype=np.float64)
     step = np.einsum("kij,kj->ki", inverse, total)
-    variance, speaks = _of_units(inverse, information, by_unit)
+    variance, determined = _of_units(inverse, information, by_unit)
     scale = _scale(stack, sigma_cm)
     gain = 0.5 * np.einsum("ki,ki->k", step, total)
-    return FreeFit(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
+    return CellFits(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
 
 def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> tuple[_Array, _Array]:
-    """Variances of the five numbers (K, 5), and of how many numbers the data speak (K,)."""
+    """Variances of the five numbers (K, 5), and how many numbers the data determine (K,)."""
     variance = np.diagonal(inverse, axis1=1, axis2=2)
-    speaks = np.einsum("kij,kji->k", inverse, information)
+    determined = np.einsum("kij,kji->k", inverse, information)
     if by_unit is None:
-        return variance, speaks
+        return variance, determined
     # At least what independent readings would have.
     variance = np.maximum(np.diagonal(inverse @ by_unit @ inverse, axis1=1, axis2=2), variance)
-    return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), speaks)
+    return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), determined)
 
 
-def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> FreeFit:
-    """The free fit by as many steps as each cell needs, from a robust beginning.
+def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> CellFits:
+    """The free fit by as many steps as each cell needs, from a robust start.
 
     Parameters
     ----------
@@ -182,7 +178,7 @@ def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stac
     cells = _Cells(rows.take(stack.readings), reading_cm[stack.readings], stack.counts)
     nothing = np.zeros((len(stack), len(CHANNELS)))
     base = cells.at(nothing).posterior
-    numbers = _beginning(cells)
+    numbers = _robust_start(cells)
     numbers[cells.at(numbers).posterior < base] = 0.0
     best = cells.at(numbers)
     active = np.arange(len(stack))
@@ -208,15 +204,15 @@ def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stac
     inverse = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     _, given = scores_of(rows, reading_cm)
     by_unit = unit_variance(scores, unit, stack, given)
-    variance, speaks = _of_units(inverse, best.information - PRIOR, by_unit)
+    variance, determined = _of_units(inverse, best.information - PRIOR, by_unit)
     scale = _scale(stack, rows.sigma_cm)
     gain = best.posterior + prior - base
-    return FreeFit(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * speaks)
+    return CellFits(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
 
 @dataclass(frozen=True)
 class _Posterior:
-    """Of each cell the logarithm of its posterior, and its first and second derivatives by the five numbers."""
+    """The logarithm of each cell's posterior, and its first and second derivatives by the five numbers."""
 
     posterior: _Array
     slope: _Array
@@ -230,7 +226,7 @@ class _Posterior:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Readings cell by cell, with how many there are of each."""
+    """Readings cell by cell, and how many each cell has."""
 
     rows: Rows
     reading_cm: _Array
@@ -246,7 +242,7 @@ class _Cells:
         return _Cells(self.rows.take(rows), self.reading_cm[rows], self.counts[cells])
 
     def at(self, numbers: _Array) -> _Posterior:
-        """With these numbers, (K, 5)."""
+        """The posterior with these numbers, (K, 5)."""
         log_p, scores = scores_of(self.rows, self.reading_cm, np.repeat(numbers, self.counts, axis=0))
         log_sum, sums = self._sums(log_p), self._sums(products(scores))
         total, information = apart(sums)
@@ -261,7 +257,7 @@ class _Cells:
         return found
 
 
-def _beginning(cells: _Cells) -> _Array:
+def _robust_start(cells: _Cells) -> _Array:
     """Median and spread of what looks like hits, cell by cell: a gap of many sigma has no slope to follow."""
     rows = cells.rows
     usual = (cells.reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
@@ -270,8 +266,8 @@ def _beginning(cells: _Cells) -> _Array:
     low, middle, high = _quantiles(off, cell[usual], cells.counts.size, (0.25, 0.5, 0.75))
     (usual_cm,) = _quantiles(rows.centre_cm[usual], cell[usual], cells.counts.size, (0.5,))
     sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
-    known = np.bincount(cell[usual], minlength=cells.counts.size) >= LEAST_HITS
-    known &= np.abs(middle) * sigma_cm <= MOST_BIAS_CM + MOST_BIAS_SHARE * usual_cm
+    known = np.bincount(cell[usual], minlength=cells.counts.size) >= rules.CELL_MIN_HITS
+    known &= np.abs(middle) * sigma_cm <= rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * usual_cm
     numbers = np.zeros((cells.counts.size, len(CHANNELS)))
     numbers[known, 0] = middle[known]
     spread = np.maximum((high[known] - low[known]) / 1.349, 0.05)
@@ -280,7 +276,7 @@ def _beginning(cells: _Cells) -> _Array:
 
 
 def _quantiles(values: _Array, cell: NDArray[np.intp], cells: int, shares: tuple[float, ...]) -> _Array:
-    """Of the values in each cell; 0 in a cell without any, (len(shares), cells)."""
+    """Quantiles of the values in each cell, 0 in a cell without any, (len(shares), cells)."""
     ordered = np.append(values[np.lexsort((values, cell))], 0.0)
     counts = np.bincount(cell, minlength=cells)
     place = np.multiply.outer(shares, np.maximum(counts - 1, 0))

@@ -1,7 +1,7 @@
-"""Which readings choose and fit, which confirm, and what the unit of chance is.
+"""The split into training and held-out runs, and how far readings of a run depend on each other.
 
-Contexts enter, a split by whole runs leaves, drawn before anything is looked at. Scores enter, a measure of how far the
-readings of a run depend on each other leaves: with any dependence the unit is the run and not the reading.
+Contexts enter, a split by whole runs leaves, drawn before anything is looked at. Scores enter, a measure of dependence
+leaves: with any dependence the unit of evidence is the run and not the reading.
 """
 
 from collections.abc import Mapping
@@ -12,50 +12,46 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-_Array = NDArray[np.float64]
+from msp_lab.gap import rules
 
-FEW_RUNS = 4
-"""With fewer, runs are cut into blocks of consecutive readings."""
-BLOCKS = 60
-SURE = 1e-3
-"""Chance of finding dependence where there is none."""
+_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Split:
-    """Readings that choose and fit, and readings that confirm.
+    """Training readings, on which effects are selected and fitted, and held-out readings, which validate them.
 
     Attributes
     ----------
-    fit, confirm
+    training, held_out
         Masks, (n,).
     runs
         Name of each reading's run, or of its block where runs are few.
-    fit_runs, confirm_runs
+    training_runs, held_out_runs
         Names.
     messages
-        What a reader has to know of it.
+        What a reader has to know about it.
     """
 
-    fit: NDArray[np.bool_]
-    confirm: NDArray[np.bool_]
+    training: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
     runs: NDArray[np.str_]
-    fit_runs: tuple[str, ...]
-    confirm_runs: tuple[str, ...]
+    training_runs: tuple[str, ...]
+    held_out_runs: tuple[str, ...]
     messages: tuple[str, ...] = ()
 
 
 def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Generator, run_column: str = "run") -> Split:
-    """Part whole runs into two halves of about as many readings.
+    """Split whole runs into two halves of about as many readings.
 
     Parameters
     ----------
     contexts
-        Columns; without runs, or with fewer than four, consecutive readings are cut into blocks of equal length.
+        Columns; without runs, or with too few, consecutive readings are cut into blocks of equal length.
     reading_cm
         Readings, (n,).
     rng
-        Source of chance.
+        ReadingsFile of chance.
     run_column
         Which column names the runs.
     """
@@ -63,30 +59,30 @@ def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Genera
     messages: list[str] = []
     runs = np.asarray(contexts[run_column]).astype(str) if run_column in contexts else np.full(n, "")
     names, unit = np.unique(runs, return_inverse=True)
-    if names.size < FEW_RUNS:
+    if names.size < rules.MIN_RUNS:
         runs = _blocks(contexts, unit, names, n)
         messages.append(
-            f"Of runs there {'is' if names.size == 1 else 'are'} only {names.size}: readings are parted by blocks in "
-            "time, so what is constant within a run cannot be judged. Record four runs or more."
+            f"There {'is only 1 run' if names.size == 1 else f'are only {names.size} runs'}: blocks of consecutive "
+            "readings are split instead, so what is constant within a run cannot be judged. Record four runs or more."
         )
         names, unit = np.unique(runs, return_inverse=True)
     counts = np.bincount(unit, minlength=names.size)
-    fit = np.zeros(names.size, dtype=bool)
-    # Of two runs that are of about the same length one fits and one confirms, so that both halves are alike.
+    training = np.zeros(names.size, dtype=bool)
+    # Of two runs of about the same length one is for training and one held out, so that both halves are alike.
     order = np.lexsort((rng.random(names.size), -counts))
     for pair in range(0, names.size, 2):
         two = order[pair : pair + 2]
         if two.size == 2:
-            fit[two[int(rng.integers(2))]] = True
+            training[two[int(rng.integers(2))]] = True
         else:
-            fit[two[0]] = counts[fit].sum() * 2 <= n
-    mask = fit[unit]
+            training[two[0]] = counts[training].sum() * 2 <= n
+    mask = training[unit]
     return Split(
         mask,
         ~mask,
         runs,
-        tuple(str(name) for name in names[fit]),
-        tuple(str(name) for name in names[~fit]),
+        tuple(str(name) for name in names[training]),
+        tuple(str(name) for name in names[~training]),
         tuple(messages),
     )
 
@@ -94,7 +90,7 @@ def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Genera
 def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[np.str_], n: int) -> NDArray[np.str_]:
     order = np.lexsort((np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n), unit))
     block = np.empty(n, dtype=np.int64)
-    block[order] = np.arange(n) * min(BLOCKS, max(n // 2, 1)) // max(n, 1)
+    block[order] = np.arange(n) * min(rules.SPLIT_BLOCKS, max(n // 2, 1)) // max(n, 1)
     return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
 
 
@@ -110,23 +106,32 @@ class Dependence:
     Attributes
     ----------
     lag_correlation
-        Of the residual with the one before it, inside runs, each run's mean taken off.
+        Of the residual with the one before it, inside runs, about each run's mean.
     between_run_share
         Variance between runs beyond what independent readings show, as a share of the residuals' variance.
     effective_readings
-        How many independent readings tell as much of a constant.
-    dependent
-        Beyond chance.
+        How many independent readings would say as much about a constant.
     p_between
-        Chance of as much variance between runs where there is none.
+        p-value of the variance between runs.
+    lag_z
+        The lag correlation in its standard errors.
     """
 
     lag_correlation: float
     between_run_share: float
     effective_readings: float
-    dependent: bool
     p_between: float
     lag_z: float
+
+    @property
+    def dependent(self) -> bool:
+        """Readings depend on each other beyond random variation."""
+        return self.p_between < rules.DEPENDENT_P or self.lag_z > rules.DEPENDENT_LAG_Z
+
+    @property
+    def independent(self) -> bool:
+        """Nothing speaks against independent readings."""
+        return self.p_between > rules.INDEPENDENT_P and self.lag_z < rules.INDEPENDENT_LAG_Z
 
 
 def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None = None) -> Dependence:
@@ -135,7 +140,7 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
     Parameters
     ----------
     residual
-        One number a reading with mean 0 and about equal variance: the score of the bias.
+        One number per reading with mean 0 and about equal variance: the score of the bias.
     unit
         Run of each reading, numbered.
     time_s
@@ -159,7 +164,7 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
     lag_z = float((lag - expected) * np.sqrt(pairs))
     mean_square = statistic / max(runs, 1)
     share = max(mean_square - 1.0, 0.0) / max(n / max(runs, 1), 1.0)
-    return Dependence(lag, share, n / max(mean_square, 1.0), p_between < SURE or lag_z > 3.5, p_between, lag_z)
+    return Dependence(lag, share, n / max(mean_square, 1.0), p_between, lag_z)
 
 
 def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:

@@ -1,20 +1,16 @@
-"""What chance shows where readings of a run depend on each other: score sums of whole runs, their signs drawn again.
+"""Random variation where readings of a run depend on each other: score sums of whole runs, with random multipliers.
 
 Scores with their cells and units enter; sums by unit, and the totals of a multiplier bootstrap over units, leave
-(Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Twins that a model draws know nothing of dependence.
+(Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Tables that a model draws show no dependence.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap import rules
 from msp_lab.gap.cells import Stack
 
 _Array = NDArray[np.float64]
-
-FEWEST_UNITS = 4
-"""In a cell; of what fewer share nothing is known, and they are taken to be as all others are."""
-MOST_UNITS = 256
-"""More units are put together, each of neighbours, which loses nothing that matters."""
 
 
 def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Array, _Array, NDArray[np.intp]]:
@@ -55,7 +51,7 @@ def unit_variance(scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _
     _, about_mean, there = unit_sums(scores, unit, stack)
     found = np.einsum("kui,kuj->kij", about_mean, about_mean, optimize=True)
     found *= (there / np.maximum(there - 1, 1))[:, None, None]
-    few = there < FEWEST_UNITS
+    few = there < rules.MIN_CELL_UNITS
     if few.all():
         number = np.unique(unit, return_inverse=True)[1]
         units = int(number.max()) + 1
@@ -81,7 +77,7 @@ def drawn_sums(
         How many, and the source of their chance.
     """
     cells, units, numbers = about_mean.shape
-    correction = np.where(there < FEWEST_UNITS, 0.0, there / np.maximum(there - 1, 1))
+    correction = np.where(there < rules.MIN_CELL_UNITS, 0.0, there / np.maximum(there - 1, 1))
     about_mean = about_mean * np.sqrt(correction)[:, None, None]
     by_unit = np.moveaxis(about_mean, 1, 0)
     weight = rng.standard_normal((draws, units))
@@ -96,4 +92,4 @@ def drawn_sums(
 def _pooled(unit: NDArray[np.intp]) -> NDArray[np.intp]:
     index = np.unique(unit, return_inverse=True)[1].astype(np.intp)
     count = int(index.max()) + 1
-    return index if count <= MOST_UNITS else index * MOST_UNITS // count
+    return index if count <= rules.MAX_UNITS else index * rules.MAX_UNITS // count

@@ -1,4 +1,4 @@
-"""Context columns, effects and runs as people write them, for pictures and sentences."""
+"""Labels for people: context columns, effects, slices and runs as pictures and sentences name them."""
 
 import re
 from collections.abc import Sequence
@@ -44,68 +44,69 @@ def name_of(column: str) -> str:
     return column.replace("_", " ")
 
 
-def column_words(column: str) -> str:
-    """For an axis.
+def axis_label(column: str) -> str:
+    """A column's name and unit, for an axis.
 
     Examples
     --------
-    >>> column_words("air_temperature_c"), column_words("throttle")
+    >>> axis_label("air_temperature_c"), axis_label("throttle")
     ('air temperature [°C]', 'throttle')
     """
     unit = unit_of(column)
     return f"{name_of(column)} [{unit}]" if unit else name_of(column)
 
 
-def plain(where: str) -> str:
-    """A slice's name, its units behind its numbers.
+def slice_label(where: str) -> str:
+    """A slice's name with its units after its numbers.
 
     Examples
     --------
-    >>> plain("throttle 0.7 to 1, air_temperature_c 20 to 25")
+    >>> slice_label("throttle 0.7 to 1, air_temperature_c 20 to 25")
     'throttle 0.7 to 1, air temperature 20 to 25 °C'
     """
-    return ", ".join(_plain_one(each) for each in where.split(", "))
+    return ", ".join(_label_of_one(each) for each in where.split(", "))
 
 
 def headline(findings: GapFindings) -> str:
     """The verdict and the names, in a few words."""
-    told = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
+    text = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
         findings.verdict, f"The gap is {findings.verdict}"
     )
     named = [
-        " or ".join([_called(each.name, each.of), *(_called(rival.name, rival.of) for rival in each.rivals)])
+        " or ".join([effect_label(each.name, each.of), *(effect_label(one.name, one.of) for one in each.alternatives)])
         for each in findings.effects
     ]
     named += [
         f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
         for each in findings.unknown
     ]
-    return f"{told}: {', '.join(named)}" if named else told
+    return f"{text}: {', '.join(named)}" if named else text
 
 
-def _called(name: str, of: str | None) -> str:
+def effect_label(name: str, of: str | None) -> str:
+    """An effect, and the sensor, run or target that it is of."""
     return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
-def added_words(findings: GapFindings) -> str:
-    """What the later model has that the given one had not."""
+def extension_label(findings: GapFindings) -> str:
+    """What the extended model has that the given one has not."""
     if findings.effects or findings.unknown:
         return "with what was added"
-    return "nothing was added yet" if findings.verdict is None else "its numbers fitted again"
+    return "nothing added yet" if findings.verdict is None else "its numbers refitted"
 
 
 def step_name(added: str) -> str:
-    """A step of the way, by what was added in it.
+    """A step of the selection path, by what was added in it.
 
     Examples
     --------
     >>> step_name(""), step_name("mounting_offset"), step_name("bias over air_temperature_c")
-    ('the model as given', '+ mounting offset', '+ bias over air temperature')
+    ('given model', '+ mounting offset', '+ bias over air temperature')
     """
     if not added:
-        return "the model as given"
+        return "given model"
     if added == "calibration":
-        return "its numbers fitted again"
+        return "its numbers refitted"
     channel, over, columns = added.partition(" over ")
     if not over:
         return f"+ {added.replace('_', ' ')}"
@@ -113,7 +114,7 @@ def step_name(added: str) -> str:
 
 
 def capitalised(sentence: str) -> str:
-    """With a capital first, and all else as it is.
+    """With a capital first letter.
 
     Examples
     --------
@@ -135,7 +136,7 @@ def listed(names: Sequence[str], most: int = 12) -> str:
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
-def _plain_one(where: str) -> str:
+def _label_of_one(where: str) -> str:
     column, _, rest = where.partition(" ")
     unit = unit_of(column)
     if not re.match(r"-?\d", rest):

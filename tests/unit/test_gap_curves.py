@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap import units
-from msp_lab.gap.adequacy import FreeForm, curves_of, formula, scan
+from msp_lab.gap.curve_scan import CandidateCurve, curves_of, scan
 from msp_lab.gap.findings import FoundEffect
+from msp_lab.gap.formula import formula
+from msp_lab.gap.naming import name_effects
+from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
-from msp_lab.gap.tangent import Prepared
-from msp_lab.gap.workbench import explain
+from msp_lab.gap.runs import split
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE
@@ -44,7 +45,7 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0) -> Array:
     return np.array(sensor().readings((number(contexts, "true_range_cm") + bias_cm).tolist(), seed))
 
 
-def forms(contexts: Columns, reading_cm: Array) -> list[FreeForm]:
+def forms(contexts: Columns, reading_cm: Array) -> list[CandidateCurve]:
     fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
     return scan(curves_of(contexts), fitted.scores, fitted.here.shares, None)
 
@@ -143,14 +144,14 @@ def effect_of(contexts: Columns, seed: int) -> FoundEffect:
     reading_cm = read(contexts, seed, 0.008 * number(contexts, "true_range_cm"))
     rng = np.random.default_rng(1)
     # The reference model is calibrated at 22.5 C, and so are these readings.
-    found = explain(MODEL, contexts, reading_cm, units.split(contexts, reading_cm, rng), rng)
+    found = name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng)
     (effect,) = found.effects
     return effect
 
 
 def test_an_experiment_that_is_named_tells_the_two_apart() -> None:
     together = effect_of(one_air(5, 15.0, 15.0), 5)
-    names = {together.name, *(rival.name for rival in together.rivals)}
+    names = {together.name, *(other.name for other in together.alternatives)}
     assert {"range_scale", "air_temperature"} <= names
     found = re.search(r"air_temperature[^;]*vary air_temperature_c evenly from (\S+) to (\S+) C", together.experiment)
     assert found is not None, together.experiment
@@ -160,6 +161,6 @@ def test_an_experiment_that_is_named_tells_the_two_apart() -> None:
     # evenly. The steps that are tried are 2.75 C, 5.5 C, 11 C, ...
     assert high_c - low_c == pytest.approx(5.5, abs=0.1)
     apart = effect_of(one_air(6, low_c, high_c, 3 * N), 6)
-    names = {apart.name, *(rival.name for rival in apart.rivals)}
+    names = {apart.name, *(other.name for other in apart.alternatives)}
     assert names & {"range_scale", "thermometer_offset"}
     assert "air_temperature" not in names

@@ -1,0 +1,203 @@
+"""The candidates of the search: every effect of the catalogue that the data can show, and its score.
+
+A model and contexts enter, candidates leave, and for each the derivative of every reading's log probability by its
+number. What acts through a channel is the channel's slope times the effect's template; components and faults of the
+code act linearly on the probability.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap import rules
+from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import WORD_COLUMNS, Change, Effect, Parameter, Scene
+from msp_sim.effects.curve import FIELDS
+from msp_sim.model.model import LARGEST_SHARE, Active, Model, acts
+from msp_sim.model.rows import Rows
+from msp_sim.model.slopes import score_of_component, score_of_fault
+
+_Array = NDArray[np.float64]
+Key = tuple[str, str | None]
+"""Name of an effect, and the sensor, run or target that it is of."""
+BETWEEN_RUNS = frozenset({"run_offsets"})
+"""Effects that show between runs and not in single readings (`run_offsets.py`)."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect with its shape held, of which one number is searched.
+
+    Attributes
+    ----------
+    effect, of
+        Of the catalogue, and the sensor, run or target that it is of.
+    shape
+        Values of its shape's parameters.
+    parameter
+        The number that is neutral while the effect is absent.
+    """
+
+    effect: Effect
+    of: str | None
+    shape: tuple[tuple[str, float], ...]
+    parameter: Parameter
+
+    @property
+    def key(self) -> Key:
+        """Candidates that differ in shape alone have the same."""
+        return self.effect.name, self.of
+
+    @property
+    def neutral(self) -> float:
+        """The value at which the effect is absent."""
+        return self.parameter.null or 0.0
+
+    @property
+    def one_sided(self) -> bool:
+        """Its number cannot be negative."""
+        return self.parameter.low >= 0.0
+
+    @property
+    def odds(self) -> int | None:
+        """Which of the three odds it changes, if that is all it does: 1 short, 2 missed, 3 random."""
+        found = [i for i, channel in enumerate(("short", "missed", "random"), 1) if channel in self.effect.channels]
+        return found[0] if len(found) == 1 and len(self.effect.channels) == 1 else None
+
+    @property
+    def linear(self) -> bool:
+        """It mixes something into the probability."""
+        return bool({"component", "code"} & set(self.effect.channels))
+
+    @property
+    def is_base(self) -> bool:
+        """It says what a number of the base says too."""
+        return self.effect.base is not None
+
+    @property
+    def cost_nats(self) -> float:
+        """What the search over its shapes gains by random variation [nat]."""
+        searched = sum(len(parameter.tried) > 1 for parameter in self.effect.parameters)
+        return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
+
+    def at(self, value: float) -> Active:
+        """The effect with this value of its number."""
+        values = {**self.effect.nulls(), **dict(self.shape), self.parameter.name: value}
+        return Active(self.effect, values, self.of)
+
+
+@dataclass(frozen=True)
+class SelectedTerm:
+    """An effect or a curve that was taken into the model.
+
+    Attributes
+    ----------
+    active
+        With its values.
+    candidate
+        That it came from; None for a curve.
+    """
+
+    active: Active
+    candidate: Candidate | None
+
+    @property
+    def key(self) -> Key:
+        """Name, and the sensor, run or target that it is of."""
+        if self.active.shape is not None:
+            return f"curve {self.active.shape[0]} {self.active.shape[1]}", None
+        return self.active.effect.name, self.active.of
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        if self.active.shape is not None:
+            return f"{self.active.shape[0]} over {' and '.join(self.active.shape[1])}"
+        return self.active.effect.name
+
+    @property
+    def cost_nats(self) -> float:
+        """What the search over its shapes gains by random variation [nat]."""
+        return 0.0 if self.candidate is None else self.candidate.cost_nats
+
+    @property
+    def is_base(self) -> bool:
+        """It says what a number of the base says too."""
+        return self.candidate is not None and self.candidate.is_base
+
+
+def candidates_of(
+    model: Model, contexts: Mapping[str, Any]
+) -> tuple[tuple[Candidate, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
+    """Candidates that these contexts can show, and effects with the columns that are missing for them.
+
+    An effect that the model already has is a candidate again: more of it may be there.
+    """
+    found: list[Candidate] = []
+    missing: list[tuple[str, tuple[str, ...]]] = []
+    for effect in CATALOGUE.values():
+        required = (*effect.needs, *((effect.of,) if effect.of else ()))
+        absent = tuple(name for name in required if not _is_recorded(contexts, name))
+        if absent:
+            missing.append((effect.name, absent))
+            continue
+        words: Sequence[str | None] = (None,)
+        if effect.of is not None:
+            words = [str(word) for word in np.unique(np.asarray(contexts[effect.of])) if word]
+            if len(words) < 2 or (effect.of == "run" and len(words) > rules.MAX_RUN_CANDIDATES):
+                continue
+        if effect.name in BETWEEN_RUNS:
+            continue
+        shapes = [parameter for parameter in effect.parameters if parameter.null is None]
+        numbers = [parameter for parameter in effect.parameters if parameter.null is not None]
+        for word in words:
+            for tried in product(*(parameter.tried or (parameter.default or 0.0,) for parameter in shapes)):
+                held = tuple((parameter.name, float(value)) for parameter, value in zip(shapes, tried, strict=True))
+                found.extend(Candidate(effect, word, held, number) for number in numbers)
+    return tuple(found), tuple(missing)
+
+
+def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
+    if name not in contexts:
+        return False
+    column = np.asarray(contexts[name])
+    return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
+
+
+def change_of(scene: Scene, active: Active) -> Change:
+    """What an effect changes; where its contexts make no sense, NaN without a warning."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        return active.effect.act(scene, active.values)
+
+
+def score_of(candidate: Candidate, rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes) -> _Array:
+    """Score of a candidate where it is absent, (n,)."""
+    parameter = candidate.parameter
+    active = candidate.at(candidate.neutral + parameter.step)
+    known = acts(scene, active)
+    score = np.zeros(reading_cm.size)
+    if known is False:
+        return score
+    change = change_of(scene, active)
+    step = active.values[parameter.name] - candidate.neutral
+    for i, channel in enumerate(CHANNELS):
+        moved = getattr(change, FIELDS[channel])
+        if moved is not None:
+            template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
+            score += here.by[:, i] * template
+    if change.component is not None:
+        share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
+        share = np.clip(share, 0.0, LARGEST_SHARE)
+        some = np.flatnonzero(share > 0.0)
+        if some.size:
+            own = score_of_component(rows.take(some), reading_cm[some], change.component.take(some), here.log_p[some])
+            score[some] = own * share[some] / step
+    if change.fault is not None:
+        own = score_of_fault(rows, reading_cm, change.fault, here.log_p)
+        score += own * np.where(known, change.fault_share, 0.0) / step
+    return score

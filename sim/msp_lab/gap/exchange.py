@@ -1,0 +1,156 @@
+"""Which selected terms stay, and which candidates do as well in their place.
+
+A state enters, a better one leaves, and for each term its alternatives: candidates that gain as much after a refit of
+their own and that these data cannot tell from it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import Key, SelectedTerm
+from msp_lab.gap.problem import Problem, State, Trial, loss, screened, trials, with_candidate, without
+from msp_lab.gap.refit import JointFit
+from msp_sim.model.model import Active
+
+TAILS = "heavy_tails"
+
+
+@dataclass(frozen=True)
+class AlternativeTerm:
+    """Another effect in a term's place.
+
+    Attributes
+    ----------
+    active
+        With its own fitted values.
+    loss_nats
+        How much less it gains, on the readings that are refitted [nat].
+    correlation, separation
+        Of both effects' scores, and by how many standard errors they differ.
+    """
+
+    active: Active
+    loss_nats: float
+    correlation: float
+    separation: float
+
+
+def eliminate(problem: Problem, state: State, needed_nats: float) -> State:
+    """Take out terms that the others have made needless."""
+    while len(state.terms) > 1:
+        smaller = [without(problem, state, k) for k in range(len(state.terms))]
+        spare = []
+        for term, less in zip(state.terms, smaller, strict=True):
+            numbers = len(term.active.values) if term.active.shape is not None else 1
+            needed = rules.KEEP_SHARE * needed_nats + (0.5 * numbers if numbers > 1 else 0.0)
+            spare.append(loss(problem, less.fit, state) - needed)
+        worst = int(np.argmin(spare))
+        if spare[worst] >= 0.0:
+            break
+        state = smaller[worst].logging(f"removed {state.terms[worst].label}")
+    return state
+
+
+def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> State:
+    """Heavier tails of the noise look like a component on one side: a component has to gain next to them too."""
+    tails = next((each for each in problem.candidates if each.key == (TAILS, None)), None)
+    components = [each for each in state.terms if each.candidate is not None and each.candidate.linear]
+    for term in components:
+        if tails is None or (TAILS, None) in state.keys:
+            break
+        k = next(i for i, each in enumerate(state.terms) if each.key == term.key)
+        both_fit = with_candidate(problem, state.fit, tails, rules.TAILS_START)
+        tails_term = SelectedTerm(both_fit.effects[-1], tails)
+        both = state.having(both_fit, [*state.terms, tails_term])
+        only_tails = without(problem, both, k)
+        if loss(problem, only_tails.fit, both) - term.cost_nats >= needed_nats:
+            continue
+        neither = without(problem, state, k)
+        gained = (only_tails.fit.log_likelihood - neither.fit.log_likelihood) * problem.scale / state.inflation
+        wanted = gained - tails.cost_nats >= needed_nats
+        state = (only_tails if wanted else neither).logging(f"tails in place of {term.label}")
+    return state
+
+
+def exchange(
+    problem: Problem, state: State, needed_nats: float
+) -> tuple[State, dict[Key, tuple[AlternativeTerm, ...]]]:
+    """Try each term against all candidates: a better one takes its place, others that do as well are alternatives."""
+    alternatives: dict[Key, tuple[AlternativeTerm, ...]] = {}
+    for turn in range(rules.EXCHANGE_TURNS):
+        alternatives = {}
+        better: State | None = None
+        for k, term in enumerate(state.terms):
+            if term.candidate is None:
+                continue
+            problem.report(f"looking for alternatives to {term.key[0]}", 0.6 + 0.1 * turn)
+            better, near = _in_its_place(problem, state, k, needed_nats)
+            if better is not None:
+                problem.report(f"{better.terms[-1].key[0]} in place of {term.key[0]}", 0.65)
+                break
+            alternatives[term.key] = near
+        if better is None:
+            break
+        state = better
+    return state, alternatives
+
+
+def _in_its_place(
+    problem: Problem, state: State, k: int, needed_nats: float
+) -> tuple[State | None, tuple[AlternativeTerm, ...]]:
+    """The state with a better candidate in place of the k-th term; None and its alternatives where there is none."""
+    term = state.terms[k]
+    less = without(problem, state, k)
+    own = loss(problem, less.fit, state)
+    within_nats, within_share = rules.EXCHANGE_WITHIN
+    seen = screened(problem, less)
+    found = trials(problem, less, seen, max(within_nats, within_share * own), rules.EXCHANGE_KEEPS * needed_nats)
+
+    def gain(fit: JointFit) -> float:
+        """On the readings that are refitted: more readings make two that are alike no more certain than they are."""
+        return (fit.log_likelihood - less.fit.log_likelihood) / state.inflation
+
+    own /= problem.scale
+    own = max([own, *(gain(each.fit) for each in found if each.term.key == term.key)])
+    others = [each for each in found if each.term.key != term.key]
+    last = len(less.terms)
+    correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
+    separations = [float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - each**2, 0.0))) for each in correlations]
+
+    def lead(other: Trial, separation: float) -> float:
+        """By how much another does better; a number of the base comes before an effect that is like it."""
+        ahead = gain(other.fit) - other.term.cost_nats - own + term.cost_nats
+        if separation < rules.SEPARABLE_Z:
+            ahead += rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
+        return ahead
+
+    leads = [lead(*each) for each in zip(others, separations, strict=True)]
+    if leads and max(leads) > rules.EXCHANGE_LEAD_NATS:
+        best = others[int(np.argmax(leads))]
+        better = less.having(best.fit, [*less.terms, best.term])
+        return better.logging(f"{best.term.label} in place of {term.label}"), ()
+    if term.is_base:
+        return None, ()
+    return None, tuple(
+        AlternativeTerm(other.term.active, float(own - gain(other.fit)), correlation, separation)
+        for other, correlation, separation in zip(others, correlations, separations, strict=True)
+        if own - gain(other.fit) <= rules.ALTERNATIVE_NATS
+        and separation < rules.SEPARABLE_Z
+        and other.term.active.effect.name != term.active.effect.name
+    )
+
+
+def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[float]:
+    """Of the first term's score with each other's, each where it was fitted, next to all else that is in the model."""
+    left = []
+    for fit, k, term in fits:
+        assert term.candidate is not None
+        others = fit.scores[:, [not name.startswith(f"{k}.") for name in fit.names]]
+        basis = np.linalg.qr(others[:, np.any(others != 0.0, axis=0)])[0]
+        own = fit.scores[:, fit.names.index(f"{k}.{term.candidate.parameter.name}")]
+        rest = own - basis @ (basis.T @ own)
+        left.append(rest / max(float(np.linalg.norm(rest)), 1e-12))
+    return [float(left[0] @ each) for each in left[1:]]

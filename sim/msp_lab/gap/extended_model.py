@@ -1,0 +1,65 @@
+"""A fit as a model: the given model with its base changed and with further effects, and as a sensor model file."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap.prepared import LEAST_SHARE
+from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
+from msp_sim.model.model import Active, Model
+
+_Array = NDArray[np.float64]
+
+
+def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
+    """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own."""
+    sensor = model.sensor
+    mixture = sensor.reading_model
+    weights = mixture.weights
+    factors = {"hit": 1.0, "short": np.exp(base[2]), "missed": np.exp(base[3]), "random": np.exp(base[4])}
+    least = dict(zip(factors, (0.0, *np.where(base[2:5] != 0.0, LEAST_SHARE, 0.0)), strict=True))
+    odds = {name: max(getattr(weights, name), least[name]) * float(factor) for name, factor in factors.items()}
+    total = sum(odds.values())
+    knots = sensor.calibration
+    if base[0] != 0.0:
+        # No knot reads below 0; the line through the next two says what lies there.
+        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(100.0, 100.0), (500.0, 500.0)]
+        after = [(true, reading + float(base[0])) for true, reading in before]
+        after = [each for each in after if each[1] > 0.0] if len(after) > 2 else [(t, max(r, 1e-3)) for t, r in after]
+        knots = tuple(CalibrationKnot(true_cm=true, reading_cm=reading) for true, reading in after)
+    factor = float(np.exp(base[1]))
+    update: dict[str, Any] = {
+        "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}).model_dump(),
+        "sigma_cm": mixture.sigma_cm * factor,
+        "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * factor,
+        "short_rate_per_m": mixture.short_rate_per_m * float(np.exp(base[5])),
+        "saturated_fraction": float(np.clip(mixture.saturated_fraction + base[6], 0.0, 1.0)),
+    }
+    sensor = SensorModel.model_validate(
+        {
+            **sensor.model_dump(),
+            "calibration": [knot.model_dump() for knot in knots],
+            "reading_model": {**mixture.model_dump(), **update},
+        }
+    )
+    return Model(sensor, (*model.effects, *effects))
+
+
+def entry_of(term: Active) -> dict[str, Any]:
+    """An effect as an entry of a model file's ``effects``."""
+    entry: dict[str, Any] = {"name": term.effect.name}
+    if term.shape is not None:
+        channel, variables, knots = term.shape
+        entry |= {"channel": channel, "variables": list(variables), "knots": [list(own) for own in knots]}
+        return entry | {"values": [float(value) for value in term.values.values()]}
+    if term.of is not None:
+        entry["of"] = term.of
+    return entry | {"parameters": {name: float(value) for name, value in term.values.items()}}
+
+
+def to_sensor(model: Model) -> SensorModel:
+    """The content of a sensor model file for a model, its effects as entries."""
+    effects = [entry_of(each) for each in model.effects]
+    return SensorModel.model_validate({**model.sensor.model_dump(), "effects": effects})

@@ -1,0 +1,313 @@
+"""What naming works on: the training readings, prepared once, and the state that each step hands to the next.
+
+A model and readings enter `Problem`, which never changes. A `State` is a joint fit with its terms; what can be asked of
+both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is left.
+Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination (`exchange.py`) are functions from
+State to State.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap import curve_scan, rules
+from msp_lab.gap.candidates import Candidate, SelectedTerm, candidates_of
+from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
+from msp_lab.gap.prepared import CHANNELS, Prepared
+from msp_lab.gap.refit import JointFit, fit_base, refit
+from msp_lab.gap.runs import Dependence, dependence
+from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
+from msp_sim.effects.curve import CurveChannel
+from msp_sim.model.model import Active, Model
+
+_Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+"""Reports what is being done, and which share of the whole is done."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The training readings with all that the steps of naming ask of them; it never changes.
+
+    Attributes
+    ----------
+    model
+        The given model.
+    contexts, reading_cm, unit
+        All training readings; unit is the number of their run.
+    candidates
+        Effects that these contexts can show.
+    untestable
+        Effects that they cannot, with the columns that are missing.
+    some, some_contexts, some_unit
+        Every k-th reading, on which refits are made.
+    curves
+        Curves that can be asked for.
+    alpha
+        Probability of any false name, before validation.
+    rng
+        Source of the replicates and of the screen's null.
+    report
+        Reports progress.
+    """
+
+    model: Model
+    contexts: Mapping[str, Any]
+    reading_cm: _Array
+    unit: NDArray[np.intp]
+    candidates: tuple[Candidate, ...]
+    untestable: tuple[tuple[str, tuple[str, ...]], ...]
+    some: Prepared
+    some_contexts: Mapping[str, Any]
+    some_unit: NDArray[np.intp]
+    curves: CurveWeights
+    alpha: float
+    rng: np.random.Generator
+    report: Progress
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        contexts: Mapping[str, Any],
+        reading_cm: _Array,
+        unit: NDArray[np.intp],
+        rng: np.random.Generator,
+        alpha: float = 0.05,
+        report: Progress = lambda what, share: None,
+    ) -> "Problem":
+        """Prepare training readings; the parameters are as the attributes."""
+        candidates, untestable = candidates_of(model, contexts)
+        thin = slice(None, None, -(-reading_cm.size // rules.TRAINING_ROWS))
+        some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
+        some = Prepared.of(model, some_contexts, reading_cm[thin])
+        curves = curve_scan.curves_of(some_contexts)
+        return cls(
+            model,
+            contexts,
+            reading_cm,
+            unit,
+            candidates,
+            untestable,
+            some,
+            some_contexts,
+            unit[thin],
+            curves,
+            alpha,
+            rng,
+            report,
+        )
+
+    @property
+    def scale(self) -> float:
+        """Readings for each of those that are refitted."""
+        return self.reading_cm.size / len(self.some)
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return int(np.unique(self.some_unit).size)
+
+    def information(self, fit: JointFit) -> _Array:
+        """Information per reading at a fit, from simulated readings."""
+        drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng)
+        return information_of(drawn, fit.base, fit.effects, self.candidates)
+
+    def dependence(self, fit: JointFit) -> Dependence:
+        """Dependence of the readings inside runs at a fit."""
+        time_s = self.some_contexts.get("time_s")
+        return dependence(fit.here.by[:, 0], self.some_unit, None if time_s is None else np.asarray(time_s, float))
+
+    def refit(self, terms: Sequence[Active], base: _Array) -> JointFit:
+        """A joint fit of these terms."""
+        return refit(self.some, terms, base)
+
+
+@dataclass(frozen=True)
+class State:
+    """A joint fit with its terms, as one step of naming hands it to the next.
+
+    Attributes
+    ----------
+    fit
+        Of base and terms, on the problem's `some` readings.
+    terms
+        In order of their acceptance; their values are those of the fit.
+    information
+        Per reading, at the fit at which it was last computed.
+    by_run
+        Whether readings depend on each other, so that the unit of evidence is the run.
+    inflation
+        Of log-likelihoods, where the unit is the run.
+    history
+        What each step did, in words.
+    """
+
+    fit: JointFit
+    terms: tuple[SelectedTerm, ...]
+    information: _Array
+    by_run: bool
+    inflation: float = 1.0
+    history: tuple[str, ...] = ()
+
+    def having(self, fit: JointFit, terms: Sequence[SelectedTerm]) -> "State":
+        """The state with another fit; its terms get the values of the fit."""
+        placed = tuple(replace(term, active=each) for term, each in zip(terms, fit.effects, strict=True))
+        return replace(self, fit=fit, terms=placed)
+
+    def logging(self, step: str) -> "State":
+        """The state with one more step in its history."""
+        return replace(self, history=(*self.history, step))
+
+    @property
+    def keys(self) -> frozenset[tuple[str, str | None]]:
+        """Which terms it has."""
+        return frozenset(each.key for each in self.terms)
+
+
+def first_state(problem: Problem) -> State:
+    """The base alone, refitted."""
+    fit = fit_base(problem.some)
+    information = problem.information(fit)
+    return State(fit, (), information, problem.dependence(fit).dependent)
+
+
+def reinformed(problem: Problem, state: State) -> State:
+    """With information at the present fit: what a large effect hid before it was named, it hides no more."""
+    return replace(state, information=problem.information(state.fit))
+
+
+def screened(problem: Problem, state: State) -> Screen:
+    """Every candidate at this state, with its terms as nuisance."""
+    accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
+    sums = score_sums(
+        problem.model,
+        state.fit.base,
+        state.fit.effects,
+        problem.candidates,
+        problem.contexts,
+        problem.reading_cm,
+        problem.unit,
+        state.information,
+    )
+    return screen(sums, state.information, problem.candidates, accepted, state.by_run, problem.alpha, problem.rng)
+
+
+def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
+    """Place of the candidate whose shape is nearest to a term's."""
+    same = [j for j, candidate in enumerate(problem.candidates) if candidate.key == term.key]
+    return min(
+        same,
+        key=lambda j: sum(
+            abs(np.log(max(abs(value), 1e-3) / max(abs(term.active.values[name]), 1e-3)))
+            for name, value in problem.candidates[j].shape
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A state refitted with one more candidate, the last of its terms.
+
+    Attributes
+    ----------
+    gain_nats
+        Log-likelihood of all training readings, less inflation and the cost of the search.
+    term, fit
+        The new term, and the joint fit with it.
+    """
+
+    gain_nats: float
+    term: SelectedTerm
+    fit: JointFit
+
+
+def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[Trial]:
+    """Refits of the candidates that gain most, the best first.
+
+    Parameters
+    ----------
+    problem, state
+        To which one candidate at a time is added.
+    seen
+        The screen at this state.
+    within_nats, least_nats
+        A candidate is refitted if its screened gain is within so much of the best, and at least so much.
+    """
+    best: dict[tuple[str, str | None], int] = {}
+    for j, candidate in enumerate(problem.candidates):
+        if candidate.key not in state.keys and seen.gain[j] > seen.gain[best.get(candidate.key, j)] - 1e-12:
+            best[candidate.key] = j
+    order = sorted(best.values(), key=lambda j: -seen.gain[j])
+    found: list[Trial] = []
+    for j in order[: rules.REFITS_PER_STEP]:
+        candidate = problem.candidates[j]
+        # A screen may promise too much, and of what is large it promises too little.
+        top = min(max([0.0, *(each.gain_nats for each in found)]), seen.gain[order[0]])
+        near = top - max(within_nats, rules.REFIT_WITHIN_SHARE * top)
+        if seen.gain[j] < least_nats or (found and seen.gain[j] < near):
+            break
+        fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
+        if candidate.linear and fit.effects[-1].values[candidate.parameter.name] > rules.MAX_COMPONENT_SHARE:
+            continue
+        gained = (fit.log_likelihood - state.fit.log_likelihood) * problem.scale / seen.inflation[j]
+        found.append(Trial(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
+    return sorted(found, key=lambda each: -each.gain_nats)
+
+
+def _start(candidate: Candidate, seen: Screen, j: int) -> float:
+    """The value at which a candidate's refit starts."""
+    parameter, neutral = candidate.parameter, candidate.neutral
+    if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
+        return float(np.clip(neutral + seen.best[j], parameter.low, parameter.high))
+    size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
+    return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
+
+
+def with_candidate(problem: Problem, fit: JointFit, candidate: Candidate, start: float) -> JointFit:
+    """A joint fit with one more effect, from the best of some values and shapes."""
+    starts = [
+        replace(candidate, shape=shape).at(start * part)
+        for shape in _shapes(candidate)
+        for part in ((1.0, 0.25) if shape == candidate.shape else (1.0,))
+    ]
+    heights = [float(problem.some.log_prob(fit.base, [*fit.effects, each]).sum()) for each in starts]
+    return problem.refit([*fit.effects, starts[int(np.argmax(heights))]], fit.base)
+
+
+def _shapes(candidate: Candidate) -> list[tuple[tuple[str, float], ...]]:
+    """Its shape, and those with one number of it moved between and beyond the values on its grid."""
+    shapes = [candidate.shape]
+    for parameter in candidate.effect.parameters:
+        if parameter.null is not None or len(parameter.tried) < 2:
+            continue
+        low, high = min(parameter.tried), max(parameter.tried)
+        beyond = (high - low) / 2.0
+        places = np.linspace(max(low - beyond, parameter.low), min(high + beyond, parameter.high), rules.SHAPE_STARTS)
+        shapes += [
+            tuple((name, float(f"{place:.4g}") if name == parameter.name else value) for name, value in candidate.shape)
+            for place in places
+        ]
+    return shapes
+
+
+def without(problem: Problem, state: State, k: int) -> State:
+    """The state with its k-th term taken out."""
+    terms = [each for i, each in enumerate(state.terms) if i != k]
+    return state.having(problem.refit([each.active for each in terms], state.fit.base), terms)
+
+
+def loss(problem: Problem, smaller: JointFit, state: State) -> float:
+    """Log-likelihood of all training readings that a smaller fit loses, less inflation [nat]."""
+    return (state.fit.log_likelihood - smaller.log_likelihood) * problem.scale / state.inflation
+
+
+def free_curves(
+    problem: Problem, state: State, channels: Sequence[CurveChannel] = CHANNELS, by_run: bool | None = None
+) -> list[CandidateCurve]:
+    """Curves that explain what is left, the least likely by chance first."""
+    unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
+    return curve_scan.scan(problem.curves, state.fit.scores, state.fit.here.shares, unit, channels)

@@ -1,0 +1,316 @@
+"""Every threshold by which the gap workflow decides something, in the order of its steps.
+
+Each has three sentences: the decision it makes, where its value comes from, and what changes when it is moved. 'The
+blind tables' are those of `tests/blind`, in which a generator that shares no code with the product hides effects.
+"""
+
+import numpy as np
+
+# Runs and the split into training and held-out readings.
+
+MIN_RUNS = 4
+"""With fewer runs, blocks of consecutive readings are split in their place. Three runs leave one of them on a side, and
+two on the other, so nothing constant within a run could be validated. Higher: more recordings lose what differs from
+run to run; lower: a single run validates."""
+SPLIT_BLOCKS = 60
+"""So many blocks of consecutive readings stand in for runs where these are too few. Chosen as three times the runs of
+the blind tables. Fewer: the two halves are less alike; more: neighbouring readings that depend on each other fall on
+both sides."""
+WARN_TRAINING_RUNS = 8
+"""With fewer training runs and dependent readings, a note says that what is constant within a run cannot be judged. A
+standard error over seven differences is itself known to 27 % only. It changes the note and nothing else."""
+DEPENDENT_P = 1e-3
+"""Runs whose means differ with a smaller p-value make the run the unit of evidence. One table in 1,000 with independent
+readings may lose power by it. Higher: more such tables lose power; lower: offsets between runs make false names."""
+DEPENDENT_LAG_Z = 3.5
+"""Neighbouring residuals that correlate by more standard errors make the run the unit. As `DEPENDENT_P`, one-sided: p =
+2e-4. Lower: tables of independent readings lose power; higher: slow noise makes false names."""
+INDEPENDENT_P = 0.02
+"""Readings count as independent, next to a term that was tried, if the runs' means differ with a larger p-value. Twenty
+times `DEPENDENT_P`, since the term was chosen to make them so. Lower: slow noise passes for an effect."""
+INDEPENDENT_LAG_Z = 2.5
+"""The same for the correlation of neighbours, in standard errors. A value of 2.5 has p = 0.6 %. Higher: slow noise
+passes for an effect."""
+
+# Intake: point masses that the model does not declare.
+
+CODE_SHARE = 0.001
+"""A value that is a smaller share of the readings is no code. One in 1,000 is the smallest share of missed readings
+that a model file usually has. Lower: random readings that repeat are set aside as codes."""
+CODE_MIN_READINGS = 5
+"""A value that comes less often is no code, however short the table. Five equal random readings of 700 values in a
+table of 1,000 have a probability below 1e-6. Lower: short tables lose random readings."""
+CODE_TIMES_NEIGHBOURS = 8.0
+"""A code is so many times as frequent as the mean of the values within 3 cm. Counts of random readings scatter by their
+root, so 8 times is beyond any scatter. Lower: an object in the beam is set aside as a code."""
+CODE_TIMES_NEXT = 30.0
+"""A code is so many times as frequent as the value next to it. What stands in the beam reads over some centimetres, a
+code at exactly one. Lower: a still object is set aside as a code."""
+CODE_MAX_SHARE = 0.9
+"""If codes are a larger share of the readings, they are kept. What is left would not be a table. It only matters for
+sensors that read nothing but one value."""
+CODE_SPAN = 0.2
+"""A code comes at true ranges that span this share of all ranges. An offset or a short range gives the same value from
+one place. Lower: a long stop at one range is set aside."""
+CODE_FAR = (6.0, 0.03, 2.0)
+"""A reading can be a code if it is so many sigma, plus this share of the range, plus so many cm from a hit. The share
+is what air and offsets can do. Smaller: hits are set aside."""
+COARSE_SHARE = 0.99
+"""Readings are on a coarser grid if this share of them is a multiple of its step. The rest are codes and outliers that
+pass a filter. Lower: chance makes a grid of few readings."""
+
+# Cells of context, and the free fit of five numbers in each.
+
+MAX_BINS = 12
+"""A number is cut into at most so many bins. A curve with 12 knots is the finest that is asked for. More: each is less
+certain."""
+MIN_CELL_READINGS = 40
+"""A cell with fewer readings is put together with others. With 2 % outliers of a kind 40 readings have less than one of
+them. Fewer: cells say nothing of outliers; more: small cells hide."""
+MAX_WORDS = 30
+"""Of a column of words the most frequent so many get a cell each. More do not fit into a picture. It changes the list
+of slices and nothing else."""
+PAIR_BINS_READINGS = 2000
+"""With fewer readings each of two crossed numbers has two bins, else three. Nine cells of 2,000 readings have 220 each.
+Lower: cells of pairs are left out as too small."""
+CELL_PRIOR_DEVIATION = (50.0, 2.0, 2.5, 2.5, 2.5)
+"""Standard deviations of the prior of a cell's bias [sigma], log spread and log odds. Wide beside any effect of the
+catalogue (odds by 12, spread by 7), so that it only holds what a cell has no readings of. Narrower: large gaps are
+reported smaller."""
+CELL_MAX_BIAS_CM, CELL_MAX_BIAS_SHARE = 10.0, 0.2
+"""A cell's fit starts at the median if that is within so many cm and this share of the range. What is farther off is
+another echo and no bias of this one. Larger: cells full of outliers report a bias."""
+CELL_MIN_HITS = 10
+"""A cell's fit starts at its median if it has so many readings below the maximum. A median of fewer is worse than the
+model. Fewer: fits start at outliers."""
+CELL_MAX_LOG_ODDS_VARIANCE = 0.3
+"""A cell's odds count in the measures if their variance is smaller. About three readings of the kind are that certain.
+Larger: odds of nothing are reported as a gap."""
+CELL_KNOWN_SHARE = 0.7
+"""A measure of odds is reported if this share of the cells counts. The others would be invisible in it. Lower: it
+speaks for few cells."""
+ITERATED_PARTITIONS = 3
+"""The free fit is iterated to the end in so many partitions, those that differ most in one step. Each takes as long as
+a refit. More: slower, and the measures hardly change."""
+
+# The noise floor: what a gap of nothing shows.
+
+REPLICATES = 20
+"""So many tables are simulated for the noise floor. The 95 % point of 20 is known to a factor of about 1.3 (see
+`NOISE_FLOOR_FACTOR`). More: slower and surer."""
+NOISE_FLOOR_SHARE = 0.95
+"""The noise floor is what this share of the simulated tables stay below. The usual level. Higher: wider bounds."""
+NOISE_FLOOR_MAX_WIDENING = 10.0
+"""Sums of few dependent runs widen the noise floor at most so many times. Four runs may show almost anything. Higher:
+any gap of few runs counts as closed."""
+MIN_CELL_UNITS = 4
+"""A cell that fewer runs or blocks share has the errors of the other cells. A variance of three numbers is known to a
+factor of four. Fewer: such cells look certain."""
+MAX_UNITS = 256
+"""More runs or blocks are pooled with their neighbours. A bootstrap over 256 units is as good as over more. More:
+memory and time."""
+UNITS_FROM_RUNS = 8
+"""With fewer held-out runs, blocks of readings are the units of errors. As `WARN_TRAINING_RUNS`. Fewer: errors of few
+runs decide."""
+UNIT_BLOCKS = 64
+"""So many blocks stand in for runs as units of errors. As `SPLIT_BLOCKS`, a power of two. Fewer: less certain errors;
+more: dependent neighbours count as independent."""
+MIN_BLOCK_READINGS = 5
+"""A block has at least so many readings. Noise that is correlated over five pings stays in one. Fewer: as for more
+blocks."""
+MIN_WEIGHT = 1e-4
+"""A kind of reading that the model gives a smaller share gets this one. A reading of probability 0 would decide the
+whole comparison alone. Larger: the model is judged by what it is not."""
+MAX_MEASURED = 12_000
+"""The measures are taken on every k-th held-out reading beyond so many. Their errors are then a tenth of the bounds.
+More: slower."""
+SLICE_DRAWS = 999
+"""So many bootstrap draws correct the p-values of the slices. The smallest p-value is then 0.001. More: slower."""
+
+# Candidates and their screen.
+
+MAX_RUN_CANDIDATES = 12
+"""An effect of one run is asked of each run up to so many. Every run is one more chance of a false name. More: the
+largest of chance grows with the logarithm."""
+SHAPE_COST_NATS = 0.7
+"""So much is taken off a candidate's gain for each shape parameter that was searched. A chi-squared with two degrees
+gains half a nat more than with one; the rest was tuned on nulls of the blind tables. Lower: shapes fit noise."""
+PLACE_COST_NATS = 2.0
+"""The same for the place at which a component gathers readings. About the logarithm of the number of places that
+differ. Lower: components are named for a few readings at one place."""
+COLLINEAR = 1e-3
+"""A candidate of which the base and the accepted terms leave a smaller share of its information is not tested. Its
+number would rest on rounding. Lower: names that are the base's own."""
+SCREEN_DRAWS = 2_000
+"""So many draws give the critical value of the largest z. Its 95 % point is then known to 0.03. More: slower."""
+REPLICATE_ROWS = 6_000
+"""Information per reading comes from so many simulated readings. Outliers of 1 % are then known to 13 %. More:
+slower."""
+PRODUCT_ROWS = 20_000
+"""Products of scores are taken of every k-th reading beyond so many. As `TRAINING_ROWS`. More: slower."""
+
+# Refits.
+
+TRAINING_ROWS = 20_000
+"""Refits use every k-th training reading beyond so many. At 20,000 a bias of 0.03 sigma is certain. More: slower, and
+smaller effects."""
+BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
+"""The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share. What
+is farther is another sensor. Wider: fits that end at nonsense."""
+BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2])
+"""Standard deviations of the prior that holds the base near the model file. About how far a characterised base is off;
+a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration; wider: what the readings
+cannot tell drifts."""
+CURVE_PRECISION = 0.05
+"""Precision of the prior about 0 for the values of curves. It holds a knot that no reading is near; one reading has as
+much. Larger: curves are flattened."""
+WIDE_LOG_SPREAD = 0.4
+"""Readings that are wider than the model by more, in the logarithm, start their base fit at their own spread. From the
+model's spread they look like outliers and have no slope. Lower: two fits where one would do."""
+FIRST_WINDOW = (10.0, 0.2)
+"""Readings within so many cm plus this share of the range give the median and spread at which a base fit starts. As
+`CELL_MAX_BIAS_CM`. Wider: outliers count as hits."""
+MIN_HIT_SHARE = 0.3
+"""A base fit starts at the readings' median if this share of them is in that window. Fewer are not most of the hits.
+Lower: it starts at outliers."""
+MAX_COMPONENT_SHARE = 0.98
+"""Reject a component with a larger share: it has replaced the base. Any value from 0.9 to 0.99 gives the same names on
+the blind tables. Higher: a shifted base is named a component."""
+
+# Forward selection.
+
+REFITS_PER_STEP = 12
+"""At most so many of the best candidates are refitted in a step. The screen is rarely off by more than a few places.
+More: slower."""
+REFIT_WITHIN_NATS = 6.0
+"""Candidates whose screened gain is within so many nats of the best are refitted. Tuned on the blind tables: the name
+that gains most after its refit was within 6. Lower: wrong names; higher: slower."""
+REFIT_WITHIN_SHARE = 0.5
+"""Of large gains, those within this share of the best are refitted. A quadratic promises too little of what is large.
+Higher: slower."""
+SCREEN_KEEPS = 0.6
+"""A candidate is refitted if the screen promises this share of the gain that it needs. As the last, for weak effects.
+Higher: weak effects are lost."""
+SHAPE_STARTS = 25
+"""A refit starts at the best of so many values of a shape's parameter. Ripples and places have many local maxima.
+Fewer: shapes end in the wrong one."""
+
+# Curves for what no name explains.
+
+KNOTS = (2, 3, 6, 12)
+"""Curves of one variable are asked with so many knots. From a straight line on, each twice as fine. More: each is one
+more chance, and faster ripples are seen."""
+PAIR_KNOTS = (2, 3)
+"""The same for each of two variables. Nine values are as many as an outlier class can hold. More: slower."""
+MAX_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
+"""At most so many knots in a channel. Odds of outliers have fewer readings to speak. More: curves through single
+outliers."""
+MIN_EVENTS_PER_KNOT = 5.0
+"""A curve needs so much information for each knot, in readings that speak of it. Below about five a chi-squared is no
+chi-squared. Lower: false curves on rare outliers."""
+CLEAR_DIRECTION = 0.02
+"""A direction of a curve counts if the base leaves this share of its information. The rest is collinear with the base.
+Lower: degrees of freedom that are rounding."""
+PAIR_COST_NATS = 4.0
+"""A curve over two variables has to be e^4 times less likely by chance than one over one. About the logarithm of the
+number of pairs. Lower: pairs hide single causes."""
+CURVE_P = 0.02
+"""A curve is added if chance shows as much, anywhere, with a smaller probability. Names have alpha 0.05 in all and
+curves a share of it; tuned on nulls. Higher: false curves."""
+CURVES_REFITTED = 6
+"""So many of the likeliest curves are refitted until one keeps its promise. Scores of rare outliers promise too much.
+More: slower."""
+MAX_CURVES = 3
+"""At most so many curves are added in one go. What needs more has another cause. More: slower."""
+CURVES_BETWEEN_RUNS = 4
+"""Where runs differ, so many curves are tried that could explain it. As `CURVES_REFITTED`. More: slower."""
+CURVE_RUNS_PER_DEGREE = 3
+"""A curve that explains differences between runs needs so many runs for each degree of freedom. Fewer runs follow any
+curve. Lower: sessions become curves."""
+FORM_SHARE = 0.85
+"""A name that gains this share of what a free curve on its channel gains stays. The physics of an entry is rarely
+exact; tuned on the blind tables. Higher: right names become unknown; lower: wrong names stay."""
+FORM_P_FACTOR = 0.1
+"""A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
+right names become unknown."""
+
+# Exchange, alternatives, elimination.
+
+EXCHANGE_TURNS = 3
+"""All terms are tried against all others so many times. Nothing has moved in the third on the blind tables. More:
+slower."""
+EXCHANGE_WITHIN = (8.0, 0.25)
+"""Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
+`ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
+EXCHANGE_KEEPS = 0.3
+"""They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
+ones. Higher: alternatives of weak effects are missed."""
+EXCHANGE_LEAD_NATS = 0.3
+"""A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
+second best name stays."""
+BASE_PREFERENCE_NATS = 3.0
+"""An effect has to gain so much more than a number of the base that these data cannot tell from it. What calibration
+explains is not missing. Lower: offsets of the model are named effects."""
+ALTERNATIVE_NATS = 5.0
+"""Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
+resolved wrongly, at 5 none. Higher: more names in every answer."""
+SEPARABLE_Z = 3.0
+"""Two effects can be told apart if their scores differ by so many standard errors. Never wrong in the trial. Lower:
+pairs are resolved wrongly; higher: more alternatives."""
+KEEP_SHARE = 0.6
+"""A term stays while it gains this share of what it needed to come in. What was certain alone may share its evidence
+with later terms. Higher: terms come and go."""
+TAILS_START = 0.05
+"""The share of wide hits at which their fit starts. The middle of its usual range. It changes the speed of a refit."""
+
+# Offsets between runs.
+
+RUN_OFFSETS_P = 1e-4
+"""Runs differ by more than the model says if chance shows it with a smaller probability. Stricter than a name, since it
+has no variable that could be checked. Higher: drifts are named run offsets."""
+RUN_OFFSETS_LAG_Z = 3.0
+"""They are not named where neighbours in a run correlate by more standard errors. Slow noise moves the means of runs
+too. Higher: slow noise is named run offsets."""
+MAX_BETWEEN_SHARE = 0.95
+"""At most this share of the variance lies between runs. The rest keeps a spread within them. It only matters for tables
+of repeats."""
+
+# Validation on held-out runs.
+
+VALIDATED_Z = 0.5
+"""A term is kept if its gain on held-out runs is so many standard errors above nothing. A null has 31 % to pass, on top
+of the selection's alpha; tuned on the blind tables. Higher: weak right names are lost."""
+VALIDATED_NATS = 2.0
+"""And if it gains so much in all. The smallest gain of a term of 2 standard errors. Higher: as above."""
+HELD_OUT_ROWS = 60_000
+"""Validation uses every k-th held-out reading beyond so many. Three times the training's. More: slower."""
+CALIBRATION_Z = 4.0
+"""A number of the base is reported as calibration if it moved by so many standard errors on the training runs, and if
+the held-out runs' interval leaves out its old value. Seven numbers are asked. Lower: calibration of nothing."""
+POWER_Z = 0.84
+"""The smallest effect that would have been found is taken at this normal quantile. Four of five effects of that size
+are found. Higher: larger sizes are reported."""
+
+# The verdict: how large a gap counts as closed.
+
+CLOSED_BIAS_SIGMAS = 0.1
+"""A bias up to so many sigma counts as closed. A tenth adds 0.5 % to the root mean square error. Higher: larger gaps
+count as closed."""
+CLOSED_SPREAD_RATIO = 1.05
+"""A spread within this factor counts as closed. Intervals are then 5 % wrong. Higher: as above."""
+CLOSED_NATS = 0.005
+"""A gap up to so many nats per reading counts as closed. As the bias: 0.1 sigma costs 0.005 nats. Higher: as above."""
+NOISE_FLOOR_FACTOR = 1.3
+"""Where the noise floor is higher, a gap up to so many times it counts as closed. A 95 % point of `REPLICATES` tables
+is known to that, and three measures are asked. Higher: gaps in small tables count as closed."""
+CLOSED_MAX_BIAS_SIGMAS, CLOSED_MAX_SPREAD_RATIO, CLOSED_MAX_NATS = 0.5, 1.25, 0.05
+"""A larger gap is never closed, whatever the noise floor. Few dependent runs may show almost anything. Higher: few runs
+explain everything."""
+CURVE_NUMBERS = 4
+"""A curve counts as so many fitted numbers in the cost of fitting. About the degrees of freedom of those that were
+found on the blind tables. More: larger gaps count as closed."""
+PARTLY = 0.9
+"""'Partly explained' needs a gap after that is smaller than this share of the gap before. A gain of less than a tenth
+explains nothing. Lower: more gaps are 'unexplained'."""
+SLICE_P = 0.05
+"""A slice is listed if it differs with a smaller corrected p-value. The usual level. Higher: more slices."""

@@ -1,0 +1,102 @@
+"""Offsets between runs: how far runs differ by more than the model says, and whether held-out runs agree.
+
+Fits of training and held-out readings enter; the effect `run_offsets` leaves, which no single reading shows.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from msp_lab.gap import rules
+from msp_lab.gap.findings import FittedValue, FoundEffect
+from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.problem import Problem
+from msp_lab.gap.refit import JointFit
+from msp_sim.effects import CATALOGUE
+from msp_sim.model.model import Active
+
+_Array = NDArray[np.float64]
+
+
+def run_offset_cm(problem: Problem, fit: JointFit) -> float:
+    """Standard deviation of offsets between runs that the model lacks [cm]; 0 where there is none.
+
+    A base that was fitted to readings of many runs has their offsets in its spread: then the whole spread is as it
+    says. Where they are missing, the spread within runs is as it says, and the whole is larger.
+    """
+    left = problem.dependence(fit)
+    if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
+        return 0.0
+    share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
+    rows = problem.some.at(fit.base, fit.effects)
+    if rows.run_offsets:
+        # The offsets that the model already has scatter from one set of runs to the next.
+        whole_cm2, known_cm2 = float(np.median(rows.sigma_cm**2)), float(np.median(rows.between_cm2))
+        of_mean_cm2 = whole_cm2 * problem.runs / len(problem.some)
+        times = (share * whole_cm2 + of_mean_cm2) / (known_cm2 + of_mean_cm2)
+        if float(chi2.sf(times * (problem.runs - 1), problem.runs - 1)) > rules.RUN_OFFSETS_P:
+            return 0.0
+        return float(np.sqrt(share * whole_cm2 - known_cm2))
+    whole = float(fit.base[1])
+    within = whole + 0.5 * float(np.log1p(-share))
+    if abs(whole) < abs(within):
+        return 0.0
+    sigma_cm = float(np.median(problem.some.rows.sigma_cm)) * float(np.exp(whole))
+    return sigma_cm * float(np.sqrt(share))
+
+
+def validated_run_offsets(
+    deviation_cm: float, fit: JointFit, held_out: Prepared, unit: NDArray[np.intp]
+) -> tuple[FoundEffect, Active] | None:
+    """The effect, if the held-out runs score better for it; a run's offset is integrated out.
+
+    Parameters
+    ----------
+    deviation_cm
+        From the training runs.
+    fit, held_out, unit
+        Fit of the held-out readings, and their runs.
+    """
+    slope = fit.here.by[:, 0] - fit.here.by[:, 0].mean()
+    sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
+    rows = held_out.at(fit.base, fit.effects)
+    known_cm2 = float(np.median(rows.between_cm2)) if rows.run_offsets else 0.0
+    within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
+    mean_cm = sums / np.maximum(information, 1e-12)
+
+    def gain_of_runs(deviation_cm: float) -> _Array:
+        """A run's mean is off by its offset, by that of the model, and by random variation."""
+        before = known_cm2 + within / np.maximum(information, 1e-12)
+        after = before + deviation_cm**2
+        gain: _Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
+        return gain
+
+    gains = gain_of_runs(deviation_cm)
+    total = float(gains.sum())
+    if total < rules.VALIDATED_NATS:
+        return None
+    se = float(np.std(gains, ddof=1) * np.sqrt(gains.size)) if gains.size > 1 else 0.0
+    grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
+    height = np.array([gain_of_runs(each).sum() for each in grid])
+    # 95 % interval of a likelihood: half of chi-squared's 3.84.
+    inside = grid[height > height.max() - 1.92]
+    effect = CATALOGUE["run_offsets"]
+    value = FittedValue(float(grid[height.argmax()]), float(inside[0]), float(inside[-1]), "cm")
+    found = FoundEffect(
+        effect.name,
+        "named",
+        {"deviation_cm": value},
+        total / len(held_out),
+        total / se if se > 0.0 else None,
+        experiment=effect.experiment,
+    )
+    return found, Active(effect, {"deviation_cm": deviation_cm})
+
+
+def with_run_offsets(fit: JointFit, offsets: Active, prepared: Prepared) -> tuple[_Array, tuple[Active, ...]]:
+    """Base and effects of a fit with offsets between runs, whose variance is taken from the spread within them."""
+    sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fit.base[1]))
+    share = min((offsets.values["deviation_cm"] / sigma_cm) ** 2, rules.MAX_BETWEEN_SHARE)
+    base = fit.base.copy()
+    base[1] += 0.5 * np.log1p(-share)
+    return base, (*fit.effects, offsets)

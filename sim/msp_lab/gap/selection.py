@@ -1,0 +1,135 @@
+"""Which effects of the catalogue are missing: forward selection with joint refits, then curves, exchange, elimination.
+
+A problem enters; the selected terms with their alternatives and the first screen leave. A candidate is taken when its
+gain passes what the best of all candidates gains by random variation. Where an effect is added, is decided in
+`_next_term`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import Key
+from msp_lab.gap.curves import add_curves
+from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
+from msp_lab.gap.problem import (
+    Problem,
+    State,
+    Trial,
+    first_state,
+    nearest_candidate,
+    reinformed,
+    screened,
+    trials,
+)
+from msp_lab.gap.run_offsets import run_offset_cm
+from msp_lab.gap.screen import Screen
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The end of the search on the training readings.
+
+    Attributes
+    ----------
+    base
+        The state before any term.
+    state
+        With all selected terms.
+    first
+        The first screen.
+    alternatives
+        Of each term, by its key.
+    run_offset_cm
+        Standard deviation of offsets between runs that the model lacks [cm].
+    """
+
+    base: State
+    state: State
+    first: Screen
+    alternatives: dict[Key, tuple[AlternativeTerm, ...]]
+    run_offset_cm: float = 0.0
+
+
+def select(problem: Problem, max_terms: int) -> Selection:
+    """Search the terms that are missing from the model."""
+    state = base = first_state(problem)
+    seen = first = screened(problem, state)
+    if state.by_run:
+        state = replace(state, inflation=float(np.median(first.inflation)))
+    for turn in range(2):
+        state = add_effects(problem, state, seen, first.needed_nats, max_terms)
+        with_curves = add_curves(problem, state, first.needed_nats, max_terms - len(state.terms))
+        unchanged, state = with_curves is state, with_curves
+        if unchanged or len(state.terms) >= max_terms or turn:
+            break
+        state = reinformed(problem, state)
+        seen = screened(problem, state)
+    return settled(problem, Selection(base, state, first, {}))
+
+
+def settled(problem: Problem, selection: Selection) -> Selection:
+    """Each term against all candidates in its place, without needless terms, and what runs differ by in addition."""
+    needed = selection.first.needed_nats
+    state = compete_with_tails(problem, selection.state, needed)
+    state, alternatives = exchange(problem, state, needed)
+    state = eliminate(problem, state, needed)
+    return replace(
+        selection,
+        state=state,
+        alternatives={each.key: alternatives.get(each.key, ()) for each in state.terms},
+        run_offset_cm=run_offset_cm(problem, state.fit) if "run" in problem.contexts else 0.0,
+    )
+
+
+def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float, max_terms: int) -> State:
+    """Forward selection: the candidate that gains most, until none gains enough; needless terms go at each step."""
+    visited: set[frozenset[Key]] = set()
+    while len(state.terms) < max_terms:
+        trial = _next_term(problem, state, seen, needed_nats)
+        if trial is None:
+            break
+        name = trial.term.key[0]
+        problem.report(f"found {name}", 0.1 + 0.1 * len(state.terms))
+        before = state
+        state = state.having(trial.fit, [*state.terms, trial.term]).logging(f"added {name}")
+        state = eliminate(problem, state, needed_nats)
+        if state.keys in visited:
+            # Terms that take each other's place in turn: none of them is better than what was there.
+            return before
+        visited.add(state.keys)
+        # An effect that changes slowly looks like dependence until it is named.
+        by_run = problem.dependence(state.fit).dependent
+        state = replace(state, by_run=by_run, inflation=state.inflation if by_run else 1.0)
+        state = reinformed(problem, state)
+        seen = screened(problem, state)
+    return state
+
+
+def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> Trial | None:
+    """The candidate that gains most after its refit, if it gains enough.
+
+    What differs from run to run looks like dependence until it is named: where readings are independent next to a
+    candidate, its gain counts as it is, against random variation of as many numbers as there are runs. Otherwise it
+    counts by whole runs.
+    """
+    within, least = rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats
+    if not state.by_run:
+        if seen.largest < seen.critical:
+            return None
+        found = trials(problem, state, seen, within, least)
+        return found[0] if found and found[0].gain_nats >= needed_nats else None
+    uninflated = replace(seen, gain=seen.gain * seen.inflation, inflation=np.ones_like(seen.inflation))
+    names = len({candidate.key for candidate in problem.candidates})
+    for trial in trials(problem, state, uninflated, within, needed_nats):
+        if trial.gain_nats < needed_nats:
+            break
+        inflation = seen.inflation[nearest_candidate(problem, trial.term)]
+        if problem.dependence(trial.fit).independent:
+            if float(fisher.sf(2.0 * trial.gain_nats, 1, max(problem.runs - 2, 1))) < problem.alpha / names:
+                return trial
+        elif seen.largest >= seen.critical and trial.gain_nats / inflation >= needed_nats:
+            return trial
+    return None

@@ -1,0 +1,154 @@
+"""The steps of the gap workflow as commands run them: files in, files out.
+
+Paths and a clock enter. ``gap.json``, ``named.json``, the extended model, the page and its pictures are written, each
+as soon as it is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from msp_lab.gap import workflow
+from msp_lab.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
+from msp_lab.gap.intake import read_readings
+from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
+from msp_lab.gap.named_file import NAMED, read_named, write_named
+from msp_lab.gap.naming import ExtendedModels
+from msp_lab.gap.problem import Progress
+from msp_lab.gap.verdict import sentence
+from msp_lab.gap.workflow import Comparison
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.intake import sha256
+from msp_range import __version__
+from msp_range.clock import Clock, date_of
+from msp_range.yaml_file import ConfigError
+from msp_sim.model.model import load_model
+from msp_sim.terminal import make_folder
+
+DRAWN = ("report.html", "residuals.png", "path.png", "pit.png", "slices.png", "unknown-*.png")
+"""The page and its pictures."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The workflow in a folder.
+
+    Attributes
+    ----------
+    folder
+        Where everything is written.
+    clock
+        For the date and how long it takes.
+    report
+        Reports what is being done.
+    """
+
+    folder: Path
+    clock: Clock
+    report: Progress
+
+    def all(
+        self,
+        paths: Sequence[Path],
+        settings: Settings,
+        until: Literal["compare", "name", "add", "show"] = "show",
+    ) -> GapFindings:
+        """Read the data, compare, name, add and show, or only so far."""
+        started_s = self.clock.now()
+        self._clear()
+        comparison = self._comparison(paths, settings)
+        findings = self._written(self._compare(comparison), started_s)
+        if until == "compare":
+            return findings
+        findings, models = self._name(comparison, findings, started_s)
+        if until == "name":
+            return findings
+        findings = self._add(comparison, findings, models, started_s)
+        if until == "show":
+            self._draw(findings, comparison)
+        return findings
+
+    def name(self) -> GapFindings:
+        """Name what is missing, with alternatives."""
+        started_s = self.clock.now()
+        comparison = self._same_comparison(read_findings(self.folder), "compare")
+        return self._name(comparison, self._compare(comparison), started_s)[0]
+
+    def add(self) -> GapFindings:
+        """Add what was named, and write the extended model."""
+        started_s = self.clock.now()
+        models, findings = read_named(self.folder)
+        return self._add(self._same_comparison(findings, "name"), findings, models, started_s)
+
+    def show(self) -> GapFindings:
+        """Draw the pictures and write the page."""
+        findings = read_findings(self.folder)
+        self._draw(findings, self._comparison([Path(each.path) for each in findings.sources], findings.settings))
+        return findings
+
+    def _compare(self, comparison: Comparison) -> GapFindings:
+        findings = workflow.compare(comparison, date_of(self.clock.utc()), self.report)
+        return replace(findings, model_sha256=sha256(Path(findings.settings.model)), version=__version__)
+
+    def _name(
+        self, comparison: Comparison, findings: GapFindings, started_s: float
+    ) -> tuple[GapFindings, ExtendedModels]:
+        findings, models = workflow.name(comparison, findings, self.report)
+        findings = self._written(findings, started_s)
+        write_named(models, findings, self.folder)
+        return findings, models
+
+    def _add(
+        self, comparison: Comparison, findings: GapFindings, models: ExtendedModels, started_s: float
+    ) -> GapFindings:
+        findings = self._written(workflow.add(comparison, findings, models, self.report), started_s)
+        given = Path(findings.settings.model).name
+        heading = f"{given}, extended by msp-lab gap on {findings.date}."
+        write_model(self.folder / MODEL, models.held_out_fit, findings, heading)
+        heading = (
+            f"{given} with the values of the training runs, which held-out runs validated; to fly with, use {MODEL}."
+        )
+        write_model(self.folder / TRAINING_FIT, models.training_fit, findings, heading)
+        return findings
+
+    def _draw(self, findings: GapFindings, comparison: Comparison) -> None:
+        from msp_lab.gap.report import ReportModels, write_report
+
+        training_fit, held_out_fit = (
+            load_model(path) if path.exists() else comparison.model
+            for path in (self.folder / TRAINING_FIT, self.folder / MODEL)
+        )
+        self.report("drawing", 0.97)
+        models = ReportModels(comparison.model, training_fit, held_out_fit)
+        write_report(findings, models, comparison.held_out, self.folder)
+
+    def _written(self, findings: GapFindings, started_s: float) -> GapFindings:
+        """The findings with their sentence and how long they took, in ``gap.json`` too."""
+        findings = replace(findings, sentence=sentence(findings), seconds=round(self.clock.now() - started_s, 3))
+        write_findings(findings, self.folder)
+        return findings
+
+    def _clear(self) -> None:
+        """Make the folder, and remove what an earlier comparison left there: it would be taken for this one's."""
+        make_folder(self.folder)
+        for name in (NUMBERS, NAMED, MODEL, TRAINING_FIT, *DRAWN):
+            for path in self.folder.glob(name):
+                path.unlink()
+
+    def _comparison(self, paths: Sequence[Path], settings: Settings) -> Comparison:
+        model = load_model(settings.model)
+        self.report("reading", 0.0)
+        column_map = load_map(settings.map) if settings.map else None
+        return Comparison.of(read_readings(paths, model, column_map, settings.run_column), model, settings)
+
+    def _same_comparison(self, findings: GapFindings, step: str) -> Comparison:
+        """The comparison of earlier findings; an error where its files have changed since that step."""
+        comparison = self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+        pairs = zip(findings.sources, comparison.readings.sources, strict=True)
+        changed = [old.path for old, new in pairs if old.sha256 != new.sha256]
+        if findings.model_sha256 != sha256(Path(findings.settings.model)):
+            changed.append(findings.settings.model)
+        if changed:
+            raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-lab {step}'; run 'msp-lab compare' again")
+        return comparison

@@ -1,0 +1,76 @@
+"""A wrong name is given up for the right one, a needless one goes, and one that does as well is a rival."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_lab.gap.candidates import SelectedTerm
+from msp_lab.gap.problem import Problem, first_state, screened
+from msp_lab.gap.runs import numbered
+from msp_lab.gap.selection import Selection, settled
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.model.model import Model, active
+from tests.support.measured import MODEL as FILE
+from tests.support.measured import sensor
+
+Array = NDArray[np.float64]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+N, RUNS = 2000, 20
+
+
+def problem_of(ranges_cm: tuple[float, float], delay_ms: float) -> Problem:
+    """Flights up and down whose readings are late."""
+    rng = np.random.default_rng(3)
+    contexts = {
+        "time_s": 0.1 * np.arange(N),
+        "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
+        "true_range_cm": rng.uniform(*ranges_cm, N),
+        "range_rate_cm_s": 80.0 * rng.standard_normal(N),
+        "vibration_hz": rng.choice([0.0, 60.0], N),
+    }
+    heard_cm = contexts["true_range_cm"] - 1e-3 * delay_ms * contexts["range_rate_cm_s"]
+    reading_cm = np.array(sensor().readings(heard_cm.tolist(), 3))
+    return Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), rng)
+
+
+def after_exchange(problem: Problem, *names: str) -> Selection:
+    """What becomes of these names."""
+    starts = {
+        "latency": {"delay_ms": 5.0},
+        "motion_during_ping": {"share": -0.5},
+        "vibration": {"growth": 0.05},
+        "range_scale": {"scale_pct": 0.05},
+    }
+    base = first_state(problem)
+    first = screened(problem, base)
+    of_name = {candidate.key[0]: candidate for candidate in problem.candidates}
+    terms = [SelectedTerm(active(name, None, starts[name]), of_name[name]) for name in names]
+    state = base.having(problem.refit([each.active for each in terms], base.fit.base), terms)
+    return settled(problem, Selection(base, state, first, {}))
+
+
+def names_of(selection: Selection) -> list[str]:
+    return [term.key[0] for term in selection.state.terms]
+
+
+def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
+    selection = after_exchange(problem_of((60.0, 700.0), 25.0), "motion_during_ping")
+    assert names_of(selection) == ["latency"]
+    assert selection.state.terms[0].active.values["delay_ms"] == pytest.approx(25.0, abs=3.0)
+    assert "motion_during_ping" not in [each.active.effect.name for each in selection.alternatives["latency", None]]
+
+
+@pytest.mark.parametrize("order", [("latency", "vibration", "range_scale"), ("vibration", "latency")])
+def test_a_needless_name_goes(order: tuple[str, ...]) -> None:
+    selection = after_exchange(problem_of((60.0, 700.0), 25.0), *order)
+    assert names_of(selection) == ["latency"]
+
+
+def test_a_name_that_does_as_well_is_an_alternative() -> None:
+    """At one height the way back is always as long: what is late and what moves meanwhile are the same."""
+    selection = after_exchange(problem_of((299.0, 301.0), 15.0), "latency")
+    (near,) = selection.alternatives.values()
+    (motion,) = [each for each in near if each.active.effect.name == "motion_during_ping"]
+    assert abs(motion.correlation) > 0.99
+    assert abs(motion.loss_nats) < 0.5
+    assert motion.separation < 1.0
