@@ -71,7 +71,7 @@ def test_a_pair_is_in_one_class_with_its_experiment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "noise_floor", "over_floor", "of_all"),
+    ("before", "after", "floor", "over_floor", "of_all"),
     [
         (0.030, 0.000, 0.010, 1.0, 1.0),
         (0.030, 0.006, 0.010, 1.0, 0.8),

@@ -72,7 +72,7 @@ def page_of(findings: GapFindings, folder: Path) -> str:
 def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path) -> None:
     told = page_of(FOUND, tmp_path)
     assert "selected and fitted: monday, tuesday" in told
-    assert "come from: wednesday, thursday" in told
+    assert "reported values come: wednesday, thursday" in told
     assert "Family-wise false-positive rate: 0.02" in told
     assert "p-value of 0.0005" in told
     assert "msp-range 9.8.7, seed 7" in told

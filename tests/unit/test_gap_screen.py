@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from msp_lab.gap.candidates import Candidate, candidates_of
+from msp_lab.gap.candidates import CandidateEffect, candidates_of
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -52,7 +52,7 @@ def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) ->
 
 
 def screened(
-    of: ScoreSums, information: Array, tested: list[Candidate], by_run: bool = False, accepted: int | None = None
+    of: ScoreSums, information: Array, tested: list[CandidateEffect], by_run: bool = False, accepted: int | None = None
 ) -> Screen:
     held = [] if accepted is None else [accepted]
     return screen(of, information, tested, held, by_run, 0.05, np.random.default_rng(1))

@@ -30,7 +30,7 @@ BETWEEN_RUNS = frozenset({"run_offsets"})
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateEffect:
     """An effect with its shape held, of which one number is searched.
 
     Attributes
@@ -104,7 +104,7 @@ class SelectedTerm:
     """
 
     active: Active
-    candidate: Candidate | None
+    candidate: CandidateEffect | None
 
     @property
     def key(self) -> Key:
@@ -133,12 +133,12 @@ class SelectedTerm:
 
 def candidates_of(
     model: Model, contexts: Mapping[str, Any]
-) -> tuple[tuple[Candidate, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
+) -> tuple[tuple[CandidateEffect, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
     """Candidates that these contexts can show, and effects with the columns that are missing for them.
 
     An effect that the model already has is a candidate again: more of it may be there.
     """
-    found: list[Candidate] = []
+    found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
         required = (*effect.needs, *((effect.of,) if effect.of else ()))
@@ -158,7 +158,7 @@ def candidates_of(
         for word in words:
             for tried in product(*(parameter.tried or (parameter.default or 0.0,) for parameter in shapes)):
                 held = tuple((parameter.name, float(value)) for parameter, value in zip(shapes, tried, strict=True))
-                found.extend(Candidate(effect, word, held, number) for number in numbers)
+                found.extend(CandidateEffect(effect, word, held, number) for number in numbers)
     return tuple(found), tuple(missing)
 
 
@@ -175,7 +175,7 @@ def change_of(scene: Scene, active: Active) -> Change:
         return active.effect.act(scene, active.values)
 
 
-def score_of(candidate: Candidate, rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes) -> _Array:
+def score_of(candidate: CandidateEffect, rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes) -> _Array:
     """Score of a candidate where it is absent, (n,)."""
     parameter = candidate.parameter
     active = candidate.at(candidate.neutral + parameter.step)

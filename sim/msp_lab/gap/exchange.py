@@ -11,7 +11,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
-from msp_lab.gap.problem import Problem, State, Trial, loss, screened, trials, with_candidate, without
+from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
 from msp_lab.gap.refit import JointFit
 from msp_sim.model.model import Active
 
@@ -120,7 +120,7 @@ def _in_its_place(
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
     separations = [float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - each**2, 0.0))) for each in correlations]
 
-    def lead(other: Trial, separation: float) -> float:
+    def lead(other: CandidateFit, separation: float) -> float:
         """By how much another does better; a number of the base comes before an effect that is like it."""
         ahead = gain(other.fit) - other.term.cost_nats - own + term.cost_nats
         if separation < rules.SEPARABLE_Z:

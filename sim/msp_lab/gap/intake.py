@@ -109,7 +109,7 @@ def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[Calib
     finding = (
         f"{100.0 * off.mean():.3g} % of the readings are no whole centimetres"
         + ("" if step is None else f" (their step is {step:g} cm)")
-        + f", as {model.sensor.name} reads; they are rounded before comparison, so less than a centimetre is not visible"
+        + f", as {model.sensor.name} reads; they are rounded first, so less than a centimetre is not visible"
     )
     columns = {**data.columns, "reading_cm": whole, PREVIOUS: np.rint(data[PREVIOUS])}
     return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=1.0, after=step, unit="cm")]

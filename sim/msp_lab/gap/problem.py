@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import curve_scan, rules
-from msp_lab.gap.candidates import Candidate, SelectedTerm, candidates_of
+from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.prepared import CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
@@ -58,7 +58,7 @@ class Problem:
     contexts: Mapping[str, Any]
     reading_cm: _Array
     unit: NDArray[np.intp]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CandidateEffect, ...]
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     some: Prepared
     some_contexts: Mapping[str, Any]
@@ -209,7 +209,7 @@ def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
 
 
 @dataclass(frozen=True)
-class Trial:
+class CandidateFit:
     """A state refitted with one more candidate, the last of its terms.
 
     Attributes
@@ -225,7 +225,7 @@ class Trial:
     fit: JointFit
 
 
-def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[Trial]:
+def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[CandidateFit]:
     """Refits of the candidates that gain most, the best first.
 
     Parameters
@@ -242,7 +242,7 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         if candidate.key not in state.keys and seen.gain[j] > seen.gain[best.get(candidate.key, j)] - 1e-12:
             best[candidate.key] = j
     order = sorted(best.values(), key=lambda j: -seen.gain[j])
-    found: list[Trial] = []
+    found: list[CandidateFit] = []
     for j in order[: rules.REFITS_PER_STEP]:
         candidate = problem.candidates[j]
         # A screen may promise too much, and of what is large it promises too little.
@@ -254,11 +254,11 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         if candidate.linear and fit.effects[-1].values[candidate.parameter.name] > rules.MAX_COMPONENT_SHARE:
             continue
         gained = (fit.log_likelihood - state.fit.log_likelihood) * problem.scale / seen.inflation[j]
-        found.append(Trial(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
+        found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
     return sorted(found, key=lambda each: -each.gain_nats)
 
 
-def _start(candidate: Candidate, seen: Screen, j: int) -> float:
+def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
     """The value at which a candidate's refit starts."""
     parameter, neutral = candidate.parameter, candidate.neutral
     if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
@@ -267,7 +267,7 @@ def _start(candidate: Candidate, seen: Screen, j: int) -> float:
     return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
 
 
-def with_candidate(problem: Problem, fit: JointFit, candidate: Candidate, start: float) -> JointFit:
+def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:
     """A joint fit with one more effect, from the best of some values and shapes."""
     starts = [
         replace(candidate, shape=shape).at(start * part)
@@ -278,7 +278,7 @@ def with_candidate(problem: Problem, fit: JointFit, candidate: Candidate, start:
     return problem.refit([*fit.effects, starts[int(np.argmax(heights))]], fit.base)
 
 
-def _shapes(candidate: Candidate) -> list[tuple[tuple[str, float], ...]]:
+def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:
     """Its shape, and those with one number of it moved between and beyond the values on its grid."""
     shapes = [candidate.shape]
     for parameter in candidate.effect.parameters:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import Candidate, change_of, score_of
+from msp_lab.gap.candidates import CandidateEffect, change_of, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, channel_slopes, chunks
 from msp_sim.effects.base import Scene
 from msp_sim.model.model import Active, Model, acts
@@ -62,7 +62,7 @@ def score_sums(
     model: Model,
     base: _Array,
     effects: Sequence[Active],
-    candidates: Sequence[Candidate],
+    candidates: Sequence[CandidateEffect],
     contexts: Mapping[str, Any],
     reading_cm: _Array,
     unit: NDArray[np.intp],
@@ -120,7 +120,7 @@ def _log_gain(change: _Array) -> _Array:
     return gain
 
 
-def _odds_template(candidate: Candidate, scene: Scene) -> _Array:
+def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
     """Change of the log odds by a number of 1, (n,)."""
     active = candidate.at(candidate.neutral + candidate.parameter.step)
     known = acts(scene, active)
@@ -132,7 +132,9 @@ def _odds_template(candidate: Candidate, scene: Scene) -> _Array:
     return np.broadcast_to(np.nan_to_num(np.where(known, moved, 0.0)) / candidate.parameter.step, (n,))
 
 
-def _odds_scales(model: Model, candidates: Sequence[Candidate], contexts: Mapping[str, Any]) -> tuple[_Array, _Array]:
+def _odds_scales(
+    model: Model, candidates: Sequence[CandidateEffect], contexts: Mapping[str, Any]
+) -> tuple[_Array, _Array]:
     """For odds, the number that changes them by one where it acts most, and its mean template, from some rows."""
     n = np.shape(contexts["true_range_cm"])[0]
     some = {name: np.asarray(column)[:: max(1, n // 5000)] for name, column in contexts.items()}
@@ -147,7 +149,7 @@ def _odds_scales(model: Model, candidates: Sequence[Candidate], contexts: Mappin
     return sizes, means
 
 
-def _odds_gains(candidate: Candidate, scene: Scene, here: ChannelSlopes, size: float, mean: float) -> _Array:
+def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, size: float, mean: float) -> _Array:
     """Gain of changed odds about their mean, all else held: exact in the posterior share of the class."""
     which = candidate.odds or 1
     template = _odds_template(candidate, scene) - mean
@@ -160,7 +162,7 @@ def _odds_gains(candidate: Candidate, scene: Scene, here: ChannelSlopes, size: f
 
 
 def score_matrix(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[Candidate]
+    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Scores of base and candidates, (n, 7 + candidates)."""
     rows = prepared.at(base, effects)
@@ -169,7 +171,7 @@ def score_matrix(
 
 
 def _matrix(
-    rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[Candidate]
+    rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]
 ) -> _Array:
     matrix = np.empty((reading_cm.size, len(BASE) + len(candidates)))
     matrix[:, : len(BASE)] = here.by
@@ -196,7 +198,7 @@ def replicate(
 
 
 def information_of(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[Candidate]
+    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Information per reading, (7 + candidates, 7 + candidates), from simulated readings."""
     scores = score_matrix(prepared, base, effects, candidates)
@@ -244,7 +246,7 @@ class Screen:
 def screen(
     measured: ScoreSums,
     information: _Array,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[CandidateEffect],
     accepted: Sequence[int],
     by_run: bool,
     alpha: float,

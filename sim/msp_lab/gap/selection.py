@@ -15,9 +15,9 @@ from msp_lab.gap.candidates import Key
 from msp_lab.gap.curves import add_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
+    CandidateFit,
     Problem,
     State,
-    Trial,
     first_state,
     nearest_candidate,
     reinformed,
@@ -108,7 +108,7 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
     return state
 
 
-def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> Trial | None:
+def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> CandidateFit | None:
     """The candidate that gains most after its refit, if it gains enough.
 
     What differs from run to run looks like dependence until it is named: where readings are independent next to a
