@@ -1,0 +1,54 @@
+"""When and where readings are taken: times, true ranges and contexts, before any reading is drawn."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One table without its readings; all arrays have one entry per reading.
+
+    Attributes
+    ----------
+    run, sensor
+        Numbers of the run and of the sensor.
+    block
+        The noise is independent between blocks: a run of one sensor, or one range at the bench.
+    time_s
+        Time since the start of the run.
+    true_cm
+        Perpendicular distance to the surface.
+    range_before
+        True range a delay [s] before each reading.
+    contexts
+        Further columns, numbers or words.
+    spacing_s
+        Mean time between readings of one sensor.
+    """
+
+    run: NDArray[np.int64]
+    sensor: NDArray[np.int64]
+    block: NDArray[np.int64]
+    time_s: Floats
+    true_cm: Floats
+    range_before: Callable[[float], Floats]
+    contexts: dict[str, NDArray[Any]] = field(default_factory=dict)
+    spacing_s: float = 0.1
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def previous(self) -> NDArray[np.int64]:
+        """Index of the row before in the same block; -1 where it is the first."""
+        last: dict[int, int] = {}
+        before = np.full(len(self), -1)
+        for index, block in enumerate(self.block.tolist()):
+            before[index] = last.get(block, -1)
+            last[block] = index
+        return before

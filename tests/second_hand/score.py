@@ -1,0 +1,152 @@
+"""Compares what the workflow named with what was hidden.
+
+An outcome is a word: ``exact`` (each hidden effect is held by the class of one named effect, a name and those that the
+workflow cannot tell from it, and nothing else is named), ``calibrated`` (an effect that the base mixture has too is
+reported as a change of the base's number, and nothing else is named), ``nothing``, ``missing`` (some, and nothing
+wrong), ``wrong name``, ``crash``; for nulls ``clean`` or ``wrong name``; for unknown effects ``exact`` (a curve of the
+right channel over the right column, and no name), ``other curve``, ``nothing``, ``wrong name``.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+BASE_NUMBERS = {
+    "spread_with_range": "sigma_growth_cm_per_m",
+    "missed_with_range": "missed_growth_per_m",
+}
+"""Effects that the base mixture has too, and its number, as `msp-lab effects` lists them."""
+
+TIME_COLUMNS = frozenset({"time_s", "elapsed_s", "time_in_run_s"})
+"""Columns that are the time in the run; what a curve over one of them is called is the workflow's choice."""
+
+
+def outcome(truth: dict[str, Any], found: dict[str, Any]) -> str:
+    """Score one case.
+
+    Parameters
+    ----------
+    truth
+        What `generator.case` hid.
+    found
+        What `workflow.run_case` read from the workflow's files.
+    """
+    if found["crash"]:
+        return "crash"
+    named = [{effect["name"], *effect["alternatives"]} for effect in found["effects"]]
+    if not truth["effects"]:
+        return "wrong name" if named else "clean" if not found["curves"] else "other curve"
+    if truth["kind"].startswith("unknown"):
+        return _unknown(truth["effects"][0], named, found["curves"])
+    wanted = [set(effect["names"]) for effect in truth["effects"]]
+    matched = _matched(wanted, named)
+    if matched < len(named):
+        return "wrong name"
+    if matched == len(wanted):
+        return "exact" if not found["curves"] else "other curve"
+    if matched:
+        return "missing"
+    changed = {number for item in found["calibration"] for number in BASE_NUMBERS.values() if number in item}
+    equal = {BASE_NUMBERS[name] for names in wanted for name in names if name in BASE_NUMBERS}
+    if len(wanted) == 1 and equal & changed:
+        return "calibrated"
+    return "other curve" if found["curves"] else "nothing"
+
+
+def _matched(wanted: list[set[str]], named: list[set[str]]) -> int:
+    """Most hidden effects that can each be given a named one of their own (there are three at most)."""
+    if not wanted:
+        return 0
+    first, rest = wanted[0], wanted[1:]
+    best = _matched(rest, named)
+    for index, names in enumerate(named):
+        if names & first:
+            best = max(best, 1 + _matched(rest, named[:index] + named[index + 1 :]))
+    return best
+
+
+def _unknown(effect: dict[str, Any], named: list[set[str]], curves: list[dict[str, Any]]) -> str:
+    if named:
+        return "wrong name"
+    for curve in curves:
+        columns = set(curve["variables"])
+        right = columns & TIME_COLUMNS if effect["variable"] == "time_s" else columns & {effect["variable"]}
+        channel = curve["channel"] == effect["channel"] or (
+            curve["channel"] == "time" and effect["variable"] == "time_s"
+        )
+        if right and channel:
+            return "exact"
+    return "other curve" if curves else "nothing"
+
+
+def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """Wilson's interval of a share, 95 % by default.
+
+    Examples
+    --------
+    >>> [round(edge, 3) for edge in wilson(9, 10)]
+    [0.596, 0.982]
+    """
+    if count == 0:
+        return 0.0, 1.0
+    share = hits / count
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
+    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+
+
+def table(results: Iterable[dict[str, Any]]) -> str:
+    """A Markdown table of the outcomes by kind, and what was hidden and found where it was not right.
+
+    Effects that vary between runs only have rows of their own.
+    """
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for result in results:
+        effects = result["truth"]["effects"]
+        own = " (between runs)" if any(effect["between_runs"] for effect in effects) else ""
+        rows.setdefault(result["truth"]["kind"] + own, []).append(result)
+    lines = [
+        "| kind | cases | right | share (95 %) | wrong name (95 %) | calibrated | missing or nothing | other curve "
+        "| crash | mean class |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for kind, each in sorted(rows.items()):
+        words = [outcome(result["truth"], result["found"]) for result in each]
+        count = len(words)
+        right = sum(word in ("exact", "clean") for word in words)
+        wrong = words.count("wrong name")
+        sizes = [1 + len(effect["alternatives"]) for result in each for effect in result["found"]["effects"]]
+        lines.append(
+            f"| {kind} | {count} | {right} | {_share(right, count)} | {_share(wrong, count)} "
+            f"| {words.count('calibrated')} "
+            f"| {words.count('missing') + words.count('nothing')} | {words.count('other curve')} "
+            f"| {words.count('crash')} | {np.mean(sizes) if sizes else 0:.1f} |"
+        )
+    return "\n".join(lines)
+
+
+def _share(hits: int, count: int) -> str:
+    low, high = wilson(hits, count)
+    return f"{hits / count:.2f} ({low:.2f} to {high:.2f})"
+
+
+def failures(results: Iterable[dict[str, Any]]) -> str:
+    """One line for each case that is not right: what was hidden, and what the workflow said."""
+    lines = []
+    for result in results:
+        truth, found = result["truth"], result["found"]
+        word = outcome(truth, found)
+        if word in ("exact", "clean"):
+            continue
+        hidden = ", ".join(f"{effect['title']} {effect['size']:.3g}" for effect in truth["effects"]) or "nothing"
+        said = [" or ".join([effect["name"], *effect["alternatives"]]) for effect in found["effects"]]
+        said += [f"curve of {curve['channel']} over {' '.join(curve['variables'])}" for curve in found["curves"]]
+        said += [f"calibration: {item}" for item in found["calibration"]]
+        said += [found["crash"]] if found["crash"] else []
+        base = f"correlation {truth['base']['correlation']:.2f}, {truth['runs']} runs"
+        lines.append(
+            f"{truth['kind']} {truth['seed']}: {word}; hidden {hidden}; "
+            f"{base}; found {'; '.join(said) or 'nothing'}; {found['verdict']}"
+        )
+    return "\n".join(lines)
