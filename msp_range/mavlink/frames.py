@@ -6,8 +6,11 @@ https://mavlink.io/en/guide/serialization.html describes them.
 """
 
 import re
+import struct
+from collections.abc import Callable, Hashable
 from functools import cache
 from itertools import accumulate
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
@@ -27,6 +30,7 @@ _VERSION_1, _VERSION_2 = 0xFE, 0xFD
 _HEADER_BYTES = {_VERSION_1: 6, _VERSION_2: 10}
 _CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
 _SIGNED = 0x01
+_HEADER = struct.Struct("<BBBBBBBHB")
 
 
 class Frame(NamedTuple):
@@ -77,6 +81,42 @@ def _layout(message_id: int) -> tuple[Any, list[int | slice]]:
         slice(end - length, end) if length > 1 else end - 1 for end, length in zip(ends, kind.lengths, strict=True)
     ]
     return kind, [whole[place] for place in kind.orders]
+
+
+def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
+    """A message as a MAVLink 2 frame; pymavlink's packing gives the same bytes and takes three times as long.
+
+    Examples
+    --------
+    >>> heartbeat = dialect.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    >>> pack(heartbeat, 7, 1, 0) == heartbeat.pack(dialect.MAVLink(None, 7, 1))
+    True
+    """
+    kind: Any = type(message)
+    fields, has_arrays = _fields(kind)
+    values = fields(message)
+    if has_arrays:
+        values = [each for value in values for each in (value if isinstance(value, list | tuple) else (value,))]
+    payload: bytes = message.unpacker.pack(*values).rstrip(b"\0") or b"\0"  # without zeros at the end, but not empty
+    message_id: int = message.get_msgId()  # not message.id, which some messages have as a field
+    id_low, id_high = message_id & 0xFFFF, message_id >> 16
+    header = _HEADER.pack(_VERSION_2, len(payload), 0, 0, sequence, system, component, id_low, id_high)
+    checksum: int = dialect.x25crc(header[1:] + payload + bytes((message.crc_extra,))).crc
+    return header + payload + checksum.to_bytes(2, "little")
+
+
+@cache
+def _fields(kind: Hashable) -> tuple[Callable[[Any], Any], bool]:
+    """What gets the fields of a kind of message in their order on the wire, and whether one of them is an array."""
+    message: Any = kind
+    types = dict(zip(message.fieldnames, message.fieldtypes, strict=False))
+    # pymavlink keeps a text as it was given under another name, and has it as a str under its own.
+    names = [
+        f"_{name}_raw" if length and types.get(name) == "char" else name
+        for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True)
+    ]
+    get = attrgetter(*names)
+    return get if len(names) > 1 else lambda message: (get(message),), any(message.array_lengths)
 
 
 class FrameReader:

@@ -16,7 +16,7 @@ from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFO
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.frames import Frame, FrameReader, pack
 from msp_range.mavlink.participants import Participants
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
@@ -86,7 +86,7 @@ class Link:
         self._frames = FrameReader()
         self._from_autopilot: deque[tuple[float, Frame]] = deque()
         self._from_others: deque[tuple[float, Frame]] = deque()
-        self._mav = dialect.MAVLink(None, srcSystem=system_id or 1, srcComponent=component_id)
+        self._system, self._component, self._sequence = system_id or 1, component_id, 0
         now_s = clock.now()
         self._start_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
@@ -110,8 +110,8 @@ class Link:
 
     def send(self, message: Any) -> bytes | None:
         """Send one message at once; the frame, or None where the transport dropped it."""
-        frame: bytes = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
+        frame = pack(message, self._system, self._component, self._sequence)
+        self._sequence = (self._sequence + 1) % 256
         self._sent_frames.append(frame)
         if self.transport.send(frame):
             self.sent[message.msgname] += 1
@@ -177,14 +177,10 @@ class Link:
                 )
             )
 
-    @property
-    def _ids(self) -> tuple[int, int]:
-        return self._mav.srcSystem, self._mav.srcComponent
-
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
         """Keep what is to be decoded: all that an autopilot sends, and what concerns the bridge from others."""
         autopilot = self.autopilot_system or self._pinned_system
-        own_ids = self._ids
+        own_ids = (self._system, self._component)
         for frame in frames:
             ids = (frame.system, frame.component)
             if ids == own_ids:
@@ -198,7 +194,7 @@ class Link:
 
     def _take(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
-        if source == self._ids:
+        if source == (self._system, self._component):
             if frame.data not in self._sent_frames:
                 self._participants.on_own_ids(now_s, *source)
             return
@@ -243,7 +239,7 @@ class Link:
             return
         if system != self.autopilot_system:
             self.autopilot_system = system
-            self._mav.srcSystem = system
+            self._system = system
             self.autopilot_clock = AutopilotClock(self._start_s)
         if not heard:
             self.wanted.ask_anew(now_s)
@@ -269,8 +265,8 @@ class Link:
 
     def _is_addressed(self, message: Any) -> bool:
         """Whether a message with a target is for this component, or for all."""
-        to_system = message.target_system in (0, self._mav.srcSystem)
-        return bool(to_system and message.target_component in (0, self._mav.srcComponent))
+        to_system = message.target_system in (0, self._system)
+        return bool(to_system and message.target_component in (0, self._component))
 
     def _requested(self, message_id: float) -> Any | None:
         if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:

@@ -17,28 +17,34 @@ class Outbox:
     ----------
     send
         Sends one message now.
+
+    Attributes
+    ----------
+    next_event_s
+        When `send_due` has something to do [s]; infinite where nothing waits.
     """
 
     def __init__(self, send: Callable[[Any], object]) -> None:
         self._send = send
         self._waiting: dict[int, Any] = {}
         self._free_s = float("-inf")
-
-    @property
-    def next_event_s(self) -> float:
-        """When `send_due` has something to do [s]; infinite where nothing waits."""
-        return self._free_s if self._waiting else float("inf")
+        self.next_event_s = float("inf")
 
     def send_now(self, now_s: float, message: Any) -> None:
         """Send before all that waits."""
         self._send(message)
         self._free_s = now_s + SPACING_S
+        self._plan()
 
     def put(self, stream_id: int, message: Any) -> None:
         """Queue a message; a newer one of the same stream takes the place of one that still waits."""
         self._waiting[stream_id] = message
+        self._plan()
 
     def send_due(self, now_s: float) -> None:
         """Send the next that waits, where it is time."""
-        if self._waiting and now_s >= self._free_s:
+        if now_s >= self.next_event_s:
             self.send_now(now_s, self._waiting.pop(next(iter(self._waiting))))
+
+    def _plan(self) -> None:
+        self.next_event_s = self._free_s if self._waiting else float("inf")

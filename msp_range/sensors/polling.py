@@ -106,7 +106,7 @@ class Poller:
         if self._to_reopen is not None:
             self.next_event_s = self._to_reopen.answered_s
         elif self._pending and not self._unpinged:
-            self._next = min(self._pending, key=_next_try_s)
+            self._next = self._pending[0] if len(self._pending) == 1 else min(self._pending, key=_next_try_s)
             self.next_event_s = self._next.next_try_s
         else:
             if not self._unpinged:
@@ -147,7 +147,8 @@ class Poller:
             # Sums and not differences of times: in virtual time a try at the deadline must be seen to be there.
             deadline_s = pending.ping_s + timing.deadline_s
             if now_s < deadline_s and not error.bus_at_fault:
-                pending.next_try_s = min(now_s + POLL_INTERVAL_S, deadline_s)
+                try_s = now_s + POLL_INTERVAL_S
+                pending.next_try_s = try_s if try_s < deadline_s else deadline_s
                 return None
             self._pending.remove(pending)
             return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)

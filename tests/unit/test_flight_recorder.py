@@ -422,8 +422,10 @@ def test_memory_does_not_grow_over_hours(tmp_path: Path) -> None:
         import sys, time
         from pathlib import Path
         from msp_range.clock import VirtualClock
+        from msp_range.recording import background_file
         from msp_range.recording.flight_recorder import FlightRecorder
 
+        background_file.REST_S = 0.0  # an hour takes a second here
         clock = VirtualClock()
         recorder = FlightRecorder(Path(sys.argv[1]), "quad", clock)
         topics = [f"/range/{name}" for name in "abcd"] + ["/fused", "/mavlink/sent", "/attitude"]

@@ -8,6 +8,7 @@ that a ground station sees autopilot and bridge.
 
 import math
 import random
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from msp_range.clock import Clock
 from msp_range.geometry import Vector, dot, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.frames import pack
 from msp_range.mavlink.transport import Transport, TransportStats
 from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
 
@@ -37,6 +39,7 @@ _MESSAGES = {
     dialect.MAVLINK_MSG_ID_HIGHRES_IMU: "highres_imu",
 }
 """Messages whose rate can be set."""
+_ANSWERED = (dialect.MAVLINK_MSG_ID_TIMESYNC, dialect.MAVLINK_MSG_ID_COMMAND_LONG)
 _INTERVALS_S = {"heartbeat": 1.0, "system_time": 1.0, "pressure": 1.0, "attitude": 0.1}
 """What is sent from the beginning."""
 _MOTION = ("pressure", "raw_imu", "highres_imu")
@@ -81,7 +84,8 @@ class LoopbackAutopilot:
         sends_motion: bool = True,
     ) -> None:
         self.stats = TransportStats()
-        self.received: list[tuple[float, Any]] = []
+        self._frames: list[tuple[float, bytes]] = []
+        self._decoded: list[tuple[float, Any]] = []
         self._clock = clock
         self._start_s = clock.now()
         self._pose = pose
@@ -92,6 +96,7 @@ class LoopbackAutopilot:
         self._reboots_at_s = sorted(reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
+        self._sequence = 0
         self._refused = () if sends_motion else _MOTION
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
@@ -119,10 +124,25 @@ class LoopbackAutopilot:
         self.stats.sent_frames += 1
         if not self._is_up(now_s):
             return True
-        message = self._mav.decode(bytearray(frame))
-        self.received.append((now_s, message))
-        self._answer(now_s, message)
+        self._frames.append((now_s, frame))
+        if _message_id(frame) in _ANSWERED:
+            self._answer(now_s, self._decode(frame))
         return True
+
+    @property
+    def received(self) -> list[tuple[float, Any]]:
+        """What the bridge has sent: time of the flight [s], message."""
+        # Decoded only for those who ask: it takes longer than all else that is done with a frame.
+        for time_s, frame in self._frames[len(self._decoded) :]:
+            self._decoded.append((time_s, self._decode(frame)))
+        return self._decoded
+
+    def received_counts(self) -> Counter[str]:
+        """How many messages of each name the bridge has sent."""
+        return Counter(dialect.mavlink_map[_message_id(frame)].msgname for _, frame in self._frames)
+
+    def _decode(self, frame: bytes) -> Any:
+        return self._mav.decode(bytearray(frame))
 
     def receive(self) -> bytes:
         """What the autopilot has sent since the last call."""
@@ -226,8 +246,13 @@ class LoopbackAutopilot:
             self._put(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
 
     def _put(self, message: Any) -> None:
-        self._outgoing += message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
+        self._outgoing += pack(message, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
+        self._sequence = (self._sequence + 1) % 256
+
+
+def _message_id(frame: bytes) -> int:
+    """The number of a MAVLink 2 frame's message."""
+    return int.from_bytes(frame[7:10], "little")
 
 
 class Tee:

@@ -183,9 +183,7 @@ class Simulation:
     def _finish(self) -> None:
         self._log.finish(self.now_s(), self._bridge)
         flight = self.flight
-        for _, message in self._autopilot.received:
-            name = message.get_type()
-            flight.autopilot_received[name] = flight.autopilot_received.get(name, 0) + 1
+        flight.autopilot_received = dict(self._autopilot.received_counts())
         flight.frames_sha256 = self._transport.sha256.hexdigest()
         self._transport.close()
 
