@@ -116,7 +116,8 @@ class LoopbackAutopilot:
         """When it speaks next [s on the flight's clock]."""
         if self._outgoing:
             return float("-inf")
-        return self._start_s + min(*self._due_s.values(), *self._reboots_at_s[:1], float("inf"))
+        due_s = min(self._due_s.values())
+        return self._start_s + (min(due_s, self._reboots_at_s[0]) if self._reboots_at_s else due_s)
 
     def send(self, frame: bytes) -> bool:
         """Take a frame from the bridge."""
@@ -167,6 +168,8 @@ class LoopbackAutopilot:
         return now_s >= self._heard_from_s
 
     def _speak(self, now_s: float) -> None:
+        if now_s < min(self._due_s.values()):
+            return
         boot_ms = round((now_s - self._boot_s) * 1e3)
         pose = None
         for what, due_s in self._due_s.items():

@@ -163,11 +163,13 @@ class Simulation:
 
     def fly(self) -> Steps[list[Step], None, None]:
         """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""
+        end_s = self._start_s + self._duration_s
+        now, step = self._clock.now, self._bridge.step
         try:
-            while self.now_s() < self._duration_s:
-                steps = self._bridge.step()
-                for step in steps:
-                    self._log.take(step)
+            while now() < end_s:
+                steps = step()
+                for each in steps:
+                    self._log.take(each)
                 yield steps
         finally:
             self._finish()

@@ -57,7 +57,8 @@ class Course:
         """Position, speed and acceleration at ``time_s``; at rest before the first piece and after the last."""
         if time_s >= self.end_s:
             return self.end_m, 0.0, 0.0
-        time_s = max(time_s, 0.0)
+        if time_s < 0.0:
+            time_s = 0.0
         index = bisect_right(self._starts_s, time_s) - 1
         return self._pieces[index](time_s - self._starts_s[index])
 

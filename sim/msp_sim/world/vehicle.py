@@ -133,16 +133,26 @@ def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
     return min(HOVER_THROTTLE * thrust_m_s2 / GRAVITY_M_S2, 1.0)
 
 
-def _swings(rms_deg: float, period_s: float, generator: Generator) -> list[tuple[float, float, float]]:
+_Swing = tuple[float, float, float]
+
+
+def _swings(rms_deg: float, period_s: float, generator: Generator) -> tuple[_Swing, _Swing, _Swing]:
     """Amplitude [rad], angular rate [rad/s] and phase [rad] of three sinusoids of equal power."""
     rates = 2 * math.pi / period_s * generator.uniform(0.7, 1.4, 3)
     phases = generator.uniform(0.0, 2 * math.pi, 3)
     swing_rad = math.radians(rms_deg) * math.sqrt(2 / 3)
-    return [(swing_rad, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
+    one, two, three = [(swing_rad, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
+    return one, two, three
 
 
-def _swing_at(swings: list[tuple[float, float, float]], time_s: float) -> float:
-    return sum([swing_rad * math.sin(rate * time_s + phase_rad) for swing_rad, rate, phase_rad in swings])
+def _swing_at(swings: tuple[_Swing, _Swing, _Swing], time_s: float) -> float:
+    # Written out, because it is asked for every message of the autopilot.
+    (a, rate_a, phase_a), (b, rate_b, phase_b), (c, rate_c, phase_c) = swings
+    return (
+        a * math.sin(rate_a * time_s + phase_a)
+        + b * math.sin(rate_b * time_s + phase_b)
+        + c * math.sin(rate_c * time_s + phase_c)
+    )
 
 
 class Flight(Section):
