@@ -37,20 +37,20 @@ def poll(bus: ScriptedBus, clock: VirtualClock, *addresses: int, until_s: float)
 
 
 def busy(address: int, ping_s: float, tries: int, first: int = 0) -> list[Expected]:
-    """Reads that are not acknowledged, 2 ms apart from the first moment on."""
-    return [read(address, errno=NACK, at_s=ping_s + FIRST_S + 0.002 * i) for i in range(first, first + tries)]
+    """Reads that are not acknowledged, 3 ms apart from the first moment on."""
+    return [read(address, errno=NACK, at_s=ping_s + FIRST_S + 0.003 * i) for i in range(first, first + tries)]
 
 
 def test_one_ranging_is_one_command_and_plain_reads() -> None:
     clock = VirtualClock()
-    script = [write(FRONT, RANGE, at_s=0.0), *busy(FRONT, 0.0, 8), read(FRONT, encode(258), at_s=0.037)]
+    script = [write(FRONT, RANGE, at_s=0.0), *busy(FRONT, 0.0, 5), read(FRONT, encode(258), at_s=0.036)]
     with scripted_bus(clock, *script) as bus:
         (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
     reading = ranging.reading
     assert (reading.sensor, reading.status, reading.range_m, reading.raw) == ("at_70", Status.OK, 2.58, 258)
     assert reading.std_m == 0.02
-    assert (ranging.ping_s, ranging.answered_s, ranging.error) == (0.0, pytest.approx(0.037), None)
-    # The echo came after half of the way there and back, 58 us a centimetre; it was read 22 ms later.
+    assert (ranging.ping_s, ranging.answered_s, ranging.error) == (0.0, pytest.approx(0.036), None)
+    # The echo came after half of the way there and back, 58 us a centimetre; it was read 21 ms after the whole way.
     assert reading.time_s == pytest.approx(258 * 58e-6 / 2)
 
 
@@ -75,8 +75,8 @@ def test_two_sensors_take_turns_and_no_echo_is_timed_at_the_ping() -> None:
     clock = VirtualClock()
     script = [
         write(FRONT, RANGE, at_s=0.0),
-        *busy(FRONT, 0.0, 23),
-        read(FRONT, encode(765), at_s=0.067),
+        *busy(FRONT, 0.0, 16),
+        read(FRONT, encode(765), at_s=0.069),
         write(REAR, RANGE, at_s=0.1),
         read(REAR, encode(100), at_s=0.121),
         write(FRONT, RANGE, at_s=0.2),
@@ -93,7 +93,7 @@ def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:
     clock = VirtualClock()
     script = [
         write(FRONT, RANGE, at_s=0.0),
-        *busy(FRONT, 0.0, 30),
+        *busy(FRONT, 0.0, 20),
         read(FRONT, errno=NACK, at_s=DEADLINE_S),
         write(FRONT, RANGE, at_s=0.1),
         read(FRONT, encode(100), at_s=0.121),
@@ -210,7 +210,7 @@ def test_the_pings_of_a_group_follow_each_other_at_once_and_so_do_their_reads() 
         write(REAR, RANGE, at_s=0.0005, takes_s=0.0005),
         read(FRONT, encode(100), at_s=0.0005 + FIRST_S, takes_s=0.0007),
         read(REAR, errno=NACK, at_s=0.0012 + FIRST_S, takes_s=0.0002),
-        read(REAR, encode(100), at_s=0.0032 + FIRST_S, takes_s=0.0007),
+        read(REAR, encode(100), at_s=0.0042 + FIRST_S, takes_s=0.0007),
         # From the last ping of the group to the first one of the next turn.
         write(FRONT, RANGE, at_s=0.101),
         write(REAR, RANGE, at_s=0.101),

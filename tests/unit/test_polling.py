@@ -136,7 +136,7 @@ def test_a_group_pings_together_and_groups_take_turns() -> None:
 
 
 @pytest.mark.parametrize("ready_s", [0.001, 0.0215, READY_S, 0.067, 0.0799])
-def test_an_answer_is_read_within_two_milliseconds(ready_s: float) -> None:
+def test_an_answer_is_read_within_three_milliseconds(ready_s: float) -> None:
     bench = Bench("a")
     bench.sonars["a"].ready_s = ready_s
     (ranging,) = bench.poll(0.1)
@@ -144,7 +144,7 @@ def test_an_answer_is_read_within_two_milliseconds(ready_s: float) -> None:
     assert asked_s[0] == pytest.approx(FIRST_S)
     assert ranging.answered_s - ranging.ping_s == pytest.approx(asked_s[-1])
     assert ranging.reading.status is Status.OK
-    assert max(ready_s, FIRST_S) - 1e-9 <= asked_s[-1] <= max(ready_s + 0.002, FIRST_S) + 1e-9
+    assert max(ready_s, FIRST_S) - 1e-9 <= asked_s[-1] <= max(ready_s + 0.003, FIRST_S) + 1e-9
 
 
 def test_a_bus_that_cannot_take_silence_is_read_once_at_the_deadline() -> None:
@@ -395,7 +395,7 @@ def test_the_longest_time_between_pings_of_a_living_sensor(
             assert bench.schedule.interval_s(name) == max(2.0, bench.schedule.turn_s)
         else:
             assert bench.schedule.interval_s(name) == bench.schedule.turn_s
-            assert max(bench.intervals_s(name, settled_s)) <= bench.schedule.turn_s + 0.002
+            assert max(bench.intervals_s(name, settled_s)) <= bench.schedule.turn_s + 0.003
 
 
 @pytest.mark.parametrize("groups", [[], [[]]])
