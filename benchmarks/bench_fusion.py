@@ -13,7 +13,7 @@ import numpy as np
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe, Fused, Send
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
 from tests.loop.test_objects_below import NAMES, SLOT_S, Hover
 
@@ -101,7 +101,7 @@ def _is_found(draw: np.random.Generator) -> bool:
     return False
 
 
-def _fly(scenario: Scenario) -> list[Flight]:
+def _fly(scenario: Scenario) -> list[FlightResult]:
     flights = []
     for seed in SEEDS:
         simulation = Simulation(scenario, VirtualClock(), seed)
@@ -123,11 +123,11 @@ def _with_fault(scenario: Scenario, kind: str) -> Scenario:
     return scenario.model_copy(update={"faults": (fault,)})
 
 
-def _fused(flights: list[Flight]) -> np.ndarray:
+def _fused(flights: list[FlightResult]) -> np.ndarray:
     return np.concatenate([_errors_m(flight.fused, flight.fused.filtered_m) for flight in flights])
 
 
-def _errors_m(track: Track, values_m: list[float | None]) -> np.ndarray:
+def _errors_m(track: SensorTrack, values_m: list[float | None]) -> np.ndarray:
     """Where there is a truth, and the sensors are not at their minimum."""
     pairs = zip(values_m, track.below_m, strict=True)
     return np.array(

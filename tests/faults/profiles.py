@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_sim.world.surfaces import Ground
-from msp_sim.world.vehicle import Flight, Vehicle
-from msp_sim.world.world import Air, World
+from msp_sim.world.surfaces import GroundSection
+from msp_sim.world.vehicle import FlightSection, Vehicle
+from msp_sim.world.world import AirSection, World
 from tests.faults.dice import Dice
 
 Segments = list[dict[str, Any]]
@@ -162,5 +162,7 @@ def _ground(dice: Dice, name: str) -> dict[str, Any]:
 
 def _lasts_s(segments: Segments, ground: dict[str, Any], legs: Sequence[dict[str, Any]] = ()) -> float:
     """How long segments take [s], at rest over the start where there are no legs."""
-    flight = Flight.model_validate({"altitude": segments, "track": {"legs": legs}})
-    return Vehicle(flight, World(Ground.model_validate(ground), Air()).elevation_m, np.random.default_rng(0)).duration_s
+    flight = FlightSection.model_validate({"altitude": segments, "track": {"legs": legs}})
+    return Vehicle(
+        flight, World(GroundSection.model_validate(ground), AirSection()).elevation_m, np.random.default_rng(0)
+    ).duration_s

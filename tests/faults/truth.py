@@ -12,7 +12,7 @@ from msp_range.config import Airframe
 from msp_range.geometry import Vector, dot, rotation_matrix
 from msp_sim.flight.scenario import Scenario
 from msp_sim.world.vehicle import Vehicle
-from msp_sim.world.world import Beam, World
+from msp_sim.world.world import MountedBeam, World
 
 GRID_S = 0.05
 """Time between two looks at grounds that change under way [s]; at 1.5 m/s the vehicle moves 7 cm."""
@@ -45,7 +45,7 @@ class Truth:
         uphill_rad = math.radians(ground.uphill_deg)
         self._grade = (grade * math.cos(uphill_rad), grade * math.sin(uphill_rad))
         self._beams = [
-            Beam(sensor.position_m, sensor.boresight, sensor.sensor_model.beam.half_angle_rad)
+            MountedBeam(sensor.position_m, sensor.boresight, sensor.sensor_model.beam.half_angle_rad)
             for sensor in airframe.downward
         ]
         self._reliefs: list[frozenset[float]] = []

@@ -20,7 +20,7 @@ from msp_range.mavlink.transport import TransportStats
 from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import Scenario, Thermometer
-from msp_sim.world.world import Air, WarmLayer
+from msp_sim.world.world import AirSection, WarmLayer
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FUSED_ID = 10
@@ -153,7 +153,7 @@ def held(temperature: dict[str, Any], air_c: float, over_ground_c: float, warmer
         SCENARIO.model_copy(
             update={
                 "airframe": airframe,
-                "air": Air(ground_c=air_c, warm_layer=layer),
+                "air": AirSection(ground_c=air_c, warm_layer=layer),
                 "thermometer": Thermometer(warmer_by_c=warmer_c),
             }
         ),

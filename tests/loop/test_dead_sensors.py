@@ -7,7 +7,7 @@ import pytest
 
 from msp_range.clock import VirtualClock
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.scenario import load_scenario
 
 AIRFRAME = Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"
@@ -28,7 +28,7 @@ faults: [{faults}]
 """
 
 
-def descend(folder: Path, speed_m_s: float, dead: tuple[str, ...], kind: str, from_s: float) -> Flight:
+def descend(folder: Path, speed_m_s: float, dead: tuple[str, ...], kind: str, from_s: float) -> FlightResult:
     """A flight that descends from about 7.3 s on."""
     faults = ", ".join(f"{{kind: {kind}, sensor: {name}, from_s: {from_s}, to_s: {END_S}}}" for name in dead)
     path = folder / "descent.yaml"

@@ -22,7 +22,7 @@ from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.cli import app
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.recorded import recorded_flight
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.flight.summary import summarise
@@ -31,7 +31,7 @@ from msp_sim.model.model import load_model
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 
 
-def fly(name: str, seed: int = 1) -> tuple[Flight, Simulation]:
+def fly(name: str, seed: int = 1) -> tuple[FlightResult, Simulation]:
     simulation = Simulation(load_scenario(SCENARIOS / name), VirtualClock(), seed)
     for _ in simulation.fly():
         pass
@@ -45,7 +45,7 @@ def run(*args: object) -> str:
 
 
 @pytest.fixture(scope="module")
-def demo() -> tuple[Flight, Simulation]:
+def demo() -> tuple[FlightResult, Simulation]:
     return fly("demo.yaml")
 
 
@@ -102,7 +102,7 @@ def test_the_sensors_count_in_the_air_that_there_is(tmp_path: Path) -> None:
     assert ratios[len(ratios) // 2] == pytest.approx(math.sqrt((273.15 + 22.5) / 273.15), abs=0.005)
 
 
-def test_the_fused_stream_follows_the_ground(demo: tuple[Flight, Simulation]) -> None:
+def test_the_fused_stream_follows_the_ground(demo: tuple[FlightResult, Simulation]) -> None:
     """Over level ground within what noise of 2 cm and a line through half a second leave; at 10 Hz."""
     flight, _ = demo
     summary = summarise(flight, "demo", 1)["fused"]
@@ -132,7 +132,7 @@ def test_filters_take_away_the_outliers() -> None:
         assert sensor["rejected"]["unexpected"] > 0
 
 
-def test_what_the_autopilot_receives(demo: tuple[Flight, Simulation]) -> None:
+def test_what_the_autopilot_receives(demo: tuple[FlightResult, Simulation]) -> None:
     """Every field of the fused stream, as an autopilot reads it; its time is the autopilot's clock and the echo's."""
     flight, simulation = demo
     received = [(time_s, message) for time_s, message in simulation.received if message.get_type() == "DISTANCE_SENSOR"]

@@ -8,20 +8,20 @@ import pytest
 
 from msp_range.clock import VirtualClock
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 
 
-def fly(scenario: Scenario, seed: int = 1) -> Flight:
+def fly(scenario: Scenario, seed: int = 1) -> FlightResult:
     simulation = Simulation(scenario, VirtualClock(), seed)
     for _ in simulation.fly():
         pass
     return simulation.flight
 
 
-def error_m(track: Track, values_m: list[float | None]) -> np.ndarray:
+def error_m(track: SensorTrack, values_m: list[float | None]) -> np.ndarray:
     pairs = zip(values_m, track.below_m, track.why, strict=True)
     return np.array(
         [

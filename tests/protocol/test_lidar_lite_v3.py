@@ -30,9 +30,9 @@ from msp_sim.device.lidar_lite_v3 import LidarLiteV3 as Emulated
 from msp_sim.device.mb1242 import MB1242
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.world.surfaces import Box, Ground
+from msp_sim.world.surfaces import Box, GroundSection
 from msp_sim.world.vehicle import Pose
-from msp_sim.world.world import Air, Beam, Ping, World
+from msp_sim.world.world import AirSection, MountedBeam, Ping, World
 from tests.support.bench import CONFIGS, Bench, airframe, sensor
 from tests.support.kernel_bus import Sonar, kernel_bus
 from tests.support.scripted_bus import Expected, read, scripted_bus, write
@@ -251,14 +251,14 @@ def test_an_airframe_with_an_odd_address_is_refused() -> None:
 
 def test_a_ray_meets_the_spot_that_it_points_at_and_no_edge_beside_it() -> None:
     box = Box(centre_m=(0.5, 0.0), size_m=(0.6, 0.6), height_m=1.0)
-    world = World(Ground(boxes=(box,)), Air())
+    world = World(GroundSection(boxes=(box,)), AirSection())
     level = Pose(0.0, (0.0, 0.0, -5.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
     down, slanting = (0.0, 0.0, 1.0), (-math.sin(1.0), 0.0, math.cos(1.0))
-    by_light = world.ping(level, Beam((0.0, 0.0, 0.0), down, None))
-    by_sound = world.ping(level, Beam((0.0, 0.0, 0.0), down, lambda range_m: math.radians(12.0)))
+    by_light = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, None))
+    by_sound = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, lambda range_m: math.radians(12.0)))
     assert (by_light.heard, by_light.slant_range_cm) == (True, pytest.approx(500.0))
     assert (by_sound.heard, by_sound.true_range_cm) == (True, pytest.approx(100 * math.hypot(4.0, 0.2)))
-    aslant = world.ping(level, Beam((0.0, 0.0, 0.0), slanting, None))
+    aslant = world.ping(level, MountedBeam((0.0, 0.0, 0.0), slanting, None))
     assert (aslant.heard, aslant.slant_range_cm) == (True, pytest.approx(500.0 / math.cos(1.0)))
 
 
@@ -268,7 +268,7 @@ def test_an_emulated_flight_of_light_is_one_of_rays() -> None:
     bus = emulated_bus(
         scenario.airframe,
         {"down": scenario.airframe.sensors[0].sensor_model},
-        World(Ground(slope_deg=10.0), Air()),
+        World(GroundSection(slope_deg=10.0), AirSection()),
         lambda time_s: Pose(time_s, (0.0, 0.0, -10.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)),
         lambda: 0.0,
         SeedSequence(1),

@@ -17,7 +17,7 @@ from msp_sim.cli import app
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.sampler import Sampler
-from msp_sim.model.streams import Streams
+from msp_sim.model.streams import RandomStreams
 from tests.property.test_effects import strong
 
 SENSORS = Path(__file__).parents[2] / "configs" / "sensors"
@@ -129,7 +129,7 @@ def test_one_reading_at_a_time_is_missed_more_often_far_away() -> None:
     of = sensor()
     grown = of.reading_model.model_copy(update={"sigma_growth_cm_per_m": 1.0, "missed_growth_per_m": 1.5})
     model = Model.of(of.model_copy(update={"reading_model": grown}))
-    sampler, streams = Sampler(model, np.random.default_rng(7)), Streams(np.random.default_rng(7))
+    sampler, streams = Sampler(model, np.random.default_rng(7)), RandomStreams(np.random.default_rng(7))
     readings_cm = np.array([sampler.sample_one({"true_range_cm": 600.0}) for _ in range(400)])
     many = [model.sample({"true_range_cm": [600.0]}, streams)[0] for _ in range(400)]
     assert readings_cm.tolist() == many

@@ -9,7 +9,7 @@ from msp_lab.gap.problem import Problem, first_state, screened
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, settled
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.model.model import Model, active
+from msp_sim.model.model import Model, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 
@@ -44,7 +44,7 @@ def after_exchange(problem: Problem, *names: str) -> Selection:
     base = first_state(problem)
     first = screened(problem, base)
     of_name = {candidate.key[0]: candidate for candidate in problem.candidates}
-    terms = [SelectedTerm(active(name, None, starts[name]), of_name[name]) for name in names]
+    terms = [SelectedTerm(make_term(name, None, starts[name]), of_name[name]) for name in names]
     state = base.having(problem.refit([each.active for each in terms], base.fit.base), terms)
     return settled(problem, Selection(base, state, first, {}))
 

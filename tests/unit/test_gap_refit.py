@@ -8,7 +8,7 @@ from msp_lab.gap.extended_model import extended, to_sensor
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_sim.model.model import Active, Model, active, active_curve
+from msp_sim.model.model import Model, Term, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.plain_sampler import PlainSensor
 
@@ -45,24 +45,24 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0, **changes: 
     return np.array(PlainSensor(**(usual | changes)).readings(true_cm.tolist(), seed))
 
 
-def placed(effects: tuple[Active, ...], values: Array) -> list[Active]:
+def placed(effects: tuple[Term, ...], values: Array) -> list[Term]:
     out, at = [], 0
     for each in effects:
         names = [parameter.name for parameter in each.effect.parameters]
         own = dict(zip(names, values[at : at + len(names)].tolist(), strict=True))
-        out.append(Active(each.effect, own, each.of, each.shape))
+        out.append(Term(each.effect, own, each.of, each.shape))
         at += len(names)
     return out
 
 
 EFFECTS = {
-    "latency": active("latency", None, {"delay_ms": 8.0}),
-    "rotor_noise": active("rotor_noise", None, {"growth": 0.8}),
-    "missed_by_target": active("missed_by_target", "grass", {"log_odds": 1.5}),
-    "multipath": active("multipath", None, {"share": 0.1}),
-    "lost_high_byte": active("lost_high_byte", None, {"share": 0.1}),
-    "curve": active_curve("bias", ["throttle"], [[0.2, 0.5, 0.9]], [0.5, -0.5, 1.0]),
-    "spread curve": active_curve("spread", ["target"], [["asphalt", "grass"]], [0.2, 0.4]),
+    "latency": make_term("latency", None, {"delay_ms": 8.0}),
+    "rotor_noise": make_term("rotor_noise", None, {"growth": 0.8}),
+    "missed_by_target": make_term("missed_by_target", "grass", {"log_odds": 1.5}),
+    "multipath": make_term("multipath", None, {"share": 0.1}),
+    "lost_high_byte": make_term("lost_high_byte", None, {"share": 0.1}),
+    "curve": make_curve_term("bias", ["throttle"], [[0.2, 0.5, 0.9]], [0.5, -0.5, 1.0]),
+    "spread curve": make_curve_term("spread", ["target"], [["asphalt", "grass"]], [0.2, 0.4]),
 }
 
 
@@ -101,7 +101,7 @@ def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> Non
         errors.append(float(np.sqrt(fitted.covariance()[NB, NB])))
         if seed == 0:
             for less in (-1.0, 1.0):
-                other = prepared.log_prob(fitted.base, [active("latency", None, {"delay_ms": found[0] + less})])
+                other = prepared.log_prob(fitted.base, [make_term("latency", None, {"delay_ms": found[0] + less})])
                 assert other.sum() < fitted.here.log_p.sum()
     assert np.mean(found) == pytest.approx(8.0, abs=4.0 * float(np.mean(errors)) / 5.0)
     assert np.std(found) == pytest.approx(np.mean(errors), rel=0.45)
@@ -121,7 +121,7 @@ def test_runs_that_share_an_offset_have_larger_errors() -> None:
 def test_a_share_stays_within_its_bounds_and_is_held_there() -> None:
     contexts = flown(4)
     prepared = Prepared.of(MODEL, contexts, read(contexts, 4))
-    fitted = refit(prepared, [active("multipath", None, {"share": 0.2})])
+    fitted = refit(prepared, [make_term("multipath", None, {"share": 0.2})])
     assert 0.0 <= fitted.values[NB] < 0.01
     thermometer = Prepared.of(MODEL, contexts, read(contexts, 4, bias_cm=150.0))
     assert abs(refit(thermometer, []).base[0]) <= 20.0
@@ -160,7 +160,7 @@ def test_a_model_of_a_fit_is_what_was_fitted(calibrated: bool) -> None:
 def test_a_fit_from_far_away_ends_where_the_readings_are() -> None:
     contexts = flown(7)
     throttle = np.asarray(contexts["throttle"], dtype=float)
-    shape = active_curve("bias", ["throttle"], [[0.2, 0.55, 0.9]], [0.0, 0.0, 0.0])
+    shape = make_curve_term("bias", ["throttle"], [[0.2, 0.55, 0.9]], [0.0, 0.0, 0.0])
     bow_cm = 2.0 * np.maximum(throttle - 0.55, 0.0) / 0.35
     fitted: JointFit = refit(Prepared.of(MODEL, contexts, read(contexts, 7, bias_cm=bow_cm)), [shape])
     values = fitted.values[NB:] + fitted.base[0]

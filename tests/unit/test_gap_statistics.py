@@ -17,7 +17,7 @@ from msp_lab.gap.screen import score_matrix
 from msp_lab.gap.validation import gain
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
-from msp_sim.model.model import Model, active_curve
+from msp_sim.model.model import Model, make_curve_term
 
 Array = NDArray[np.float64]
 SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
@@ -350,7 +350,7 @@ def test_a_curve_that_is_none_is_refused(change: dict[str, object], key: str) ->
     }
     wrong = right | change
     with pytest.raises(ConfigError, match=key):
-        active_curve(wrong["channel"], wrong["variables"], wrong["knots"], wrong["values"])
+        make_curve_term(wrong["channel"], wrong["variables"], wrong["knots"], wrong["values"])
 
 
 def test_a_curve_draws_what_it_scores() -> None:

@@ -9,21 +9,21 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from msp_sim.world.profiles import (
-    Climb,
+    ClimbSegment,
     Course,
-    FollowTerrain,
-    Hold,
-    Land,
+    HoldSegment,
+    LandSegment,
     Leg,
-    Ramp,
-    RandomLevels,
+    RampSegment,
+    RandomSegment,
     Segment,
-    Sinusoid,
-    StepTo,
-    Track,
+    SinusoidSegment,
+    StepSegment,
+    TerrainSegment,
+    TrackSection,
     altitude,
 )
-from msp_sim.world.vehicle import AttitudeSection, Flight, Sway, Vehicle
+from msp_sim.world.vehicle import AttitudeSection, FlightSection, Sway, Vehicle
 
 FINE_S = 0.001
 
@@ -50,13 +50,21 @@ def stepped_slope(time_s: float) -> float:
 @pytest.mark.parametrize(
     ("segments", "fastest_m_s", "hardest_m_s2"),
     [
-        ([Climb(kind="climb", to_m=6.0, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
-        ([Climb(kind="climb", to_m=0.2, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
-        ([StepTo(kind="step", to_m=4.0), Land(kind="land", speed_m_s=0.5, acceleration_m_s2=1.0)], 0.5, 1.0),
+        ([ClimbSegment(kind="climb", to_m=6.0, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
+        ([ClimbSegment(kind="climb", to_m=0.2, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
+        (
+            [StepSegment(kind="step", to_m=4.0), LandSegment(kind="land", speed_m_s=0.5, acceleration_m_s2=1.0)],
+            0.5,
+            1.0,
+        ),
         # A swing of 2A = 1.2 m in T = 3 s: speed pi 2A / T, acceleration 2 pi^2 2A / T^2.
-        ([Sinusoid(kind="sinusoid", swing_m=1.2, period_s=3.0, cycles=2)], 1.2566, 2.6319),
-        ([FollowTerrain(kind="terrain", height_m=2.0, duration_s=30, speed_m_s=1.5, acceleration_m_s2=2.0)], 1.5, 2.0),
-        ([Climb(kind="climb", to_m=2.0), Hold(kind="hold", duration_s=2), Land(kind="land")], 1.0, 1.0),
+        ([SinusoidSegment(kind="sinusoid", swing_m=1.2, period_s=3.0, cycles=2)], 1.2566, 2.6319),
+        ([TerrainSegment(kind="terrain", height_m=2.0, duration_s=30, speed_m_s=1.5, acceleration_m_s2=2.0)], 1.5, 2.0),
+        (
+            [ClimbSegment(kind="climb", to_m=2.0), HoldSegment(kind="hold", duration_s=2), LandSegment(kind="land")],
+            1.0,
+            1.0,
+        ),
     ],
     ids=["climb", "short climb", "land", "sinusoid", "terrain", "up and down"],
 )
@@ -72,7 +80,7 @@ def test_what_a_vehicle_flies_is_continuous_and_bounded(segments, fastest_m_s, h
 
 
 def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should():
-    course = fly(Climb(kind="climb", to_m=6.0, speed_m_s=1.2, acceleration_m_s2=0.9))
+    course = fly(ClimbSegment(kind="climb", to_m=6.0, speed_m_s=1.2, acceleration_m_s2=0.9))
     # Speeding up and slowing down each take 1.5 v / a, at the mean speed v / 2.
     assert course.end_s == pytest.approx(6.0 / 1.2 + 1.5 * 1.2 / 0.9)
     assert course.at(course.end_s / 2) == pytest.approx((3.0, 1.2, 0.0))
@@ -80,14 +88,18 @@ def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should():
 
 
 def test_acceleration_is_the_derivative_of_speed():
-    course = fly(Climb(kind="climb", to_m=6.0), Sinusoid(kind="sinusoid", swing_m=-1.0, period_s=4.0, cycles=1))
+    course = fly(
+        ClimbSegment(kind="climb", to_m=6.0), SinusoidSegment(kind="sinusoid", swing_m=-1.0, period_s=4.0, cycles=1)
+    )
     for time_s in (0.3, 1.2, 4.0, 7.0, 9.0, 10.0):
         numeric_m_s2 = (course.at(time_s + 1e-5)[1] - course.at(time_s - 1e-5)[1]) / 2e-5
         assert course.at(time_s)[2] == pytest.approx(numeric_m_s2, abs=1e-6)
 
 
 def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle():
-    course = fly(StepTo(kind="step", to_m=2.0), Sinusoid(kind="sinusoid", swing_m=1.5, period_s=4.0, cycles=3))
+    course = fly(
+        StepSegment(kind="step", to_m=2.0), SinusoidSegment(kind="sinusoid", swing_m=1.5, period_s=4.0, cycles=3)
+    )
     assert course.end_s == pytest.approx(12.0)
     for cycle in range(3):
         heights_m = [course.at(4.0 * cycle + quarter)[0] for quarter in (0.0, 1.0, 2.0, 3.0)]
@@ -96,11 +108,11 @@ def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle():
 
 def test_steps_are_sharp_and_ramps_straight():
     course = fly(
-        StepTo(kind="step", to_m=2.75),
-        Hold(kind="hold", duration_s=5),
-        StepTo(kind="step", to_m=2.25),
-        Hold(kind="hold", duration_s=5),
-        Ramp(kind="ramp", to_m=3.25, duration_s=4),
+        StepSegment(kind="step", to_m=2.75),
+        HoldSegment(kind="hold", duration_s=5),
+        StepSegment(kind="step", to_m=2.25),
+        HoldSegment(kind="hold", duration_s=5),
+        RampSegment(kind="ramp", to_m=3.25, duration_s=4),
     )
     assert course.at(4.999) == (2.75, 0.0, 0.0)
     assert course.at(5.0) == (2.25, 0.0, 0.0)
@@ -109,14 +121,14 @@ def test_steps_are_sharp_and_ramps_straight():
 
 
 def test_a_landing_ends_on_what_is_below():
-    course = fly(StepTo(kind="step", to_m=3.0), Land(kind="land"), surface_m=lambda time_s: 0.4)
+    course = fly(StepSegment(kind="step", to_m=3.0), LandSegment(kind="land"), surface_m=lambda time_s: 0.4)
     assert course.end_m == 0.4
 
 
 def test_terrain_following_keeps_its_height_and_finds_it_again_after_a_step():
     course = fly(
-        Climb(kind="climb", to_m=2.0),
-        FollowTerrain(kind="terrain", height_m=2.0, duration_s=40),
+        ClimbSegment(kind="climb", to_m=2.0),
+        TerrainSegment(kind="terrain", height_m=2.0, duration_s=40),
         surface_m=stepped_slope,
     )
     times_s = np.arange(4.0, 40.0, 0.1)
@@ -143,7 +155,7 @@ def stretches(course: Course) -> list[tuple[int, float, float]]:
 
 
 def test_the_random_profile_is_drawn_as_it_says():
-    course = fly(StepTo(kind="step", to_m=3.0), RandomLevels(kind="random", duration_s=2400))
+    course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=2400))
     parts = stretches(course)[:-1]  # the last one is cut
     assert len(parts) == pytest.approx(2000, rel=0.05)
     samples = np.array([part[0] for part in parts])
@@ -159,7 +171,7 @@ def test_the_random_profile_is_drawn_as_it_says():
 
 
 def test_the_random_profile_stops_in_time_and_stays_within_its_levels():
-    course = fly(StepTo(kind="step", to_m=3.0), RandomLevels(kind="random", duration_s=20, low_m=2.3, high_m=3.6))
+    course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=20, low_m=2.3, high_m=3.6))
     assert course.end_s == pytest.approx(20.0)
     _, heights_m, _ = sampled(course, 0.01)
     assert heights_m.min() >= 2.3
@@ -168,14 +180,14 @@ def test_the_random_profile_stops_in_time_and_stays_within_its_levels():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one(seed):
-    short, long = (fly(RandomLevels(kind="random", duration_s=duration_s), seed=seed) for duration_s in (20.3, 40))
+    short, long = (fly(RandomSegment(kind="random", duration_s=duration_s), seed=seed) for duration_s in (20.3, 40))
     for time_s in np.arange(0.0, 20.3, 0.05):
         assert short.at(time_s) == pytest.approx(long.at(time_s))
 
 
 def test_the_random_profile_follows_its_seed():
     def heights_m(seed: int) -> list[float]:
-        course = fly(RandomLevels(kind="random", duration_s=60), seed=seed)
+        course = fly(RandomSegment(kind="random", duration_s=60), seed=seed)
         return [course.at(0.1 * i)[0] for i in range(600)]
 
     assert heights_m(3) == heights_m(3)
@@ -183,7 +195,7 @@ def test_the_random_profile_follows_its_seed():
 
 
 def test_a_track_changes_speed_smoothly_and_comes_to_rest():
-    track = Track(
+    track = TrackSection(
         start_m=(3.0, -2.0),
         acceleration_m_s2=0.8,
         legs=(Leg(duration_s=2), Leg(duration_s=10, speed_m_s=2.0, heading_deg=30), Leg(duration_s=8, speed_m_s=1.0)),
@@ -205,20 +217,20 @@ def test_a_track_changes_speed_smoothly_and_comes_to_rest():
 
 
 def test_a_leg_too_short_for_its_speed_reaches_what_it_can():
-    north, _ = Track(acceleration_m_s2=1.0, legs=(Leg(duration_s=1.5, speed_m_s=3.0),)).courses()
+    north, _ = TrackSection(acceleration_m_s2=1.0, legs=(Leg(duration_s=1.5, speed_m_s=3.0),)).courses()
     _, _, speeds_m_s = sampled(north)
     assert speeds_m_s.max() == pytest.approx(1.0)
     assert north.end_s == pytest.approx(1.5 + 1.5)
 
 
 def vehicle(seed: int = 0, altitude_m: float = 3.0, **flight) -> Vehicle:
-    segments = (StepTo(kind="step", to_m=altitude_m), Hold(kind="hold", duration_s=600))
-    return Vehicle(Flight(altitude=segments, **flight), lambda north_m, east_m: 0.0, np.random.default_rng(seed))
+    segments = (StepSegment(kind="step", to_m=altitude_m), HoldSegment(kind="hold", duration_s=600))
+    return Vehicle(FlightSection(altitude=segments, **flight), lambda north_m, east_m: 0.0, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 70.0, -150.0])
 def test_thrust_points_where_the_vehicle_accelerates(yaw_deg):
-    track = Track(acceleration_m_s2=2.0, legs=(Leg(duration_s=20, speed_m_s=8.0, heading_deg=35),))
+    track = TrackSection(acceleration_m_s2=2.0, legs=(Leg(duration_s=20, speed_m_s=8.0, heading_deg=35),))
     flying = vehicle(track=track, attitude=AttitudeSection(yaw_deg=yaw_deg))
     for time_s in (0.5, 2.0, 5.0):
         pose = flying.pose(time_s)
@@ -231,7 +243,7 @@ def test_thrust_points_where_the_vehicle_accelerates(yaw_deg):
 
 
 def test_a_vehicle_without_tilt_or_sway_keeps_its_attitude():
-    track = Track(legs=(Leg(duration_s=20, speed_m_s=4.0),))
+    track = TrackSection(legs=(Leg(duration_s=20, speed_m_s=4.0),))
     attitude = AttitudeSection(roll_deg=3, pitch_deg=-5, yaw_deg=20, tilt_with_acceleration=False)
     pose = vehicle(track=track, attitude=attitude).pose(1.0)
     assert pose[2:5] == pytest.approx((math.radians(3), math.radians(-5), math.radians(20)))
@@ -258,9 +270,9 @@ def test_a_vehicle_that_stands_does_not_sway():
 
 
 def test_a_vehicle_starts_on_the_surface_and_its_velocity_is_that_of_its_position():
-    flight = Flight(
-        altitude=(Climb(kind="climb", to_m=4.0), Hold(kind="hold", duration_s=30)),
-        track=Track(start_m=(5.0, 2.0), legs=(Leg(duration_s=30, speed_m_s=1.0, heading_deg=-40),)),
+    flight = FlightSection(
+        altitude=(ClimbSegment(kind="climb", to_m=4.0), HoldSegment(kind="hold", duration_s=30)),
+        track=TrackSection(start_m=(5.0, 2.0), legs=(Leg(duration_s=30, speed_m_s=1.0, heading_deg=-40),)),
         standing_height_m=0.2,
     )
     flying = Vehicle(flight, lambda north_m, east_m: 0.1 * north_m, np.random.default_rng(0))

@@ -9,17 +9,17 @@ import yaml
 
 from msp_range.yaml_file import ConfigError
 from msp_sim.device.device import FAULT_KINDS
-from msp_sim.flight.scenario import LoopbackAutopilot, PlannedFault, Scenario, Thermometer, load_scenario
+from msp_sim.flight.scenario import AutopilotSection, PlannedFault, Scenario, Thermometer, load_scenario
 from msp_sim.world.vehicle import Pose
-from msp_sim.world.world import Beam, Ping
+from msp_sim.world.world import MountedBeam, Ping
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SCENARIOS = sorted((CONFIGS / "scenarios").glob("*.yaml"))
 
 
-def beams(scenario: Scenario) -> dict[str, Beam]:
+def beams(scenario: Scenario) -> dict[str, MountedBeam]:
     return {
-        sensor.name: Beam(sensor.position_m, sensor.boresight, sensor.sensor_model.beam.half_angle_rad)
+        sensor.name: MountedBeam(sensor.position_m, sensor.boresight, sensor.sensor_model.beam.half_angle_rad)
         for sensor in scenario.airframe.sensors
     }
 
@@ -141,7 +141,7 @@ def test_attitudes_that_make_no_sense():
         {"kind": "huge", "from_s": 2.0, "to_s": 3.0},
         {"kind": "not_a_number", "from_s": 3.0, "to_s": 4.0},
     ]
-    autopilot = LoopbackAutopilot(attitude_faults=faults)
+    autopilot = AutopilotSection(attitude_faults=faults)
     poses = [Pose(time_s, (0.0, 0.0, -1.0), 0.1, 0.0, 0.0, (0.0, 0.0, 0.0)) for time_s in (0.5, 1.0, 2.0, 3.0, 4.0)]
     rolls_rad = [autopilot.sent_pose(pose).roll_rad for pose in poses]
     assert rolls_rad == pytest.approx([0.1, math.radians(120.0), 1e38, math.nan, 0.1], nan_ok=True)

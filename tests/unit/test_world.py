@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msp_sim.world.surfaces import Box, Ground, Roughness, Step
+from msp_sim.world.surfaces import Box, GroundSection, GroundStep, Roughness
 from msp_sim.world.vehicle import Pose
-from msp_sim.world.world import Air, Beam, WarmLayer, World
+from msp_sim.world.world import AirSection, MountedBeam, WarmLayer, World
 
 DOWN = (0.0, 0.0, 1.0)
 FORWARD = (1.0, 0.0, 0.0)
@@ -27,8 +27,8 @@ def narrowing_array(ranges_m):
     return np.radians(12.6 + np.maximum(2.0 - ranges_m, 0.0) * 7.0)
 
 
-def looking(boresight=DOWN, half_angle=narrowing, position_m=(0.0, 0.0, 0.0)) -> Beam:
-    return Beam(position_m, boresight, half_angle)
+def looking(boresight=DOWN, half_angle=narrowing, position_m=(0.0, 0.0, 0.0)) -> MountedBeam:
+    return MountedBeam(position_m, boresight, half_angle)
 
 
 def at(north_m=0.0, east_m=0.0, height_m=2.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0, velocity=(0.0, 0.0, 0.0)):
@@ -36,8 +36,8 @@ def at(north_m=0.0, east_m=0.0, height_m=2.0, roll_deg=0.0, pitch_deg=0.0, yaw_d
     return Pose(0.0, (north_m, east_m, -height_m), roll_rad, pitch_rad, yaw_rad, velocity)
 
 
-def world(air: Air | None = None, **ground) -> World:
-    return World(Ground(**ground), air or Air())
+def world(air: AirSection | None = None, **ground) -> World:
+    return World(GroundSection(**ground), air or AirSection())
 
 
 def body_to_world(pose: Pose) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_ground_out_of_the_beam_is_not_heard_and_still_described():
 
 
 def test_a_beam_into_the_sky_meets_nothing():
-    ping = world(air=Air(ground_c=18.0, lapse_c_per_m=0.0)).ping(at(), looking((0.0, 0.0, -1.0)))
+    ping = world(air=AirSection(ground_c=18.0, lapse_c_per_m=0.0)).ping(at(), looking((0.0, 0.0, -1.0)))
     assert ping == (False, None, None, None, None, 18.0, None, None)
 
 
@@ -120,9 +120,9 @@ def test_range_rate_is_the_change_of_the_range():
 
 def test_surfaces_follow_the_steps():
     steps = (
-        Step(at_m=2.0, rise_m=0.5, surface="concrete"),
-        Step(at_m=6.0, rise_m=-0.2),
-        Step(at_m=8.0, surface="gravel"),
+        GroundStep(at_m=2.0, rise_m=0.5, surface="concrete"),
+        GroundStep(at_m=6.0, rise_m=-0.2),
+        GroundStep(at_m=8.0, surface="gravel"),
     )
     ground = world(surface="grass", steps_heading_deg=90, steps=steps)
     for east_m, height_m, surface in (
@@ -137,7 +137,7 @@ def test_surfaces_follow_the_steps():
 
 
 def test_the_edge_of_a_step_is_heard_before_the_vehicle_is_above_it():
-    ground = world(surface="grass", steps=(Step(at_m=0.0, rise_m=0.5, surface="concrete"),))
+    ground = world(surface="grass", steps=(GroundStep(at_m=0.0, rise_m=0.5, surface="concrete"),))
     beam = looking(half_angle=degrees(12))
     reach_m = 1.5 * math.tan(math.radians(12))
     before = ground.ping(at(-reach_m - 0.001), beam)
@@ -172,7 +172,7 @@ def test_the_edges_and_corners_of_a_box():
 
 def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone():
     """Every centimetre of all level surfaces, turned boxes and steps, as the brute force."""
-    steps = (Step(at_m=-0.5, rise_m=0.4, surface="concrete"), Step(at_m=0.9, rise_m=-0.7, surface="gravel"))
+    steps = (GroundStep(at_m=-0.5, rise_m=0.4, surface="concrete"), GroundStep(at_m=0.9, rise_m=-0.7, surface="gravel"))
     boxes = (
         Box(surface="crate", centre_m=(0.3, 0.6), size_m=(0.8, 0.5), height_m=0.5, heading_deg=25),
         Box(surface="table", centre_m=(-1.3, -0.4), size_m=(0.6, 1.1), height_m=0.7, heading_deg=-70),
@@ -261,12 +261,12 @@ def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end():
 
 
 def test_a_forward_sensor_sees_the_face_of_a_step_up_and_not_of_one_down():
-    ground = world(surface="grass", steps=(Step(at_m=3.0, rise_m=2.0, surface="rock"),))
+    ground = world(surface="grass", steps=(GroundStep(at_m=3.0, rise_m=2.0, surface="rock"),))
     ping = ground.ping(at(1.0, height_m=1.0), looking(FORWARD, degrees(10)))
     assert (ping.heard, ping.target, ping.true_range_cm) == (True, "rock", pytest.approx(200))
     back = ground.ping(at(5.0, height_m=3.0, yaw_deg=180), looking(FORWARD, degrees(10)))
     assert not back.heard
-    other_way = world(surface="rock", steps=(Step(at_m=3.0, rise_m=-2.0, surface="grass"),))
+    other_way = world(surface="rock", steps=(GroundStep(at_m=3.0, rise_m=-2.0, surface="grass"),))
     ping = other_way.ping(at(4.5, height_m=-1.0, yaw_deg=180), looking(FORWARD, degrees(10)))
     assert (ping.heard, ping.target, ping.true_range_cm) == (True, "rock", pytest.approx(150))
 
@@ -284,12 +284,15 @@ def test_nothing_changes_when_everything_is_turned_together(turn_deg):
             slope_deg=6,
             uphill_deg=20 + by_deg,
             steps_heading_deg=-30 + by_deg,
-            steps=(Step(at_m=0.5, rise_m=0.4, surface="concrete"), Step(at_m=2.5, rise_m=-0.6, surface="gravel")),
+            steps=(
+                GroundStep(at_m=0.5, rise_m=0.4, surface="concrete"),
+                GroundStep(at_m=2.5, rise_m=-0.6, surface="gravel"),
+            ),
             boxes=(Box(centre_m=place(1.0, 1.0), size_m=(1.0, 0.6), height_m=0.9, heading_deg=15 + by_deg),),
         )
 
     straight, around = ground(0.0, lambda *place: place), ground(turn_deg, turned)
-    beam = Beam(
+    beam = MountedBeam(
         (0.2, 0.1, 0.05),
         (math.sin(0.1), math.sin(0.05), math.sqrt(1 - math.sin(0.1) ** 2 - math.sin(0.05) ** 2)),
         narrowing,
@@ -316,7 +319,7 @@ class Polygons:
     but the world's, by plain vectors."""
 
     SLOPE_DEG, UPHILL_DEG, HEADING_DEG = 9.0, 65.0, 20.0
-    STEPS = (Step(at_m=-1.0, rise_m=1.2, surface="concrete"), Step(at_m=4.0, rise_m=-0.8, surface="gravel"))
+    STEPS = (GroundStep(at_m=-1.0, rise_m=1.2, surface="concrete"), GroundStep(at_m=4.0, rise_m=-0.8, surface="gravel"))
     BOXES = (
         Box(surface="crate", centre_m=(-3.2, -0.5), size_m=(1.2, 0.7), height_m=1.1, heading_deg=20),
         Box(surface="table", centre_m=(1.8, 0.8), size_m=(0.8, 1.6), height_m=0.7, heading_deg=-50),
@@ -503,7 +506,7 @@ def test_ground_below_a_box_does_not_answer():
 
 
 def test_air_temperature_is_the_mean_along_the_path():
-    air = Air(ground_c=25.0, lapse_c_per_m=0.5, warm_layer=WarmLayer(bottom_m=0.3, top_m=1.2, warmer_by_c=6.0))
+    air = AirSection(ground_c=25.0, lapse_c_per_m=0.5, warm_layer=WarmLayer(bottom_m=0.3, top_m=1.2, warmer_by_c=6.0))
     ground = world(air=air)
     pose = at(height_m=4.0)
     heights_m = (np.arange(100_000) + 0.5) * 4.0 / 100_000
@@ -544,15 +547,15 @@ def test_a_vehicle_on_the_ground_or_on_a_box_has_no_height(height_m):
 
 def test_steps_out_of_order_and_an_upside_down_layer_are_refused():
     with pytest.raises(ValueError, match=r"expected steps in order of at_m, but 2.0 comes after 5.0"):
-        Ground(steps=(Step(at_m=5.0), Step(at_m=2.0)))
+        GroundSection(steps=(GroundStep(at_m=5.0), GroundStep(at_m=2.0)))
     with pytest.raises(ValueError, match=r"expected top_m above bottom_m, but 1.0 is not above 2.0"):
         WarmLayer(bottom_m=2.0, top_m=1.0, warmer_by_c=3.0)
 
 
 def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
-    ground = Ground(surface="grass", rough={"grass": Roughness(rms_m=0.03, length_m=0.3)}, slope_deg=5.0)
-    rough, smooth = World(ground, Air()), World(Ground(surface="grass", slope_deg=5.0), Air())
-    beam = Beam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(15.0))
+    ground = GroundSection(surface="grass", rough={"grass": Roughness(rms_m=0.03, length_m=0.3)}, slope_deg=5.0)
+    rough, smooth = World(ground, AirSection()), World(GroundSection(surface="grass", slope_deg=5.0), AirSection())
+    beam = MountedBeam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(15.0))
     off_m = []
     for i in range(2000):
         pose = Pose(0.0, (0.05 * i, 0.013 * i, -20.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
@@ -569,14 +572,14 @@ def test_rough_ground_varies_about_its_mean_from_which_heights_count() -> None:
 
 
 def test_only_the_surfaces_that_are_named_are_rough() -> None:
-    ground = Ground(
+    ground = GroundSection(
         surface="concrete",
         rough={"grass": Roughness(rms_m=0.05)},
-        steps=(Step(at_m=10.0, surface="grass"),),
+        steps=(GroundStep(at_m=10.0, surface="grass"),),
         boxes=(Box(surface="grass", centre_m=(20.0, 0.0), size_m=(2.0, 2.0), height_m=0.5),),
     )
-    world = World(ground, Air())
-    beam = Beam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(5.0))
+    world = World(ground, AirSection())
+    beam = MountedBeam((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), lambda range_m: math.radians(5.0))
 
     def range_cm(north_m: float) -> float | None:
         return world.ping(Pose(0.0, (north_m, 0.1, -3.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)), beam).true_range_cm

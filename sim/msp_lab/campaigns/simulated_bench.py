@@ -26,7 +26,7 @@ from msp_sim.device.device import Fault
 from msp_sim.device.emulated import ranging_timing
 from msp_sim.device.table import emulated_kind
 from msp_sim.model.model import Model, load_model
-from msp_sim.model.streams import Streams
+from msp_sim.model.streams import RandomStreams
 
 BIT_S = 1 / 50_000
 """The maker's highest bus clock without clock stretching."""
@@ -216,7 +216,7 @@ class _Drawn:
 
     def __init__(self, model: Model, generator: Generator) -> None:
         self._model = model
-        self._streams = Streams(generator)
+        self._streams = RandomStreams(generator)
         self._columns: Mapping[str, float | str] = {}
         self._drawn: Iterator[float] = iter(())
         self._count = 1

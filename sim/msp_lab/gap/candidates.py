@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import WORD_COLUMNS, Change, Effect, Parameter, Scene
+from msp_sim.effects.base import WORD_COLUMNS, Contribution, Effect, Parameter, Scene
 from msp_sim.effects.curve import FIELDS
-from msp_sim.model.model import LARGEST_SHARE, Active, Model, acts
-from msp_sim.model.rows import Rows
+from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.slopes import score_of_component, score_of_fault
 
 _Array = NDArray[np.float64]
@@ -85,10 +85,10 @@ class CandidateEffect:
         searched = sum(len(parameter.tried) > 1 for parameter in self.effect.parameters)
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
 
-    def at(self, value: float) -> Active:
+    def at(self, value: float) -> Term:
         """The effect with this value of its number."""
         values = {**self.effect.nulls(), **dict(self.shape), self.parameter.name: value}
-        return Active(self.effect, values, self.of)
+        return Term(self.effect, values, self.of)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class SelectedTerm:
         That it came from; None for a curve.
     """
 
-    active: Active
+    active: Term
     candidate: CandidateEffect | None
 
     @property
@@ -169,17 +169,19 @@ def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
     return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
 
 
-def change_of(scene: Scene, active: Active) -> Change:
+def change_of(scene: Scene, active: Term) -> Contribution:
     """What an effect changes; where its contexts make no sense, NaN without a warning."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         return active.effect.act(scene, active.values)
 
 
-def score_of(candidate: CandidateEffect, rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes) -> _Array:
+def score_of(
+    candidate: CandidateEffect, rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes
+) -> _Array:
     """Score of a candidate where it is absent, (n,)."""
     parameter = candidate.parameter
     active = candidate.at(candidate.neutral + parameter.step)
-    known = acts(scene, active)
+    known = applies(scene, active)
     score = np.zeros(reading_cm.size)
     if known is False:
         return score

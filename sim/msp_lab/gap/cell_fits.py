@@ -15,7 +15,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
 from msp_lab.gap.prepared import CHANNELS
-from msp_sim.model.rows import Rows
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.slopes import slopes
 
 _Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ class CellFits:
         )
 
 
-def scores_of(rows: Rows, reading_cm: _Array, numbers: _Array | None = None) -> tuple[_Array, _Array]:
+def scores_of(rows: ModelRows, reading_cm: _Array, numbers: _Array | None = None) -> tuple[_Array, _Array]:
     """Log probability of each reading (n,), and its derivatives by the five numbers (n, 5).
 
     Parameters
@@ -103,7 +103,7 @@ def scores_of(rows: Rows, reading_cm: _Array, numbers: _Array | None = None) -> 
     return log_p, scores
 
 
-def _moved(rows: Rows, numbers: _Array) -> Rows:
+def _moved(rows: ModelRows, numbers: _Array) -> ModelRows:
     shift, spread, short, missed, random = numbers.T
     logs = rows.log_weights
     return replace(
@@ -163,7 +163,7 @@ def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> t
     return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), determined)
 
 
-def free_fit(rows: Rows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> CellFits:
+def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> CellFits:
     """The free fit by as many steps as each cell needs, from a robust start.
 
     Parameters
@@ -228,7 +228,7 @@ class _Posterior:
 class _Cells:
     """Readings cell by cell, and how many each cell has."""
 
-    rows: Rows
+    rows: ModelRows
     reading_cm: _Array
     counts: NDArray[np.intp]
 

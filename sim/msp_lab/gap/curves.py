@@ -17,7 +17,7 @@ from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import active_curve
+from msp_sim.model.model import make_curve_term
 
 
 def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
@@ -95,7 +95,7 @@ def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
 def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
     values = [0.0] * int(np.prod([len(each) for each in form.knots]))
-    active = active_curve(form.channel, list(form.variables), [list(each) for each in form.knots], values)
+    active = make_curve_term(form.channel, list(form.variables), [list(each) for each in form.knots], values)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]
     fit = problem.refit([each.active for each in terms], state.fit.base)

@@ -21,7 +21,7 @@ from msp_lab.gap.problem import Problem, State
 from msp_lab.gap.refit import JointFit, knot_weights
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
-from msp_sim.model.model import Active
+from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
@@ -108,7 +108,7 @@ def found_terms(
     return effects, unknown, calibration
 
 
-def _values(active: Active, half_widths: _Array) -> dict[str, FittedValue]:
+def _values(active: Term, half_widths: _Array) -> dict[str, FittedValue]:
     values = {}
     for parameter, half in zip(active.effect.parameters, half_widths.tolist(), strict=True):
         value = active.values[parameter.name]
@@ -118,7 +118,7 @@ def _values(active: Active, half_widths: _Array) -> dict[str, FittedValue]:
     return values
 
 
-def _unknown_effect(active: Active, widened: _Array, gained: Gain, readings: Prepared) -> UnknownEffect:
+def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepared) -> UnknownEffect:
     """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape

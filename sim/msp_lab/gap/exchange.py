@@ -13,7 +13,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
 from msp_lab.gap.refit import JointFit
-from msp_sim.model.model import Active
+from msp_sim.model.model import Term
 
 TAILS = "heavy_tails"
 
@@ -32,7 +32,7 @@ class AlternativeTerm:
         Of both effects' scores, and by how many standard errors they differ.
     """
 
-    active: Active
+    active: Term
     loss_nats: float
     correlation: float
     separation: float

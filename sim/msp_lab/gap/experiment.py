@@ -18,7 +18,7 @@ from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_sim.effects.base import WORD_COLUMNS, Scene
 from msp_sim.effects.curve import FIELDS
-from msp_sim.model.model import Active, acts
+from msp_sim.model.model import Term, applies
 
 _Array = NDArray[np.float64]
 SPANS = {
@@ -42,7 +42,7 @@ def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternat
     return "; ".join(_sentence(problem, base, term.active, each.active) for each in alternatives)
 
 
-def _sentence(problem: Problem, base: JointFit, own: Active, other: Active) -> str:
+def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
     best: tuple[float, str] | None = None
     for column in sorted((own.effect.columns | other.effect.columns) - WORD_COLUMNS):
         if column not in SPANS or column not in problem.some_contexts:
@@ -68,7 +68,7 @@ def _even(n: int) -> _Array:
     return np.asarray(np.mod(0.5 + np.arange(n) * 0.6180339887498949, 1.0))
 
 
-def _separation(problem: Problem, base: JointFit, own: Active, other: Active, contexts: dict[str, Any]) -> float:
+def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contexts: dict[str, Any]) -> float:
     """Standard errors between two effects, by their templates in the channels' units of information."""
     scene = Scene(problem.model.sensor, contexts)
     weights = np.sqrt(np.mean(base.here.by[:, : len(CHANNELS)] ** 2, axis=0))
@@ -80,8 +80,8 @@ def _separation(problem: Problem, base: JointFit, own: Active, other: Active, co
     return size * float(np.sqrt(max(1.0 - correlation**2, 0.0)))
 
 
-def _templates(scene: Scene, each: Active, weights: _Array) -> _Array:
-    known = acts(scene, each)
+def _templates(scene: Scene, each: Term, weights: _Array) -> _Array:
+    known = applies(scene, each)
     n = int(np.shape(scene.range_cm)[0])
     templates = np.zeros((n, len(CHANNELS) + 1))
     if known is False:

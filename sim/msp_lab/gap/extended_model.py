@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.prepared import LEAST_SHARE
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
-from msp_sim.model.model import Active, Model
+from msp_sim.model.model import Model, Term
 
 _Array = NDArray[np.float64]
 
 
-def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
+def extended(model: Model, base: _Array, effects: Sequence[Term]) -> Model:
     """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own."""
     sensor = model.sensor
     mixture = sensor.reading_model
@@ -47,7 +47,7 @@ def extended(model: Model, base: _Array, effects: Sequence[Active]) -> Model:
     return Model(sensor, (*model.effects, *effects))
 
 
-def entry_of(term: Active) -> dict[str, Any]:
+def entry_of(term: Term) -> dict[str, Any]:
     """An effect as an entry of a model file's ``effects``."""
     entry: dict[str, Any] = {"name": term.effect.name}
     if term.shape is not None:

@@ -18,9 +18,9 @@ from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products,
 from msp_lab.gap.cells import Partition, Stack
 from msp_lab.gap.runs import dependence
 from msp_sim.model.model import Model
-from msp_sim.model.rows import Rows
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.slopes import LEAST
-from msp_sim.model.streams import Streams
+from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ def replicates(
     rows, stack = model.rows(readings.contexts), Stack.of(parts)
     totals, variances, information = [], [], np.zeros(1)
     for _ in range(count):
-        _, scores = scores_of(rows, rows.sample(Streams(rng)))
+        _, scores = scores_of(rows, rows.sample(RandomStreams(rng)))
         total, outer = apart(stack.sums(products(scores)))
         totals.append(total)
         information = information + outer / count
@@ -207,7 +207,9 @@ def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition],
     return _measures(fits, float(log_p.mean()))
 
 
-def free_fits(rows: Rows, readings: HeldOutReadings, parts: Sequence[Partition]) -> dict[tuple[str, ...], CellFits]:
+def free_fits(
+    rows: ModelRows, readings: HeldOutReadings, parts: Sequence[Partition]
+) -> dict[tuple[str, ...], CellFits]:
     """The free fit of each partition, by its variables."""
     stack = Stack.of(parts)
     return _by_variables(free_fit(rows, readings.reading_cm, readings.unit, stack), stack)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from msp_range.reading_model.rows import FREE
 from msp_sim.effects.base import Scene
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import Active, Model, base_rows, changed
-from msp_sim.model.rows import Rows
+from msp_sim.model.model import Model, Term, apply_terms, base_rows
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.slopes import log_prob, slopes
 
 _Array = NDArray[np.float64]
@@ -48,30 +48,30 @@ class Prepared:
 
     model: Model
     scene: Scene
-    rows: Rows
+    rows: ModelRows
     reading_cm: _Array
 
     @classmethod
     def of(cls, model: Model, contexts: Mapping[str, Any], reading_cm: _Array) -> "Prepared":
         """Prepare readings."""
         scene = Scene(model.sensor, contexts)
-        rows = changed(base_rows(model, scene), scene, model.effects)
+        rows = apply_terms(base_rows(model, scene), scene, model.effects)
         logs = tuple(np.maximum(each, np.log(LEAST_SHARE)) for each in rows.log_weights)
         return cls(model, scene, replace(rows, log_weights=(logs[0], logs[1], logs[2], logs[3])), reading_cm)
 
     def __len__(self) -> int:
         return self.reading_cm.size
 
-    def at(self, base: _Array, effects: Sequence[Active]) -> Rows:
+    def at(self, base: _Array, effects: Sequence[Term]) -> ModelRows:
         """The distribution with the base's numbers changed by this much, and with these effects."""
-        return changed(shifted(self.rows, base), self.scene, effects)
+        return apply_terms(shifted(self.rows, base), self.scene, effects)
 
-    def log_prob(self, base: _Array, effects: Sequence[Active]) -> _Array:
+    def log_prob(self, base: _Array, effects: Sequence[Term]) -> _Array:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
 
-def shifted(rows: Rows, base: _Array) -> Rows:
+def shifted(rows: ModelRows, base: _Array) -> ModelRows:
     """Rows with the base's numbers changed, in the order of `BASE`."""
     hit, short, missed, random = rows.log_weights
     return replace(
@@ -102,7 +102,7 @@ class ChannelSlopes:
     shares: _Array
 
 
-def channel_slopes(rows: Rows, reading_cm: _Array) -> ChannelSlopes:
+def channel_slopes(rows: ModelRows, reading_cm: _Array) -> ChannelSlopes:
     """Derivatives by the channels and by the base's other numbers."""
     log_p, by = slopes(rows, reading_cm)
     if not np.any(np.asarray(rows.log_weights[1]) > np.log(2.0 * LEAST_SHARE)):

@@ -21,7 +21,7 @@ from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import Active, Model
+from msp_sim.model.model import Model, Term
 
 _Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -121,7 +121,7 @@ class Problem:
         time_s = self.some_contexts.get("time_s")
         return dependence(fit.here.by[:, 0], self.some_unit, None if time_s is None else np.asarray(time_s, float))
 
-    def refit(self, terms: Sequence[Active], base: _Array) -> JointFit:
+    def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
         return refit(self.some, terms, base)
 

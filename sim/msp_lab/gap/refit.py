@@ -16,7 +16,7 @@ from msp_lab.gap.candidates import change_of
 from msp_lab.gap.prepared import BASE, CHANNELS, ChannelSlopes, Prepared, channel_slopes
 from msp_sim.effects.base import Parameter, Scene
 from msp_sim.effects.curve import FIELDS, hats
-from msp_sim.model.model import Active, acts
+from msp_sim.model.model import Term, applies
 from msp_sim.model.slopes import log_prob
 
 _Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class JointFit:
     """
 
     base: _Array
-    effects: tuple[Active, ...]
+    effects: tuple[Term, ...]
     log_likelihood: float
     names: tuple[str, ...]
     values: _Array
@@ -81,7 +81,7 @@ def sums_by(unit: NDArray[np.intp], scores: _Array) -> _Array:
     return np.stack([np.bincount(unit, column, count) for column in scores.T], axis=1)
 
 
-def free_numbers(effects: Sequence[Active]) -> list[tuple[int, Parameter]]:
+def free_numbers(effects: Sequence[Term]) -> list[tuple[int, Parameter]]:
     """Numbers of these effects that a fit may move."""
     return [(k, parameter) for k, each in enumerate(effects) for parameter in each.effect.parameters]
 
@@ -125,7 +125,7 @@ def _own_spread(prepared: Prepared) -> _Array | None:
 
 def refit(
     prepared: Prepared,
-    effects: Sequence[Active],
+    effects: Sequence[Term],
     start: _Array | None = None,
     rounds: int = ROUNDS,
 ) -> JointFit:
@@ -154,7 +154,7 @@ def refit(
     precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_curves])
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
-    def placed(at: _Array) -> tuple[Active, ...]:
+    def placed(at: _Array) -> tuple[Term, ...]:
         values: list[dict[str, float]] = [dict(each.values) for each in effects]
         for (k, p), value in zip(numbers, at[nb:], strict=True):
             values[k][p.name] = float(value)
@@ -200,7 +200,7 @@ def refit(
     return JointFit(theta[:nb], placed(theta), best, names, theta, information, scores, held, here)
 
 
-def _off_neutral(each: Active) -> Active:
+def _off_neutral(each: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
     values = dict(each.values)
     for parameter in each.effect.parameters:
@@ -212,7 +212,7 @@ def _off_neutral(each: Active) -> Active:
 def _scores(
     prepared: Prepared,
     base: _Array,
-    effects: Sequence[Active],
+    effects: Sequence[Term],
     numbers: Sequence[tuple[int, Parameter]],
     here: ChannelSlopes,
 ) -> _Array:
@@ -221,7 +221,7 @@ def _scores(
 
 
 def _slope(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], k: int, parameter: Parameter, here: ChannelSlopes
+    prepared: Prepared, base: _Array, effects: Sequence[Term], k: int, parameter: Parameter, here: ChannelSlopes
 ) -> _Array:
     """Derivative by one number of the k-th effect."""
     each = effects[k]
@@ -233,7 +233,7 @@ def _slope(
     if {"component", "code"} & set(each.effect.channels) or each.effect.name == "run_offsets":
         moved = log_prob(prepared.at(base, [*effects[:k], there, *effects[k + 1 :]]), prepared.reading_cm)
         return (moved - here.log_p) / step
-    known = acts(prepared.scene, each)
+    known = applies(prepared.scene, each)
     if known is False:
         return np.zeros(len(prepared))
     if each.shape is not None:

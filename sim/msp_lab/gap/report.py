@@ -17,7 +17,7 @@ from msp_lab.gap.pictures import draw_curve, draw_path, draw_pit, draw_residuals
 from msp_lab.gap.tables import measures_table, model_table, parameters_table, shown_slices, slices_table, steps_table
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
-from msp_sim.model.model import Active, Model
+from msp_sim.model.model import Model, Term
 from msp_sim.page.page import Omitted, Picture, render, write_page
 from msp_sim.page.style import png, style
 
@@ -163,7 +163,7 @@ def _with_catalogue(findings: GapFindings) -> list[tuple[FoundEffect, Effect | N
     return [(each, CATALOGUE.get(each.name)) for each in findings.effects]
 
 
-def _with_values(each: Active) -> str:
+def _with_values(each: Term) -> str:
     """An effect of a model with its values."""
     values = ", ".join(f"{name} {value:.4g}" for name, value in each.values.items())
     return f"{each.stream.replace('_', ' ')} ({values})" if values else each.stream.replace("_", " ")

@@ -13,7 +13,7 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_sim.effects import CATALOGUE
-from msp_sim.model.model import Active
+from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
 
 def validated_run_offsets(
     deviation_cm: float, fit: JointFit, held_out: Prepared, unit: NDArray[np.intp]
-) -> tuple[FoundEffect, Active] | None:
+) -> tuple[FoundEffect, Term] | None:
     """The effect, if the held-out runs score better for it; a run's offset is integrated out.
 
     Parameters
@@ -90,10 +90,10 @@ def validated_run_offsets(
         total / se if se > 0.0 else None,
         experiment=effect.experiment,
     )
-    return found, Active(effect, {"deviation_cm": deviation_cm})
+    return found, Term(effect, {"deviation_cm": deviation_cm})
 
 
-def with_run_offsets(fit: JointFit, offsets: Active, prepared: Prepared) -> tuple[_Array, tuple[Active, ...]]:
+def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[_Array, tuple[Term, ...]]:
     """Base and effects of a fit with offsets between runs, whose variance is taken from the spread within them."""
     sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fit.base[1]))
     share = min((offsets.values["deviation_cm"] / sigma_cm) ** 2, rules.MAX_BETWEEN_SHARE)

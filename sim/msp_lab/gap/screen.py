@@ -17,9 +17,9 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, change_of, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, channel_slopes, chunks
 from msp_sim.effects.base import Scene
-from msp_sim.model.model import Active, Model, acts
-from msp_sim.model.rows import Rows
-from msp_sim.model.streams import Streams
+from msp_sim.model.model import Model, Term, applies
+from msp_sim.model.rows import ModelRows
+from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
 SHARES = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
@@ -61,7 +61,7 @@ class ScoreSums:
 def score_sums(
     model: Model,
     base: _Array,
-    effects: Sequence[Active],
+    effects: Sequence[Term],
     candidates: Sequence[CandidateEffect],
     contexts: Mapping[str, Any],
     reading_cm: _Array,
@@ -123,7 +123,7 @@ def _log_gain(change: _Array) -> _Array:
 def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
     """Change of the log odds by a number of 1, (n,)."""
     active = candidate.at(candidate.neutral + candidate.parameter.step)
-    known = acts(scene, active)
+    known = applies(scene, active)
     n = int(np.shape(scene.range_cm)[0])
     if known is False:
         return np.zeros(n)
@@ -162,7 +162,7 @@ def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, s
 
 
 def score_matrix(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[CandidateEffect]
+    prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Scores of base and candidates, (n, 7 + candidates)."""
     rows = prepared.at(base, effects)
@@ -171,7 +171,7 @@ def score_matrix(
 
 
 def _matrix(
-    rows: Rows, scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]
+    rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]
 ) -> _Array:
     matrix = np.empty((reading_cm.size, len(BASE) + len(candidates)))
     matrix[:, : len(BASE)] = here.by
@@ -183,7 +183,7 @@ def _matrix(
 def replicate(
     model: Model,
     base: _Array,
-    effects: Sequence[Active],
+    effects: Sequence[Term],
     contexts: Mapping[str, Any],
     rng: np.random.Generator,
     rows: int = rules.REPLICATE_ROWS,
@@ -193,12 +193,12 @@ def replicate(
     at = np.linspace(0, n - 1, rows).astype(np.intp) if n >= rows else np.tile(np.arange(n), -(-rows // n))
     drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
     prepared = Prepared.of(model, drawn, np.zeros(at.size))
-    reading_cm = prepared.at(base, effects).sample(Streams(rng))
+    reading_cm = prepared.at(base, effects).sample(RandomStreams(rng))
     return Prepared(model, prepared.scene, prepared.rows, reading_cm)
 
 
 def information_of(
-    prepared: Prepared, base: _Array, effects: Sequence[Active], candidates: Sequence[CandidateEffect]
+    prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Information per reading, (7 + candidates, 7 + candidates), from simulated readings."""
     scores = score_matrix(prepared, base, effects, candidates)

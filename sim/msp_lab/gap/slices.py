@@ -21,7 +21,7 @@ from msp_lab.gap.findings import Slice
 from msp_lab.gap.measures import HeldOutReadings, Replicates, free_fits
 from msp_lab.gap.prepared import CHANNELS
 from msp_sim.model.model import Model
-from msp_sim.model.rows import Rows
+from msp_sim.model.rows import ModelRows
 
 _Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def remeasured(
     return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
 
 
-def _fits(rows: Rows, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits) -> Fits:
+def _fits(rows: ModelRows, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits) -> Fits:
     """Free fits of these partitions: those that are known, and the others."""
     others = [part for part in parts if part.variables not in known]
     return {**known, **(free_fits(rows, readings, others) if others else {})}

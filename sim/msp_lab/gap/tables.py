@@ -16,13 +16,13 @@ from msp_range.descriptions import descriptions
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
 from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model
-from msp_sim.page.page import Table
+from msp_sim.page.page import PageTable
 
 MOST_SLICES = 14
 """Slices on the page at most: one picture is as high as a screen."""
 
 
-def measures_table(findings: GapFindings, given: Model) -> Table | None:
+def measures_table(findings: GapFindings, given: Model) -> PageTable | None:
     """The gap in its measures, before and after, with noise floor and bound; None where it was not measured."""
     gap = findings.gap
     if gap is None:
@@ -38,7 +38,7 @@ def measures_table(findings: GapFindings, given: Model) -> Table | None:
     ]
     if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
         lines.append(("readings that the model cannot give, off by a factor of", gap.odds.code, None))
-    return Table(
+    return PageTable(
         "measures",
         "The gap in its measures",
         ("measure", "before", "after", "95 % interval", "noise floor", "closed up to"),
@@ -50,7 +50,7 @@ def measures_table(findings: GapFindings, given: Model) -> Table | None:
     )
 
 
-def steps_table(findings: GapFindings) -> Table | None:
+def steps_table(findings: GapFindings) -> PageTable | None:
     """The gap after each step in numbers; None where nothing was added."""
     if len(findings.selection_path) < 2:
         return None
@@ -61,7 +61,7 @@ def steps_table(findings: GapFindings) -> Table | None:
         rows.append(
             (step_name(step.added), short(step.nats_per_reading), _signed(step.log_score, 4), _signed(gained, 4))
         )
-    return Table(
+    return PageTable(
         "steps",
         "Each step in numbers",
         ("model", "gap [nats]", "mean log score [nats]", "gain [nats]"),
@@ -70,9 +70,9 @@ def steps_table(findings: GapFindings) -> Table | None:
     )
 
 
-def slices_table(findings: GapFindings) -> Table:
+def slices_table(findings: GapFindings) -> PageTable:
     """The slices that differ significantly, in all channels."""
-    return Table(
+    return PageTable(
         "slices-table",
         "Slices in numbers",
         ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
@@ -83,7 +83,7 @@ def slices_table(findings: GapFindings) -> Table:
     )
 
 
-def parameters_table(found: FoundEffect, effect: Effect | None) -> Table:
+def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
     """The parameters of an effect that was found: value, interval and meaning."""
     meanings = {each.name: each.meaning for each in effect.parameters} if effect is not None else {}
     rows = tuple(
@@ -96,10 +96,10 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> Table:
         for name, value in found.parameters.items()
     )
     anchor = "-".join(("parameters", found.name, *([found.of] if found.of else [])))
-    return Table(anchor, "", ("parameter", "meaning", "value", "95 % interval"), rows, words=2)
+    return PageTable(anchor, "", ("parameter", "meaning", "value", "95 % interval"), rows, words=2)
 
 
-def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
+def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTable:
     """The numbers of the base mixture in the given and in the extended model."""
     before, after = given.sensor.reading_model, extended.sensor.reading_model
     calibrated = {each.name: each for each in findings.calibration}
@@ -117,7 +117,7 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> Table:
             interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
             meaning = description.split("\n")[0].rstrip(".").replace("`", "")
             rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", interval))
-    return Table(
+    return PageTable(
         "model-numbers",
         "The model's own numbers",
         ("number", "meaning", "given", "in model.yaml", "95 % interval"),

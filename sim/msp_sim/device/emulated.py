@@ -19,7 +19,7 @@ from msp_sim.device.table import EmulatedKind, emulated_kind
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
-from msp_sim.world.world import Beam, Ping, World
+from msp_sim.world.world import MountedBeam, Ping, World
 
 RUN = "flight"
 """Run of the readings of a simulated flight: one session."""
@@ -61,7 +61,7 @@ class EmulatedSensor:
     ) -> None:
         self._name = sensor.name
         half_angle_rad = model.beam.half_angle_rad if model.medium == "sound" else None
-        self._beam = Beam(sensor.position_m, sensor.boresight, half_angle_rad)
+        self._beam = MountedBeam(sensor.position_m, sensor.boresight, half_angle_rad)
         self._readings = Sampler(Model.of(model), generator)
         self._world = world
         self._pose = pose

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     ratio = scene.assumed_m_s / speed_of_sound(scene["air_temperature_c"])
-    return Change(bias_cm=values["share"] * scene.range_cm * (ratio - 1.0))
+    return Contribution(bias_cm=values["share"] * scene.range_cm * (ratio - 1.0))
 
 
 AIR_TEMPERATURE = Effect(

@@ -1,6 +1,6 @@
 """What an effect is: physics on top of the base reading model, named, bounded, and the same to draw and to score.
 
-Context columns enter as a `Scene`, and a `Change` leaves: a shift of the hits, a change of their spread, of the odds of
+Context columns enter as a `Scene`, and a `Contribution` leaves: a shift of the hits, a change of their spread, of the odds of
 the outliers, one more component of the mixture, or a fault of the reading's code. `msp_sim.model` adds the changes of
 all effects to the base mixture; what is not known of a reading (a column that is absent, an empty cell) does not act on
 it.
@@ -122,7 +122,7 @@ def _says(column: str, values: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Change:
+class Contribution:
     """What an effect changes about n readings; what is left out stays as it is.
 
     Attributes
@@ -195,7 +195,7 @@ class Effect:
     needs: tuple[str, ...]
     channels: tuple[Channel, ...]
     experiment: str
-    act: Callable[[Scene, Mapping[str, float]], Change] = field(repr=False)
+    act: Callable[[Scene, Mapping[str, float]], Contribution] = field(repr=False)
     reads: tuple[str, ...] = ()
     of: Literal["sensor", "run", "target"] | None = None
     base: str | None = None

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(bias_cm=values["slope_pct"] / 100.0 * np.maximum(scene.range_cm - values["from_cm"], 0.0))
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(bias_cm=values["slope_pct"] / 100.0 * np.maximum(scene.range_cm - values["from_cm"], 0.0))
 
 
 BEND = Effect(

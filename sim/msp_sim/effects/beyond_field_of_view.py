@@ -4,16 +4,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 MOST_LOG_ODDS = 10.0
 """However far it is tilted, an edge or a facet sends back one echo in some hundreds."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_angle_deg = np.degrees(scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0))
     beyond_deg = np.maximum(np.abs(scene["incidence_deg"]) - half_angle_deg, 0.0)
-    return Change(log_odds_missed=np.minimum(values["log_odds_per_deg"] * beyond_deg, MOST_LOG_ODDS))
+    return Contribution(log_odds_missed=np.minimum(values["log_odds_per_deg"] * beyond_deg, MOST_LOG_ODDS))
 
 
 BEYOND_FIELD_OF_VIEW = Effect(

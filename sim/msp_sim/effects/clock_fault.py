@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import ClockFault
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(fault=ClockFault(), fault_share=values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(fault=ClockFault(), fault_share=values["share"])
 
 
 CLOCK_FAULT = Effect(

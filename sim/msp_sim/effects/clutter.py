@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     own_cm = scene.optional("true_range_cm", scene.sensor.maximum_cm)
     nearer = values["location_cm"] < own_cm
     component = Normal(values["location_cm"], values["sigma_cm"])
-    return Change(component=component, share=np.where(nearer, values["share"], 0.0))
+    return Contribution(component=component, share=np.where(nearer, values["share"], 0.0))
 
 
 CLUTTER = Effect(

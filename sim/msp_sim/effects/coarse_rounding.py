@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import Coarser
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
-    return Change(fault=fault, fault_share=values["share"])
+    return Contribution(fault=fault, fault_share=values["share"])
 
 
 COARSE_ROUNDING = Effect(

@@ -4,16 +4,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     # The neighbour's ping is lag older than one's own: its echo comes lag earlier than from a range as far.
     false_cm = scene["neighbour_range_cm"] - scene.assumed_m_s * 100.0 * scene["neighbour_lag_ms"] / 1000.0 / 2.0
     own_cm = np.where(np.isnan(scene.range_cm), scene.sensor.maximum_cm, scene.range_cm)
     heard = (false_cm > scene.sensor.minimum_cm) & (false_cm < own_cm)
-    return Change(component=Normal(false_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
+    return Contribution(component=Normal(false_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
 
 
 CROSSTALK = Effect(

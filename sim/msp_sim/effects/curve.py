@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_sim.effects.base import WORD_COLUMNS, Change, Effect, Parameter, Scene
+from msp_sim.effects.base import WORD_COLUMNS, Contribution, Effect, Parameter, Scene
 
 CurveChannel: TypeAlias = Literal["bias", "spread", "short", "missed", "random"]
 CURVE = "curve"
@@ -21,7 +21,7 @@ FIELDS: dict[str, str] = {
     "missed": "log_odds_missed",
     "random": "log_odds_random",
 }
-"""What of a `Change` each channel sets."""
+"""What of a `Contribution` each channel sets."""
 MOST = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "random": 15.0}
 """Bounds of a curve's values."""
 _Array = NDArray[np.float64]
@@ -54,11 +54,11 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     names = [f"value_{i}" for i in range(count)]
     shape = (tuple(variables), tuple(tuple(each) for each in knots))
 
-    def act(scene: Scene, values: Mapping[str, float]) -> Change:
+    def act(scene: Scene, values: Mapping[str, float]) -> Contribution:
         at = np.array([values[name] for name in names])
         if shape not in scene.kept:
             scene.kept[shape] = hats(scene, variables, knots)
-        return Change(**{FIELDS[channel]: scene.kept[shape] @ at})
+        return Contribution(**{FIELDS[channel]: scene.kept[shape] @ at})
 
     return Effect(
         name=CURVE,

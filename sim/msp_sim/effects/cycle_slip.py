@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_wavelength_cm = 100.0 * scene.assumed_m_s / scene.sensor.frequency_hz / 2.0
     slip_cm = values["cycles"] * half_wavelength_cm
-    return Change(component=Normal(slip_cm, from_hit=True), share=values["share"])
+    return Contribution(component=Normal(slip_cm, from_hit=True), share=values["share"])
 
 
 CYCLE_SLIP = Effect(

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Code
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     inside = scene.range_cm < values["depth_cm"]
-    return Change(component=Code(scene.sensor.maximum_cm), share=np.where(inside, values["share"], 0.0))
+    return Contribution(component=Code(scene.sensor.maximum_cm), share=np.where(inside, values["share"], 0.0))
 
 
 DEAD_ZONE_MAXIMUM = Effect(

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import expit
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import FirstBefore
 
 REFERENCE_CM = 30.0
@@ -16,7 +16,7 @@ BANDWIDTH_KHZ = 2.0
 """Off the sensor's frequency by this much its transducer hears 3 dB less [kHz], assumed: a quality factor of 10."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     off_khz = scene.optional("external_frequency_khz", scene.sensor.frequency_hz / 1000.0)
     off_khz = off_khz - scene.sensor.frequency_hz / 1000.0
     level_db = (
@@ -27,7 +27,7 @@ def _act(scene: Scene, values: Mapping[str, float]) -> Change:
     rate_per_m = values["rate_per_m"] * scene["external_duty"] * expit((level_db - values["threshold_db"]) / FADE_DB)
     own_cm = np.minimum(scene.optional("true_range_cm", scene.sensor.maximum_cm), scene.sensor.maximum_cm)
     listened_m = np.maximum(own_cm - scene.sensor.minimum_cm, 0.0) / 100.0
-    return Change(component=FirstBefore(rate_per_m), share=-np.expm1(-rate_per_m * listened_m))
+    return Contribution(component=FirstBefore(rate_per_m), share=-np.expm1(-rate_per_m * listened_m))
 
 
 EXTERNAL_SOURCE = Effect(

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(bias_cm=-0.5 * values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(bias_cm=-0.5 * values["share"])
 
 
 FLOORING = Effect(

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(component=Normal(0.0, from_hit=True, wider=values["wider"]), share=values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(component=Normal(0.0, from_hit=True, wider=values["wider"]), share=values["share"])
 
 
 HEAVY_TAILS = Effect(

@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 EDGE_CM = 3.0
 """Over which the air changes from one temperature to the other: sharp [cm], assumed."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     range_cm, length_cm = scene.range_cm, values["length_cm"]
     # Integral of a logistic edge at length_cm: how much of the path lies in the air of the sensor.
     near_cm = range_cm - EDGE_CM * (
@@ -20,7 +20,7 @@ def _act(scene: Scene, values: Mapping[str, float]) -> Change:
     at_sensor_m_s = speed_of_sound(scene["air_temperature_c"])
     beyond_m_s = speed_of_sound(scene["target_temperature_c"])
     slowness = scene.assumed_m_s / beyond_m_s - scene.assumed_m_s / at_sensor_m_s
-    return Change(bias_cm=values["share"] * (range_cm - near_cm) * slowness)
+    return Contribution(bias_cm=values["share"] * (range_cm - near_cm) * slowness)
 
 
 HOT_BOX = Effect(

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(bias_cm=-values["delay_ms"] / 1000.0 * scene["range_rate_cm_s"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(bias_cm=-values["delay_ms"] / 1000.0 * scene["range_rate_cm_s"])
 
 
 LATENCY = Effect(

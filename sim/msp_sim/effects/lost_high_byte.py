@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import LostHighByte
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(fault=LostHighByte(), fault_share=values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(fault=LostHighByte(), fault_share=values["share"])
 
 
 LOST_HIGH_BYTE = Effect(

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     beyond_m = np.maximum(scene.range_cm - values["from_cm"], 0.0) / 100.0
-    return Change(log_odds_missed=values["log_odds_per_m"] * beyond_m)
+    return Contribution(log_odds_missed=values["log_odds_per_m"] * beyond_m)
 
 
 MISSED_WITH_RANGE = Effect(

@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     temperature_c = scene.optional("air_temperature_c", scene.sensor.calibration_temperature_c)
     flight_s = scene.range_cm / (100.0 * speed_of_sound(temperature_c))
-    return Change(bias_cm=values["share"] * scene["range_rate_cm_s"] * flight_s)
+    return Contribution(bias_cm=values["share"] * scene["range_rate_cm_s"] * flight_s)
 
 
 MOTION_DURING_PING = Effect(

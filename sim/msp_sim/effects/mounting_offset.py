@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(bias_cm=values["offset_cm"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(bias_cm=values["offset_cm"])
 
 
 MOUNTING_OFFSET = Effect(

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     twice_cm = 2.0 * scene.range_cm
     heard = twice_cm < scene.sensor.maximum_cm
-    return Change(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
+    return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
 
 
 MULTIPATH = Effect(

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_angle_rad = scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0)
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     beyond_rad = np.maximum(tilt_rad - half_angle_rad, 0.0)
-    return Change(bias_cm=values["share"] * scene.range_cm * (1.0 / np.cos(beyond_rad) - 1.0))
+    return Contribution(bias_cm=values["share"] * scene.range_cm * (1.0 / np.cos(beyond_rad) - 1.0))
 
 
 NEAREST_POINT = Effect(

@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import OrEd
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(fault=OrEd(), fault_share=values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(fault=OrEd(), fault_share=values["share"])
 
 
 OR_ED_BYTES = Effect(

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(log_odds_short=values["log_odds"] * scene["throttle"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(log_odds_short=values["log_odds"] * scene["throttle"])
 
 
 PROP_WASH = Effect(

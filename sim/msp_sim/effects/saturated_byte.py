@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import Saturated
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(fault=Saturated(), fault_share=values["share"])
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(fault=Saturated(), fault_share=values["share"])
 
 
 SATURATED_BYTE = Effect(

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     slant_cm = scene.optional("slant_range_cm", scene.range_cm / np.cos(tilt_rad))
-    return Change(bias_cm=values["share"] * (slant_cm - scene.range_cm))
+    return Contribution(bias_cm=values["share"] * (slant_cm - scene.range_cm))
 
 
 SLANT_RANGE = Effect(

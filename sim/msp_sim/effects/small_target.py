@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     wavelength_m = scene.assumed_m_s / scene.sensor.frequency_hz
     area_m2 = (np.maximum(scene["target_size_cm"], 0.1) / 100.0) ** 2
     far = np.maximum(scene.range_cm, 1.0) / 100.0 * wavelength_m / (2.0 * area_m2)
     weaker_db = 20.0 * np.log10(np.maximum(far, 1.0))
-    return Change(log_odds_missed=values["log_odds_per_10db"] * weaker_db / 10.0)
+    return Contribution(log_odds_missed=values["log_odds_per_10db"] * weaker_db / 10.0)
 
 
 SMALL_TARGET = Effect(

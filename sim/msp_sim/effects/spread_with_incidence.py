@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(log_spread=np.log1p(values["growth_per_10deg"] * np.abs(scene["incidence_deg"]) / 10.0))
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(log_spread=np.log1p(values["growth_per_10deg"] * np.abs(scene["incidence_deg"]) / 10.0))
 
 
 SPREAD_WITH_INCIDENCE = Effect(

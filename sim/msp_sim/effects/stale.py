@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Code
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     previous_cm = scene["previous_reading_cm"]
     whole = np.rint(previous_cm) == previous_cm
     within = (previous_cm >= scene.sensor.minimum_cm) & (previous_cm <= scene.sensor.maximum_cm)
-    return Change(component=Code(previous_cm), share=np.where(whole & within, values["share"], 0.0))
+    return Contribution(component=Code(previous_cm), share=np.where(whole & within, values["share"], 0.0))
 
 
 STALE = Effect(

@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     at_sensor_m_s = speed_of_sound(scene["air_temperature_c"])
     at_target_m_s = speed_of_sound(scene["target_temperature_c"])
     slowness = scene.assumed_m_s * (2.0 / (at_sensor_m_s + at_target_m_s) - 1.0 / at_sensor_m_s)
-    return Change(bias_cm=values["share"] * scene.range_cm * slowness)
+    return Contribution(bias_cm=values["share"] * scene.range_cm * slowness)
 
 
 TEMPERATURE_GRADIENT = Effect(

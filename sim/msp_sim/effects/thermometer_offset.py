@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from msp_range.acoustics.air import ZERO_CELSIUS_K
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     shown_k = scene["air_temperature_c"] + ZERO_CELSIUS_K
-    return Change(bias_cm=scene.range_cm * (np.sqrt(shown_k / (shown_k - values["offset_c"])) - 1.0))
+    return Contribution(bias_cm=scene.range_cm * (np.sqrt(shown_k / (shown_k - values["offset_c"])) - 1.0))
 
 
 THERMOMETER_OFFSET = Effect(

@@ -6,19 +6,19 @@ import numpy as np
 
 from msp_range.acoustics.absorption import absorption_db_per_m
 from msp_range.acoustics.atmosphere import Atmosphere
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 HALF_POWER_DEG = 18.0
 """Where the beam has half its power one way: the piston of 13.6 mm that fits the report's angles, at 8.2 mm."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
     range_m = np.maximum(scene.range_cm, 1.0) / 100.0
     absorption = absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere())
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG
     # Over a wall at 1 m straight ahead: spreading as from an image, absorption there and back, directivity both ways.
     weaker_db = 20.0 * np.log10(range_m) + 2.0 * absorption * (range_m - 1.0) + 6.0 * off_axis**2
-    return Change(bias_cm=values["walk_cm_per_10db"] * weaker_db / 10.0)
+    return Contribution(bias_cm=values["walk_cm_per_10db"] * weaker_db / 10.0)
 
 
 THRESHOLD_WALK = Effect(

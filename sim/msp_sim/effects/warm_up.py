@@ -4,11 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from msp_sim.effects.base import Change, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Change:
-    return Change(bias_cm=values["offset_cm"] * np.exp(-scene["uptime_s"] / values["time_constant_s"]))
+def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    return Contribution(bias_cm=values["offset_cm"] * np.exp(-scene["uptime_s"] / values["time_constant_s"]))
 
 
 WARM_UP = Effect(

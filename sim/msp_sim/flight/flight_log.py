@@ -1,6 +1,6 @@
 """What a simulated flight leaves behind: what each reading became, beside the truth.
 
-Pings and the bridge's steps enter; a `Flight` leaves, which the table, the picture and ``summary.json`` are made of.
+Pings and the bridge's steps enter; a `FlightResult` leaves, which the table, the picture and ``summary.json`` are made of.
 """
 
 import math
@@ -23,7 +23,7 @@ EDGE_S = 0.5
 
 
 @dataclass(slots=True)
-class Track:
+class SensorTrack:
     """One sensor's flight, reading by reading, or the fused stream's; None where there was no value.
 
     ``below_m`` is the distance from the fused stream's reference point along the vehicle's down axis at that time: None
@@ -39,7 +39,7 @@ class Track:
 
 
 @dataclass(slots=True)
-class Flight:
+class FlightResult:
     """What a flight left behind.
 
     Attributes
@@ -58,8 +58,8 @@ class Flight:
         Time flown [s].
     """
 
-    tracks: dict[str, Track]
-    fused: Track
+    tracks: dict[str, SensorTrack]
+    fused: SensorTrack
     texts: list[tuple[float, str, str]]
     rejected: dict[str, dict[str, int]] = field(default_factory=dict)
     sent: dict[str, int] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class FlightLog:
         start_s: float,
         recorder: Records | None,
     ) -> None:
-        self.flight = Flight({sensor.name: Track() for sensor in airframe.sensors}, Track(), [])
+        self.flight = FlightResult({sensor.name: SensorTrack() for sensor in airframe.sensors}, SensorTrack(), [])
         self._by_sound = {name: model.medium == "sound" for name, model in models.items()}
         self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
         self._downward = {sensor.name: sensor for sensor in airframe.downward}

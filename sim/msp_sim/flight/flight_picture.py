@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.flight_log import FlightResult
 from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
 
 SHOWN_CM = 40.0
@@ -12,7 +12,7 @@ USED = (None, "at_minimum")
 """Values of `Track.why` for readings that the filter used."""
 
 
-def draw(flight: Flight, path: Path, title: str) -> None:
+def draw(flight: FlightResult, path: Path, title: str) -> None:
     """Write the picture of a flight as PNG; an older file is replaced."""
     with style():
         tracks = (*flight.tracks.values(), flight.fused)

@@ -68,7 +68,7 @@ def fly_scenario(
         tlog=out / TLOG if out is not None else None,
     )
     out_to = console()
-    shown = show.Live(simulation, scenario.duration_s)
+    shown = show.FlightDisplay(simulation, scenario.duration_s)
     started_s = next_look_s = system.now()
     live: Any = Live(shown, console=out_to, auto_refresh=False) if out_to.is_terminal else nullcontext()
     with ExitStack() as opened:

@@ -1,6 +1,6 @@
 """A flight from its recording, simulated or real, as the picture shows it.
 
-An MCAP recording enters, a `Flight` leaves. The truth is what a simulator recorded with each ping; a real flight has
+An MCAP recording enters, a `FlightResult` leaves. The truth is what a simulator recorded with each ping; a real flight has
 none.
 """
 
@@ -12,12 +12,12 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
-from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 CM_PER_M = 100
 
 
-def recorded_flight(path: Path) -> Flight:
+def recorded_flight(path: Path) -> FlightResult:
     """What each reading of a recording became, and the fused stream, with times from the first ping on.
 
     Raises
@@ -25,9 +25,9 @@ def recorded_flight(path: Path) -> Flight:
     RecordingError
         Not a recording, or one without readings.
     """
-    tracks: dict[str, Track] = defaultdict(Track)
+    tracks: dict[str, SensorTrack] = defaultdict(SensorTrack)
     truths_m: dict[str, float | None] = {}
-    fused = Track()
+    fused = SensorTrack()
     start_s: float | None = None
     for topic, _, message in Recording(path):
         if topic.startswith(TRUTH_PREFIX):
@@ -53,4 +53,4 @@ def recorded_flight(path: Path) -> Flight:
             fused.why.append(None)
     if not tracks:
         raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
-    return Flight(dict(tracks), fused, [])
+    return FlightResult(dict(tracks), fused, [])

@@ -6,7 +6,7 @@ from typing import Any
 
 from msp_range.extras import missing
 from msp_range.yaml_file import ConfigError
-from msp_sim.flight.flight_log import Flight
+from msp_sim.flight.flight_log import FlightResult
 from msp_sim.terminal import make_folder
 
 RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO = "flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"
@@ -31,7 +31,7 @@ def make_ready(folder: Path, force: bool) -> None:
         print(f"no picture will be drawn without {absent}")
 
 
-def write_results(folder: Path, summary: dict[str, Any], flight: Flight, title: str) -> None:
+def write_results(folder: Path, summary: dict[str, Any], flight: FlightResult, title: str) -> None:
     """Write the flight as numbers and, where that can be drawn, as a picture, and print where they are."""
     (folder / NUMBERS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"  numbers: {folder / NUMBERS}")

@@ -19,9 +19,9 @@ from msp_range.yaml_file import Section, config_path, load
 from msp_sim.device import device
 from msp_sim.device.table import emulated_kind
 from msp_sim.world.profiles import Positive
-from msp_sim.world.surfaces import Ground
-from msp_sim.world.vehicle import Flight, Pose, Vehicle
-from msp_sim.world.world import Air, World
+from msp_sim.world.surfaces import GroundSection
+from msp_sim.world.vehicle import FlightSection, Pose, Vehicle
+from msp_sim.world.world import AirSection, World
 
 CHECK_EVERY_S = 0.1
 """Time between two looks at the vehicle's height above the ground when a scenario is loaded [s]."""
@@ -127,7 +127,7 @@ class AttitudeFault(Section):
         return {"roll": math.radians(self.roll_deg), "huge": 1e38, "not_a_number": math.nan}[self.kind]
 
 
-class LoopbackAutopilot(Section):
+class AutopilotSection(Section):
     """The autopilot at the other end of the link."""
 
     kind: Autopilot | None = None
@@ -158,17 +158,17 @@ class Scenario(Section):
     """airframe file, relative to the scenario file"""
     duration_s: Annotated[float, Field(gt=0, le=LONGEST_FLIGHT_S)]
     """how long the flight is looked at [s]"""
-    flight: Flight
+    flight: FlightSection
     """what the vehicle does"""
-    ground: Ground = Ground()
+    ground: GroundSection = GroundSection()
     """what lies and stands below"""
-    air: Air = Air()
+    air: AirSection = AirSection()
     """air temperature over height"""
     thermometer: Thermometer = Thermometer()
     """what the vehicle's thermometers read"""
     faults: tuple[PlannedFault, ...] = ()
     """what goes wrong, in any order"""
-    autopilot: LoopbackAutopilot | None = LoopbackAutopilot()
+    autopilot: AutopilotSection | None = AutopilotSection()
     """the autopilot at the other end of the link; null: none is ever heard"""
 
     @model_validator(mode="after")

@@ -15,7 +15,7 @@ LINE_EACH_S = 10.0
 """Flown time between two lines where there is no terminal to draw on [s]."""
 
 
-class Live:
+class FlightDisplay:
     """What happens now: height, the last answer of every sensor, the newest texts."""
 
     def __init__(self, simulation: Simulation, duration_s: float) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_sim.flight.flight_log import Flight, Track
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
 def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:
@@ -31,7 +31,7 @@ def error_of(truth_m: list[float | None], value_m: list[float | None], why: list
     }
 
 
-def summarise(flight: Flight, scenario: str, seed: int) -> dict[str, Any]:
+def summarise(flight: FlightResult, scenario: str, seed: int) -> dict[str, Any]:
     """Everything about a flight that the same seed repeats."""
     rejected = flight.rejected
     return {
@@ -63,7 +63,7 @@ def summarise(flight: Flight, scenario: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _fused(track: Track) -> dict[str, Any]:
+def _fused(track: SensorTrack) -> dict[str, Any]:
     count = len(track.time_s)
     elapsed_s = track.time_s[-1] - track.time_s[0] if count > 1 else 0.0
     return {

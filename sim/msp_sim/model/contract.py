@@ -16,11 +16,11 @@ from scipy.stats import chisquare, kstest
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
-from msp_sim.model.model import Active, Model
-from msp_sim.model.rows import Rows
+from msp_sim.model.model import Model, Term
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.sampler import Sampler
 from msp_sim.model.slopes import LEAST, slopes
-from msp_sim.model.streams import Streams
+from msp_sim.model.streams import RandomStreams
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
 
@@ -89,10 +89,10 @@ class Trial:
     def __init__(self, effect: Effect, sensor: SensorModel) -> None:
         self.effect = effect
         self.base = Model(sensor.model_copy(update={"effects": ()}))
-        self._strong: Active | None = None
+        self._strong: Term | None = None
 
     @property
-    def strong(self) -> Active:
+    def strong(self) -> Term:
         """The effect at the first of `STRENGTHS` at which it shows."""
         if self._strong is None:
             for strength in STRENGTHS:
@@ -102,9 +102,9 @@ class Trial:
         assert self._strong is not None
         return self._strong
 
-    def at(self, values: Mapping[str, float]) -> Active:
+    def at(self, values: Mapping[str, float]) -> Term:
         """The effect with these values, of one sensor, run or target where it is of one."""
-        return Active(self.effect, dict(values), WORDS[self.effect.of] if self.effect.of else None)
+        return Term(self.effect, dict(values), WORDS[self.effect.of] if self.effect.of else None)
 
     def on(self, model: Model) -> Model:
         """A model with the strong effect on top."""
@@ -278,7 +278,7 @@ def _slopes(trial: Trial) -> str | None:
     n = 2000
     rows = trial.on(trial.base).rows(trial.contexts(n, 4))
     rng = np.random.default_rng(6)
-    reading_cm = np.where(rng.random(n) < 0.7, rows.sample(Streams(rng)), rng.choice(CODES, n))
+    reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(CODES, n))
     reading_cm[:10] += 0.5
     log_p, by = slopes(rows, reading_cm)
     if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(LEAST))).max() > 1e-9:
@@ -295,7 +295,7 @@ def _slopes(trial: Trial) -> str | None:
     return None
 
 
-def _moved(rows: Rows, h: float) -> list[Rows]:
+def _moved(rows: ModelRows, h: float) -> list[ModelRows]:
     """Rows with each quantity of `FREE` a little larger."""
     hit, short, missed, random = rows.log_weights
     return [
@@ -359,7 +359,7 @@ def _grouped(observed: NDArray[Any], expected: NDArray[Any]) -> tuple[NDArray[An
 
 def _one_at_a_time(trial: Trial) -> str | None:
     model, few, n = trial.on(trial.base), trial.contexts(150), 150
-    sampler, streams = Sampler(model, np.random.default_rng(7)), Streams(np.random.default_rng(7))
+    sampler, streams = Sampler(model, np.random.default_rng(7)), RandomStreams(np.random.default_rng(7))
     for i in range(n):
         one = {column: values[i].item() for column, values in few.items()}
         unknown_as_none = {key: None if value != value else value for key, value in one.items()}

@@ -21,8 +21,8 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
 from msp_sim.effects.curve import CURVE, MOST, curve
 from msp_sim.effects.own import find_effect
-from msp_sim.model.rows import Added, Faulty, Rows, RunOffset
-from msp_sim.model.streams import Streams
+from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
+from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
 CHUNK = 1 << 16
@@ -32,7 +32,7 @@ LARGEST_SHARE = 1.0 - 1e-12
 
 
 @dataclass(frozen=True)
-class Active:
+class Term:
     """An effect with the values of its parameters, and the sensor, run or target that it is of."""
 
     effect: Effect
@@ -63,7 +63,7 @@ class Model:
     """
 
     sensor: SensorModel
-    effects: tuple[Active, ...] = ()
+    effects: tuple[Term, ...] = ()
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "Model":
@@ -78,18 +78,18 @@ class Model:
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
         if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
-            effects.append(active("slant_range", None, {"share": 1.0}))
+            effects.append(make_term("slant_range", None, {"share": 1.0}))
         return cls(sensor, tuple(effects))
 
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """With one more effect of the catalogue; shapes that are left out are at their defaults."""
-        return replace(self, effects=(*self.effects, active(name, of, values)))
+        return replace(self, effects=(*self.effects, make_term(name, of, values)))
 
     def adding_curve(
         self, channel: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]], values: Sequence[float]
     ) -> "Model":
         """With a curve that no effect of the catalogue explains, by its values at the knots."""
-        return replace(self, effects=(*self.effects, active_curve(channel, variables, knots, values)))
+        return replace(self, effects=(*self.effects, make_curve_term(channel, variables, knots, values)))
 
     @cached_property
     def base(self) -> ReadingModel:
@@ -101,7 +101,7 @@ class Model:
         """Context columns that it reads."""
         return frozenset({TRUE_RANGE}).union(*(each.effect.columns for each in self.effects))
 
-    def sample(self, contexts: Mapping[str, Any], chance: np.random.Generator | Streams) -> _Array:
+    def sample(self, contexts: Mapping[str, Any], chance: np.random.Generator | RandomStreams) -> _Array:
         """Draw one reading for each context.
 
         Parameters
@@ -121,7 +121,7 @@ class Model:
         ValueError
             ``true_range_cm`` is missing, or columns differ in length.
         """
-        streams = chance if isinstance(chance, Streams) else Streams(chance)
+        streams = chance if isinstance(chance, RandomStreams) else RandomStreams(chance)
         return np.concatenate([rows.sample(streams) for _, rows in self.chunks(contexts)] or [np.zeros(0)])
 
     def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> _Array:
@@ -152,11 +152,11 @@ class Model:
             )
         return np.concatenate([rows.log_prob(reading[part]) for part, rows in self.chunks(contexts)] or [np.zeros(0)])
 
-    def rows(self, contexts: Mapping[str, Any]) -> Rows:
+    def rows(self, contexts: Mapping[str, Any]) -> ModelRows:
         """The distribution of the reading of each context, all at once; `chunks` for many of them."""
         return self._rows(self._columns(contexts))
 
-    def chunks(self, contexts: Mapping[str, Any]) -> Iterator[tuple[slice, Rows]]:
+    def chunks(self, contexts: Mapping[str, Any]) -> Iterator[tuple[slice, ModelRows]]:
         """The same in parts of `CHUNK` rows, with the place of each part."""
         columns = self._columns(contexts)
         size = columns[TRUE_RANGE].size
@@ -173,26 +173,26 @@ class Model:
             raise ValueError(f"found context columns of different lengths: {sizes}")
         return columns
 
-    def _rows(self, columns: Mapping[str, NDArray[Any]]) -> Rows:
+    def _rows(self, columns: Mapping[str, NDArray[Any]]) -> ModelRows:
         """The base mixture for these columns, and on it what each effect changes."""
         scene = Scene(self.sensor, columns)
-        return changed(base_rows(self, scene), scene, self.effects)
+        return apply_terms(base_rows(self, scene), scene, self.effects)
 
 
-def base_rows(model: Model, scene: Scene) -> Rows:
+def base_rows(model: Model, scene: Scene) -> ModelRows:
     """The base mixture in a scene, without effects."""
     base = vars(model.base.rows(scene.range_cm))
-    return Rows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)})
+    return ModelRows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)})
 
 
-def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
+def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> ModelRows:
     """Rows with what each of these effects changes."""
     centre_cm, log_spread = rows.centre_cm, np.zeros(())
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
     known_offsets = len(offsets)
     for each in effects:
-        known = acts(scene, each)
+        known = applies(scene, each)
         if known is False:
             continue
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -209,9 +209,9 @@ def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
                 logs[i] = logs[i] + _where(known, log_odds)
         if change.component is not None:
             share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
-            added.append(Added(share / (1.0 - share), change.component, each.stream))
+            added.append(AddedComponent(share / (1.0 - share), change.component, each.stream))
         if change.fault is not None:
-            faults.append(Faulty(_where(known, change.fault_share), change.fault, each.stream))
+            faults.append(AppliedFault(_where(known, change.fault_share), change.fault, each.stream))
     sigma_cm = rows.wider(np.exp(log_spread)).sigma_cm if np.any(log_spread) else rows.sigma_cm
     for deviation_cm, runs, _ in offsets[known_offsets:]:
         sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
@@ -226,7 +226,7 @@ def changed(rows: Rows, scene: Scene, effects: Iterable[Active]) -> Rows:
     )
 
 
-def acts(scene: Scene, each: Active) -> Any:
+def applies(scene: Scene, each: Term) -> Any:
     """Where an effect has the context that it needs: True or False for all rows, or an array."""
     known: Any = True
     for column in each.effect.needs:
@@ -256,7 +256,7 @@ def load_model(path: Path | str) -> Model:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def active(name: str, of: str | None, values: Mapping[str, float], place: str = "effect") -> Active:
+def make_term(name: str, of: str | None, values: Mapping[str, float], place: str = "effect") -> Term:
     """An effect of the catalogue with these values.
 
     Raises
@@ -286,16 +286,16 @@ def active(name: str, of: str | None, values: Mapping[str, float], place: str = 
     for key, parameter in known.items():
         if key not in values and parameter.null is not None:
             raise ConfigError(f"{place}.parameters.{key}: this key is missing; expected {parameter.meaning}")
-    return Active(effect, {**effect.nulls(), **values}, of)
+    return Term(effect, {**effect.nulls(), **values}, of)
 
 
-def active_curve(
+def make_curve_term(
     channel: Any,
     variables: Any,
     knots: Any,
     values: Any,
     place: str = "curve",
-) -> Active:
+) -> Term:
     """A curve with its values.
 
     Raises
@@ -322,7 +322,7 @@ def active_curve(
         )
     shape = (str(channel), tuple(str(each) for each in variables), tuple(tuple(each) for each in knots))
     effect = curve(channel, shape[1], shape[2])
-    return Active(effect, {f"value_{i}": float(value) for i, value in enumerate(values)}, None, shape)
+    return Term(effect, {f"value_{i}": float(value) for i, value in enumerate(values)}, None, shape)
 
 
 def _are_knots(places: Any) -> bool:
@@ -334,14 +334,14 @@ def _are_knots(places: Any) -> bool:
     return numbers and len(places) > 1 and bool(np.all(np.diff(np.asarray(places, dtype=float)) > 0.0))
 
 
-def _entry(entry: Mapping[str, Any], place: str) -> Active:
+def _entry(entry: Mapping[str, Any], place: str) -> Term:
     """An entry of a model file's ``effects``."""
     if entry.get("name") == CURVE:
         keys: tuple[str, ...] = ("name", "channel", "variables", "knots", "values", "evidence")
         for key in entry:
             if key not in keys:
                 raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
-        return active_curve(
+        return make_curve_term(
             entry.get("channel"), entry.get("variables"), entry.get("knots"), entry.get("values"), place
         )
     keys = ("name", "of", "parameters", "evidence")
@@ -359,7 +359,7 @@ def _entry(entry: Mapping[str, Any], place: str) -> Active:
                 f"{place}.parameters.{key}: found {said!r}, expected a number, or a mapping with its 'value'"
             )
         values[str(key)] = float(value)
-    return active(str(entry.get("name")), entry.get("of"), values, place)
+    return make_term(str(entry.get("name")), entry.get("of"), values, place)
 
 
 def _where(known: Any, change: Any) -> Any:

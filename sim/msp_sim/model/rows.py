@@ -14,12 +14,12 @@ from msp_range.reading_model.rows import MixtureRows, Part, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component, Hits
-from msp_sim.model.streams import Streams
+from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
 
 
-class Added(NamedTuple):
+class AddedComponent(NamedTuple):
     """One more component: its odds against the base mixture, and the name of its stream."""
 
     odds: Any
@@ -27,7 +27,7 @@ class Added(NamedTuple):
     stream: str
 
 
-class Faulty(NamedTuple):
+class AppliedFault(NamedTuple):
     """A fault of the code: the share of readings that it befalls, and the name of its stream."""
 
     share: Any
@@ -44,7 +44,7 @@ class RunOffset(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Rows(MixtureRows):
+class ModelRows(MixtureRows):
     """Distribution of n readings.
 
     With q the base mixture of `ReadingModel`, o_j the odds and c_j the densities of the components added, and faults
@@ -62,8 +62,8 @@ class Rows(MixtureRows):
         What effects add; faults in their order.
     """
 
-    added: tuple[Added, ...] = ()
-    faults: tuple[Faulty, ...] = ()
+    added: tuple[AddedComponent, ...] = ()
+    faults: tuple[AppliedFault, ...] = ()
     run_offsets: tuple[RunOffset, ...] = ()
 
     @property
@@ -71,7 +71,7 @@ class Rows(MixtureRows):
         """The part of the hits' variance that lies between runs [cm^2]."""
         return sum(np.where(runs != "", deviation_cm**2, 0.0) for deviation_cm, runs, _ in self.run_offsets)
 
-    def wider(self, factor: Any) -> "Rows":
+    def wider(self, factor: Any) -> "ModelRows":
         """With another spread within runs; what lies between runs stays as it is."""
         if not self.run_offsets:
             return replace(self, sigma_cm=self.sigma_cm * factor)
@@ -83,12 +83,12 @@ class Rows(MixtureRows):
         """Some of the rows."""
         return replace(
             super().take(rows),
-            added=tuple(Added(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
-            faults=tuple(Faulty(take(share, rows), fault, stream) for share, fault, stream in self.faults),
+            added=tuple(AddedComponent(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
+            faults=tuple(AppliedFault(take(share, rows), fault, stream) for share, fault, stream in self.faults),
             run_offsets=tuple(RunOffset(each, runs[rows], stream) for each, runs, stream in self.run_offsets),
         )
 
-    def sample(self, streams: Streams) -> _Array:
+    def sample(self, streams: RandomStreams) -> _Array:
         """One reading a row [cm]; each part draws from its own stream."""
         n = len(self)
         centre_cm, sigma_cm = self._with_run_offsets(streams)
@@ -109,7 +109,7 @@ class Rows(MixtureRows):
             reading_cm = np.where(streams[stream].random(n) < share, fault.arrives(reading_cm), reading_cm)
         return reading_cm
 
-    def _with_run_offsets(self, streams: Streams) -> tuple[_Array, _Array]:
+    def _with_run_offsets(self, streams: RandomStreams) -> tuple[_Array, _Array]:
         """Centres that have each run's own offset, and the spread without the offsets' share."""
         if not self.run_offsets:
             return self.centre_cm, self.sigma_cm
@@ -124,7 +124,7 @@ class Rows(MixtureRows):
         """The same behind the faults of the code."""
         return self._after(self.faults, first, last, part)
 
-    def _after(self, faults: Sequence[Faulty], first: _Array, last: _Array, part: Part) -> _Array:
+    def _after(self, faults: Sequence[AppliedFault], first: _Array, last: _Array, part: Part) -> _Array:
         if not faults:
             return super().arrives(first, last, part)
         share, fault, _ = faults[-1]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from msp_range.reading_model.kernel import Hit, Random, Short
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
-from msp_sim.model.model import Model, acts
-from msp_sim.model.streams import Streams
+from msp_sim.model.model import Model, applies
+from msp_sim.model.streams import RandomStreams
 
 
 class Sampler:
@@ -40,7 +40,7 @@ class Sampler:
     def __init__(self, model: Model, rng: np.random.Generator) -> None:
         self._model = model
         self._needs = model.needs
-        self._streams = Streams(rng)
+        self._streams = RandomStreams(rng)
         self._plain = not any(
             {"component", "code"} & set(each.effect.channels) or "run" in each.effect.needs for each in model.effects
         )
@@ -66,7 +66,7 @@ class Sampler:
         if self._model.effects:
             scene = Scene(self._model.sensor, context)
             for each in self._model.effects:
-                if not acts(scene, each):
+                if not applies(scene, each):
                     continue
                 change = each.effect.act(scene, each.values)
                 centre_cm += change.bias_cm or 0.0

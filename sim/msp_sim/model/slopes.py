@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
-from msp_sim.model.rows import Added, Faulty, Rows
+from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows
 
 _Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ LEAST = 1e-12
 """A reading that the model cannot give counts as this improbable, and not as ever so improbable."""
 
 
-def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
+def slopes(rows: ModelRows, reading_cm: _Array) -> tuple[_Array, _Array]:
     """Log probabilities and their derivatives.
 
     Parameters
@@ -39,7 +39,7 @@ def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
         spread within runs, the log odds of short, missed and random readings, the logarithm of the rate of the short
         ones, and the saturated share.
     """
-    parts = rows.of_readings(reading_cm, Rows.slopes)
+    parts = rows.of_readings(reading_cm, ModelRows.slopes)
     p = np.maximum(parts[0], LEAST)
     by = np.where(parts[0] > LEAST, parts[1:] / p, 0.0)
     if rows.run_offsets:
@@ -47,22 +47,22 @@ def slopes(rows: Rows, reading_cm: _Array) -> tuple[_Array, _Array]:
     return np.log(p), np.ascontiguousarray(by.T)
 
 
-def log_prob(rows: Rows, reading_cm: _Array) -> _Array:
-    """Log probabilities alone, (n,): as `Rows.log_prob`, but not below that of `LEAST`."""
-    return np.asarray(np.log(np.maximum(rows.of_readings(reading_cm, Rows.probability)[0], LEAST)))
+def log_prob(rows: ModelRows, reading_cm: _Array) -> _Array:
+    """Log probabilities alone, (n,): as `ModelRows.log_prob`, but not below that of `LEAST`."""
+    return np.asarray(np.log(np.maximum(rows.of_readings(reading_cm, ModelRows.probability)[0], LEAST)))
 
 
-def score_of_component(rows: Rows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
+def score_of_component(rows: ModelRows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
     """Derivative of the log probabilities by the odds of one more component, where it has none, (n,)."""
     others = 1.0 + sum(np.asarray(each.odds) for each in rows.added)
-    own = replace(rows, added=(Added(1.0, component, ""),)).of_readings(reading_cm, Rows.last_added)[0]
+    own = replace(rows, added=(AddedComponent(1.0, component, ""),)).of_readings(reading_cm, ModelRows.last_added)[0]
     return _ratio(own, log_p) / others
 
 
-def score_of_fault(rows: Rows, reading_cm: _Array, fault: CodeFault, log_p: _Array) -> _Array:
+def score_of_fault(rows: ModelRows, reading_cm: _Array, fault: CodeFault, log_p: _Array) -> _Array:
     """Derivative of the log probabilities by the share of one more fault, where it has none, (n,)."""
-    faults = sorted((*rows.faults, Faulty(1.0, fault, "")), key=lambda each: each.fault.order)
-    own = replace(rows, faults=tuple(faults)).of_readings(reading_cm, Rows.probability)[0]
+    faults = sorted((*rows.faults, AppliedFault(1.0, fault, "")), key=lambda each: each.fault.order)
+    own = replace(rows, faults=tuple(faults)).of_readings(reading_cm, ModelRows.probability)[0]
     return _ratio(own, log_p)
 
 

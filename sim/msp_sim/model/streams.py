@@ -5,7 +5,7 @@ from zlib import crc32
 import numpy as np
 
 
-class Streams:
+class RandomStreams:
     """Generators by name, all from one.
 
     Parameters
@@ -15,7 +15,7 @@ class Streams:
 
     Examples
     --------
-    >>> one, other = Streams(np.random.default_rng(1)), Streams(np.random.default_rng(1))
+    >>> one, other = RandomStreams(np.random.default_rng(1)), RandomStreams(np.random.default_rng(1))
     >>> _ = other["crosstalk"].random(5)
     >>> one["hit"].random() == other["hit"].random()
     True

@@ -58,7 +58,7 @@ class Omitted:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """Rows of cells under a header; a cell that is a number is set to the right.
 
     Parameters

@@ -19,8 +19,8 @@ from msp_sim.flight.results import make_ready, write_results
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.sitl.sitl import Sitl, start_line, status_line
-from msp_sim.world.surfaces import Ground
-from msp_sim.world.world import Air, World
+from msp_sim.world.surfaces import GroundSection
+from msp_sim.world.world import AirSection, World
 
 SHOWN_EACH_S = 0.1
 """Wall time between two looks at a flight [s]."""
@@ -68,7 +68,7 @@ def fly_sitl(
             airframe,
             clock,
             transport,
-            scenario.world() if scenario is not None else World(Ground(), Air()),
+            scenario.world() if scenario is not None else World(GroundSection(), AirSection()),
             seed,
             model=sensor_model,
             clearance_m=ground_clearance,

@@ -33,8 +33,8 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault, NotAcknowledged
 from msp_sim.device.emulated import emulated_bus
-from msp_sim.flight.flight_log import Flight, FlightLog
-from msp_sim.world.vehicle import Angles, Pose
+from msp_sim.flight.flight_log import FlightLog, FlightResult
+from msp_sim.world.vehicle import EulerAngles, Pose
 from msp_sim.world.world import World
 
 POSE_STALE_S = 1.0
@@ -94,7 +94,7 @@ class HeardVehicle:
         self._last = Pose(0.0, (*start_m, self._landed_down_m(*start_m)), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
         self._origin_m: Vector = (0.0, 0.0, 0.0)
         self._cos_latitude: float | None = None
-        self._angles: tuple[float, Angles] | None = None
+        self._angles: tuple[float, EulerAngles] | None = None
 
     def hear(self, now_s: float, message: Any) -> None:
         """Update with a message of the autopilot that came at ``now_s`` and is a HEARTBEAT or a pose; ignore others."""
@@ -107,7 +107,7 @@ class HeardVehicle:
         elif kind == "SIM_STATE":
             place = self._global_place(message.lat_int, message.lon_int, message.alt)
             velocity = (message.vn, message.ve, message.vd)
-            self._take(kind, now_s, place, Angles(message.roll, message.pitch, message.yaw), velocity)
+            self._take(kind, now_s, place, EulerAngles(message.roll, message.pitch, message.yaw), velocity)
         elif kind == "HIL_STATE_QUATERNION":
             # PX4 sends zeros until its simulator has found its place.
             if message.lat or message.lon:
@@ -115,7 +115,7 @@ class HeardVehicle:
                 velocity = (message.vx / 100, message.vy / 100, message.vz / 100)
                 self._take(kind, now_s, place, euler_angles(*message.attitude_quaternion), velocity)
         elif kind == "ATTITUDE":
-            self._angles = now_s, Angles(message.roll, message.pitch, message.yaw)
+            self._angles = now_s, EulerAngles(message.roll, message.pitch, message.yaw)
         elif kind == "LOCAL_POSITION_NED" and self.source not in TRUTH.values() and self._angles is not None:
             angles_s, angles = self._angles
             if now_s - angles_s <= POSE_STALE_S:
@@ -164,7 +164,7 @@ class HeardVehicle:
         origin = self._origin_m
         self._origin_m = (origin[0], origin[1], origin[2] + down_m - landed_m)
 
-    def _take(self, source: str, now_s: float, place: Vector, angles: Angles, velocity: Vector) -> None:
+    def _take(self, source: str, now_s: float, place: Vector, angles: EulerAngles, velocity: Vector) -> None:
         if source != self.source:
             # Another message counts from another place: the vehicle has not moved.
             here = self.pose(now_s).position_ned_m
@@ -176,7 +176,7 @@ class HeardVehicle:
         self.heard[source] += 1
 
 
-def euler_angles(w: float, x: float, y: float, z: float) -> Angles:
+def euler_angles(w: float, x: float, y: float, z: float) -> EulerAngles:
     """Euler angles, intrinsic z-y'-x'', of the rotation from body to world.
 
     Examples
@@ -185,7 +185,7 @@ def euler_angles(w: float, x: float, y: float, z: float) -> Angles:
     >>> [f"{math.degrees(angle):.1f}" for angle in euler_angles(math.cos(half), 0.0, math.sin(half), 0.0)]
     ['0.0', '30.0', '0.0']
     """
-    return Angles(
+    return EulerAngles(
         math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
         math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
         math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
@@ -295,7 +295,7 @@ class Sitl:
             self._log.take(step)
         return steps
 
-    def finish(self) -> Flight:
+    def finish(self) -> FlightResult:
         """What the flight left behind."""
         self._log.finish(self.now_s(), self._bridge)
         return self.flight

@@ -123,7 +123,7 @@ class Course:
         self.end_m, self.end_m_s, _ = end
 
 
-class Hold(Section):
+class HoldSegment(Section):
     """Stay at the present height."""
 
     kind: Literal["hold"]
@@ -135,7 +135,7 @@ class Hold(Section):
         height.coast(self.duration_s)
 
 
-class Climb(Section):
+class ClimbSegment(Section):
     """Take off, climb or descend to a height at a speed, and stop there."""
 
     kind: Literal["climb"]
@@ -151,7 +151,7 @@ class Climb(Section):
         height.move_to(self.to_m, self.speed_m_s, self.acceleration_m_s2)
 
 
-class Land(Section):
+class LandSegment(Section):
     """Descend to the surface below and stay on it."""
 
     kind: Literal["land"]
@@ -165,7 +165,7 @@ class Land(Section):
         height.move_to(surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
 
 
-class StepTo(Section):
+class StepSegment(Section):
     """Be at another height at once, as when a bench's target is exchanged."""
 
     kind: Literal["step"]
@@ -177,7 +177,7 @@ class StepTo(Section):
         height.set(self.to_m)
 
 
-class Ramp(Section):
+class RampSegment(Section):
     """Change height at constant speed, with sharp corners."""
 
     kind: Literal["ramp"]
@@ -191,7 +191,7 @@ class Ramp(Section):
         _ramp(height, self.to_m, self.duration_s)
 
 
-class Sinusoid(Section):
+class SinusoidSegment(Section):
     """Swing between the present height and another one, from rest to rest."""
 
     kind: Literal["sinusoid"]
@@ -207,7 +207,7 @@ class Sinusoid(Section):
         height.swing(self.swing_m, self.period_s, self.cycles)
 
 
-class FollowTerrain(Section):
+class TerrainSegment(Section):
     """Keep a height above the surface below, as fast as the vehicle can."""
 
     kind: Literal["terrain"]
@@ -236,7 +236,7 @@ class FollowTerrain(Section):
         height.stop(self.acceleration_m_s2)
 
 
-class RandomLevels(Section):
+class RandomSegment(Section):
     """The report's random range (5.3): sharp changes, slopes and few steady parts.
 
     Stretches of 5 to 19 samples at 10 Hz; half of them are constant at a new level, half a ramp from the last value
@@ -269,7 +269,15 @@ class RandomLevels(Section):
 
 
 Segment = Annotated[
-    Hold | Climb | Land | StepTo | Ramp | Sinusoid | FollowTerrain | RandomLevels, Field(discriminator="kind")
+    HoldSegment
+    | ClimbSegment
+    | LandSegment
+    | StepSegment
+    | RampSegment
+    | SinusoidSegment
+    | TerrainSegment
+    | RandomSegment,
+    Field(discriminator="kind"),
 ]
 
 
@@ -309,7 +317,7 @@ class Leg(Section):
     """where it goes, from north to east [deg]"""
 
 
-class Track(Section):
+class TrackSection(Section):
     """Where the vehicle goes over the ground; after the last leg it comes to rest."""
 
     start_m: tuple[float, float] = (0.0, 0.0)

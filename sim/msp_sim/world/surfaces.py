@@ -1,6 +1,6 @@
 """The ground and the objects on it, and which of them a beam hears.
 
-`Ground`, a scenario's section, enters; `Terrain` and `Block` leave, which list the echoes of a ping and what a ray
+`GroundSection`, a scenario's section, enters; `Terrain` and `Block` leave, which list the echoes of a ping and what a ray
 meets. The ground is a plane with a slope and with steps along one heading; upright boxes stand on it. World frame NED,
 its origin on the ground; heights are over the origin, up positive.
 
@@ -36,7 +36,7 @@ HalfAngle = Callable[[float], float]
 """Largest angle off the boresight [rad] from which an echo at a range [m] is heard; does not grow with range."""
 
 
-class Step(Section):
+class GroundStep(Section):
     """A line across the ground where its height, its surface or both change."""
 
     at_m: float
@@ -71,7 +71,7 @@ class Roughness(Section):
     """typical distance from one tuft to the next [m]"""
 
 
-class Ground(Section):
+class GroundSection(Section):
     """What lies and stands below."""
 
     surface: str = "grass"
@@ -84,13 +84,13 @@ class Ground(Section):
     """heading in which it rises, from north to east [deg]"""
     steps_heading_deg: float = 0.0
     """heading along which the steps' distances are counted, from north to east [deg]"""
-    steps: tuple[Step, ...] = ()
+    steps: tuple[GroundStep, ...] = ()
     """in order of distance"""
     boxes: tuple[Box, ...] = ()
     """in any order; they should not overlap"""
 
     @model_validator(mode="after")
-    def _steps_in_order(self) -> "Ground":
+    def _steps_in_order(self) -> "GroundSection":
         for before, after in zip(self.steps, self.steps[1:], strict=False):
             if after.at_m <= before.at_m:
                 raise ValueError(f"expected steps in order of at_m, but {after.at_m} comes after {before.at_m}")
@@ -221,7 +221,7 @@ class Terrain:
     height h is (h - tan(s) (p . u) - r) cos(s) from its plane.
     """
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, ground: GroundSection) -> None:
         slope_rad, uphill_rad = math.radians(ground.slope_deg), math.radians(ground.uphill_deg)
         heading_rad = math.radians(ground.steps_heading_deg)
         self._cos_slope = math.cos(slope_rad)

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from msp_range.geometry import Vector
 from msp_range.yaml_file import Section
-from msp_sim.world.profiles import Positive, Segment, Track, altitude
+from msp_sim.world.profiles import Positive, Segment, TrackSection, altitude
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.5
@@ -76,7 +76,7 @@ class AttitudeSection(Section):
     """lean into horizontal acceleration as a multicopter must"""
 
 
-class Angles(NamedTuple):
+class EulerAngles(NamedTuple):
     """Euler angles of the vehicle [rad]."""
 
     roll_rad: float
@@ -84,7 +84,7 @@ class Angles(NamedTuple):
     yaw_rad: float
 
 
-class Attitude:
+class AttitudeModel:
     """The vehicle's Euler angles as a function of time and of what it does.
 
     Sway is a sum of three sinusoids in roll and in pitch, whose periods and phases ``generator`` draws: irregular,
@@ -92,7 +92,7 @@ class Attitude:
     """
 
     def __init__(self, section: AttitudeSection, generator: Generator) -> None:
-        self._mean = Angles(*(math.radians(a) for a in (section.roll_deg, section.pitch_deg, section.yaw_deg)))
+        self._mean = EulerAngles(*(math.radians(a) for a in (section.roll_deg, section.pitch_deg, section.yaw_deg)))
         self._cos_yaw, self._sin_yaw = math.cos(self._mean.yaw_rad), math.sin(self._mean.yaw_rad)
         self._tilts = section.tilt_with_acceleration
         sway = section.sway or Sway(roll_rms_deg=0.0, pitch_rms_deg=0.0)
@@ -155,14 +155,14 @@ def _swing_at(swings: tuple[_Swing, _Swing, _Swing], time_s: float) -> float:
     )
 
 
-class Flight(Section):
+class FlightSection(Section):
     """What the vehicle does."""
 
     standing_height_m: Annotated[float, Field(ge=0)] = 0.25
     """height of the body frame's origin above the surface that the vehicle stands on [m]"""
     altitude: Annotated[tuple[Segment, ...], Field(min_length=1)]
     """heights over the starting place, segment by segment; the vehicle stays where the last one ends"""
-    track: Track = Track()
+    track: TrackSection = TrackSection()
     """where it goes over the ground"""
     attitude: AttitudeSection = AttitudeSection()
     """how it is turned"""
@@ -186,14 +186,16 @@ class Vehicle:
         When the last segment of the altitude profile ends [s].
     """
 
-    def __init__(self, flight: Flight, elevation_m: Callable[[float, float], float], generator: Generator) -> None:
+    def __init__(
+        self, flight: FlightSection, elevation_m: Callable[[float, float], float], generator: Generator
+    ) -> None:
         altitude_generator, attitude_generator = generator.spawn(2)
         self._elevation_m = elevation_m
         self._standing_height_m = flight.standing_height_m
         self._north, self._east = flight.track.courses()
         self._start_elevation_m = elevation_m(*flight.track.start_m)
         self._height = altitude(flight.altitude, self._surface_m, altitude_generator)
-        self._attitude = Attitude(flight.attitude, attitude_generator)
+        self._attitude = AttitudeModel(flight.attitude, attitude_generator)
         self.duration_s = self._height.end_s
         self._newest = self._pose(0.0)
 

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from msp_range.geometry import Matrix, Vector, dot, rotation_matrix
 from msp_range.yaml_file import Section
-from msp_sim.world.surfaces import Block, Echo, Ground, HalfAngle, Terrain
+from msp_sim.world.surfaces import Block, Echo, GroundSection, HalfAngle, Terrain
 from msp_sim.world.vehicle import Pose
 
 
@@ -33,7 +33,7 @@ class WarmLayer(Section):
         return self
 
 
-class Air(Section):
+class AirSection(Section):
     """Air temperature over height."""
 
     ground_c: Annotated[float, Field(ge=-40, le=60)] = 20.0
@@ -60,7 +60,7 @@ class Air(Section):
         return mean_c + share * layer.warmer_by_c
 
 
-class Beam(NamedTuple):
+class MountedBeam(NamedTuple):
     """A sensor's place on the vehicle and what it can hear.
 
     Attributes
@@ -121,14 +121,14 @@ class World:
 
     Examples
     --------
-    >>> world = World(Ground(surface="concrete"), Air(ground_c=15.0, lapse_c_per_m=0.0))
-    >>> beam = Beam((0.2, 0.0, 0.1), (0.0, 0.0, 1.0), lambda range_m: math.radians(12.0))
+    >>> world = World(GroundSection(surface="concrete"), AirSection(ground_c=15.0, lapse_c_per_m=0.0))
+    >>> beam = MountedBeam((0.2, 0.0, 0.1), (0.0, 0.0, 1.0), lambda range_m: math.radians(12.0))
     >>> ping = world.ping(Pose(0.0, (0.0, 0.0, -2.1), 0.0, 0.0, 0.0, (0.0, 0.0, -0.5)), beam)
     >>> ping.heard, f"{ping.true_range_cm:.1f}", f"{ping.range_rate_cm_s:.1f}", ping.target
     (True, '200.0', '50.0', 'concrete')
     """
 
-    def __init__(self, ground: Ground, air: Air) -> None:
+    def __init__(self, ground: GroundSection, air: AirSection) -> None:
         self._terrain = Terrain(ground)
         self._blocks = [Block(box, self._terrain) for box in ground.boxes]
         self._air = air
@@ -145,7 +145,7 @@ class World:
         """Air temperature at a height over the origin [deg C]."""
         return self._air.mean_c(height_m, height_m)
 
-    def ping(self, pose: Pose, beam: Beam) -> Ping:
+    def ping(self, pose: Pose, beam: MountedBeam) -> Ping:
         """What is true about a ping that a sensor sends from this pose."""
         rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         north_m, east_m, down_m = pose.position_ned_m

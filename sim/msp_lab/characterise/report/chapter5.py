@@ -25,7 +25,7 @@ from msp_lab.characterise.temperature import REPORT_TABLE
 from msp_range.acoustics.air import compensate_range
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
-from msp_sim.page.page import Table
+from msp_sim.page.page import PageTable
 
 _MIXTURE_PARAMETERS = {
     "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
@@ -100,7 +100,7 @@ def _range(findings: Findings, rows: Rows, after: bool) -> Drawn:
     )
 
 
-def table_5_1(findings: Findings) -> Table | None:
+def table_5_1(findings: Findings) -> PageTable | None:
     """Table 5.1 beside the report's; None without rows."""
     rows = findings.temperature_compensation
     if not rows:
@@ -119,7 +119,7 @@ def table_5_1(findings: Findings) -> Table | None:
         )
 
     notes = " ".join(f"{row.range_cm:g} cm: {row.note}." for row in rows if row.note)
-    return Table(
+    return PageTable(
         name="table_5_1",
         title="Table 5.1: mean range error without and with temperature compensation",
         header=(
@@ -265,9 +265,9 @@ def draw_whole_mixture(findings: Findings, rows: Rows) -> Drawn:
     )
 
 
-def mixture_table(mixture: Mixture) -> Table:
+def mixture_table(mixture: Mixture) -> PageTable:
     """The fitted parameters with intervals, and what the model said before."""
-    return Table(
+    return PageTable(
         name="mixture_parameters",
         title="Parameters of the mixture",
         header=("parameter", "Thrun", "fitted, 95 % interval", "before"),

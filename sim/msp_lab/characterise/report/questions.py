@@ -3,7 +3,7 @@
 from msp_lab.characterise.findings import Effect, Estimate, Findings, Point
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_lab.characterise.report.chapter4 import interval
-from msp_sim.page.page import Table
+from msp_sim.page.page import PageTable
 from msp_sim.page.style import p_text
 
 METRICS = {
@@ -17,7 +17,7 @@ MOST_POINTS = 400
 """Set-ups that the page lists at most."""
 
 
-def effects_table(findings: Findings) -> Table | None:
+def effects_table(findings: Findings) -> PageTable | None:
     """Every effect of every question; None where none was asked."""
     rows = []
     for question in findings.questions:
@@ -29,7 +29,7 @@ def effects_table(findings: Findings) -> Table | None:
             subject = ""
     if not rows:
         return None
-    return Table(
+    return PageTable(
         name="effects",
         title="Every effect",
         header=(
@@ -64,12 +64,12 @@ def _numbers(effect: Effect) -> tuple[str, ...]:
     )
 
 
-def points_table(findings: Findings) -> Table | None:
+def points_table(findings: Findings) -> PageTable | None:
     """Every set-up and what was read there; None without any."""
     if not findings.points:
         return None
     left_out = len(findings.points) - MOST_POINTS
-    return Table(
+    return PageTable(
         name="points",
         title="Every set-up",
         header=(
