@@ -83,7 +83,7 @@ def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Lib
     here = _log_prob(model, contexts, reading_cm)
     columns, names, one_sided, moves = [], [], [], []
     for effect, of, values, parameter in _entries(contexts):
-        start = parameter.null or 0.0
+        start = parameter.neutral or 0.0
         changed = model.adding(effect.name, of, **{**values, parameter.name: start + parameter.step})
         score = np.expm1(_log_prob(changed, contexts, reading_cm) - here)
         size = np.sqrt(np.sum(score**2))
@@ -171,19 +171,19 @@ def _changed(model: Model, by: Array) -> Model:
 def _entries(contexts: Mapping[str, Any]) -> Iterator[tuple[Effect, str | None, dict[str, float], Parameter]]:
     """Entries of the catalogue whose columns are there, in each shape that it is to be tried in."""
     for effect in CATALOGUE.values():
-        if not all(_says(contexts, name) for name in (*effect.needs, *([effect.of] if effect.of else []))):
+        if not all(_says(contexts, name) for name in (*effect.requires, *([effect.per] if effect.per else []))):
             continue
         words: list[str | None] = [None]
-        if effect.of is not None:
-            words = [str(word) for word in np.unique(np.asarray(contexts[effect.of])) if word]
+        if effect.per is not None:
+            words = [str(word) for word in np.unique(np.asarray(contexts[effect.per])) if word]
             if not 1 < len(words) <= MOST_WORDS:
                 continue
-        shapes = [parameter for parameter in effect.parameters if parameter.null is None]
-        numbers = [parameter for parameter in effect.parameters if parameter.null is not None]
+        shapes = [parameter for parameter in effect.parameters if parameter.neutral is None]
+        numbers = [parameter for parameter in effect.parameters if parameter.neutral is not None]
         for word in words:
-            for tried in product(*(shape.tried or (shape.default,) for shape in shapes)):
+            for tried in product(*(shape.grid or (shape.default,) for shape in shapes)):
                 held = {shape.name: float(value or 0.0) for shape, value in zip(shapes, tried, strict=True)}
-                held |= {number.name: number.null or 0.0 for number in numbers}
+                held |= {number.name: number.neutral or 0.0 for number in numbers}
                 for number in numbers:
                     yield effect, word, held, number
 

@@ -133,7 +133,7 @@ def sample(
     write_csv(out, {**given.columns, "reading_cm": reading_cm})
     print(f"{out}: {len(given)} readings", file=sys.stderr)
     for effect in readings.effects:
-        absent = [name for name in effect.effect.needs if name not in given]
+        absent = [name for name in effect.effect.requires if name not in given]
         if absent:
             print(f"{effect.stream} does not act: there is no column {', '.join(absent)}", file=sys.stderr)
 

@@ -56,7 +56,7 @@ class CandidateEffect:
     @property
     def neutral(self) -> float:
         """The value at which the effect is absent."""
-        return self.parameter.null or 0.0
+        return self.parameter.neutral or 0.0
 
     @property
     def one_sided(self) -> bool:
@@ -82,12 +82,12 @@ class CandidateEffect:
     @property
     def cost_nats(self) -> float:
         """What the search over its shapes gains by random variation [nat]."""
-        searched = sum(len(parameter.tried) > 1 for parameter in self.effect.parameters)
+        searched = sum(len(parameter.grid) > 1 for parameter in self.effect.parameters)
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
 
     def at(self, value: float) -> Term:
         """The effect with this value of its number."""
-        values = {**self.effect.nulls(), **dict(self.shape), self.parameter.name: value}
+        values = {**self.effect.neutral_values(), **dict(self.shape), self.parameter.name: value}
         return Term(self.effect, values, self.of)
 
 
@@ -141,22 +141,22 @@ def candidates_of(
     found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
-        required = (*effect.needs, *((effect.of,) if effect.of else ()))
+        required = (*effect.requires, *((effect.per,) if effect.per else ()))
         absent = tuple(name for name in required if not _is_recorded(contexts, name))
         if absent:
             missing.append((effect.name, absent))
             continue
         words: Sequence[str | None] = (None,)
-        if effect.of is not None:
-            words = [str(word) for word in np.unique(np.asarray(contexts[effect.of])) if word]
-            if len(words) < 2 or (effect.of == "run" and len(words) > rules.MAX_RUN_CANDIDATES):
+        if effect.per is not None:
+            words = [str(word) for word in np.unique(np.asarray(contexts[effect.per])) if word]
+            if len(words) < 2 or (effect.per == "run" and len(words) > rules.MAX_RUN_CANDIDATES):
                 continue
         if effect.name in BETWEEN_RUNS:
             continue
-        shapes = [parameter for parameter in effect.parameters if parameter.null is None]
-        numbers = [parameter for parameter in effect.parameters if parameter.null is not None]
+        shapes = [parameter for parameter in effect.parameters if parameter.neutral is None]
+        numbers = [parameter for parameter in effect.parameters if parameter.neutral is not None]
         for word in words:
-            for tried in product(*(parameter.tried or (parameter.default or 0.0,) for parameter in shapes)):
+            for tried in product(*(parameter.grid or (parameter.default or 0.0,) for parameter in shapes)):
                 held = tuple((parameter.name, float(value)) for parameter, value in zip(shapes, tried, strict=True))
                 found.extend(CandidateEffect(effect, word, held, number) for number in numbers)
     return tuple(found), tuple(missing)
@@ -172,7 +172,7 @@ def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
 def change_of(scene: Scene, active: Term) -> Contribution:
     """What an effect changes; where its contexts make no sense, NaN without a warning."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return active.effect.act(scene, active.values)
+        return active.effect.apply(scene, active.values)
 
 
 def score_of(

@@ -51,7 +51,7 @@ def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) ->
         effect = CATALOGUE.get(each.name)
         if effect is None:
             continue
-        columns = [each for each in (*effect.needs, *((effect.of,) if effect.of else ())) if each != "run"]
+        columns = [each for each in (*effect.requires, *((effect.per,) if effect.per else ())) if each != "run"]
         special = [name for name in columns if name != "true_range_cm"] or columns or ["true_range_cm"]
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
     found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in findings.unknown]

@@ -282,9 +282,9 @@ def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:
     """Its shape, and those with one number of it moved between and beyond the values on its grid."""
     shapes = [candidate.shape]
     for parameter in candidate.effect.parameters:
-        if parameter.null is not None or len(parameter.tried) < 2:
+        if parameter.neutral is not None or len(parameter.grid) < 2:
             continue
-        low, high = min(parameter.tried), max(parameter.tried)
+        low, high = min(parameter.grid), max(parameter.grid)
         beyond = (high - low) / 2.0
         places = np.linspace(max(low - beyond, parameter.low), min(high + beyond, parameter.high), rules.SHAPE_STARTS)
         shapes += [

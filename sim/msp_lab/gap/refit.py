@@ -204,8 +204,8 @@ def _off_neutral(each: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
     values = dict(each.values)
     for parameter in each.effect.parameters:
-        if parameter.null is not None and values[parameter.name] == parameter.null and each.shape is None:
-            values[parameter.name] = parameter.null + parameter.step
+        if parameter.neutral is not None and values[parameter.name] == parameter.neutral and each.shape is None:
+            values[parameter.name] = parameter.neutral + parameter.step
     return replace(each, values=values)
 
 
@@ -226,7 +226,7 @@ def _slope(
     """Derivative by one number of the k-th effect."""
     each = effects[k]
     value = each.values[parameter.name]
-    step = parameter.step * (1.0 if parameter.null is not None else max(abs(value), 1.0))
+    step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
     if value + step > parameter.high:
         step = -step
     there = replace(each, values={**each.values, parameter.name: value + step})

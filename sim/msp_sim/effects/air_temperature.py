@@ -6,7 +6,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     ratio = scene.assumed_m_s / speed_of_sound(scene["air_temperature_c"])
     return Contribution(bias_cm=values["share"] * scene.range_cm * (ratio - 1.0))
 
@@ -17,8 +17,8 @@ AIR_TEMPERATURE = Effect(
     physics="reading = z c(T_C) / c(T), c = 20.05 sqrt(T); T_C the sensor's calibration temperature, T the air's [K]",
     source="report eq 6 and 7; MB1242 datasheet: no compensation of its own",
     parameters=(Parameter("share", "1", "share of it that nothing compensates; 1 for the bare sensor", -1.5, 1.5),),
-    needs=("true_range_cm", "air_temperature_c"),
+    requires=("true_range_cm", "air_temperature_c"),
     channels=("bias",),
     experiment="the same target at 0 and at 30 deg C: 5 % of the range between them",
-    act=_act,
+    apply=_apply,
 )

@@ -57,9 +57,9 @@ class Parameter:
     meaning: str
     low: float
     high: float
-    null: float | None = 0.0
+    neutral: float | None = 0.0
     default: float | None = None
-    tried: tuple[float, ...] = ()
+    grid: tuple[float, ...] = ()
     step: float = 1e-3
     power: int = 1
 
@@ -192,23 +192,23 @@ class Effect:
     physics: str
     source: str
     parameters: tuple[Parameter, ...]
-    needs: tuple[str, ...]
+    requires: tuple[str, ...]
     channels: tuple[Channel, ...]
     experiment: str
-    act: Callable[[Scene, Mapping[str, float]], Contribution] = field(repr=False)
-    reads: tuple[str, ...] = ()
-    of: Literal["sensor", "run", "target"] | None = None
+    apply: Callable[[Scene, Mapping[str, float]], Contribution] = field(repr=False)
+    optional: tuple[str, ...] = ()
+    per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None
-    also: tuple[str, ...] = ()
+    equivalent_causes: tuple[str, ...] = ()
 
     @property
     def columns(self) -> frozenset[str]:
         """Context columns that it reads."""
-        return frozenset({*self.needs, *self.reads, *([self.of] if self.of else [])})
+        return frozenset({*self.requires, *self.optional, *([self.per] if self.per else [])})
 
-    def nulls(self) -> dict[str, float]:
+    def neutral_values(self) -> dict[str, float]:
         """Values at which it vanishes, shapes at their defaults."""
-        return {p.name: p.null if p.null is not None else _default(p) for p in self.parameters}
+        return {p.name: p.neutral if p.neutral is not None else _default(p) for p in self.parameters}
 
 
 def _default(parameter: Parameter) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=values["slope_pct"] / 100.0 * np.maximum(scene.range_cm - values["from_cm"], 0.0))
 
 
@@ -22,9 +22,9 @@ BEND = Effect(
             "from_cm", "cm", "range from which on", 0.0, 1000.0, None, 200.0, (100.0, 150.0, 200.0, 300.0, 400.0)
         ),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="ranges in steps of 20 cm against a tape measure",
-    act=_act,
-    also=("a bent reference",),
+    apply=_apply,
+    equivalent_causes=("a bent reference",),
 )

@@ -10,7 +10,7 @@ MOST_LOG_ODDS = 10.0
 """However far it is tilted, an edge or a facet sends back one echo in some hundreds."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_angle_deg = np.degrees(scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0))
     beyond_deg = np.maximum(np.abs(scene["incidence_deg"]) - half_angle_deg, 0.0)
     return Contribution(log_odds_missed=np.minimum(values["log_odds_per_deg"] * beyond_deg, MOST_LOG_ODDS))
@@ -24,8 +24,8 @@ BEYOND_FIELD_OF_VIEW = Effect(
     parameters=(
         Parameter("log_odds_per_deg", "1/deg", "growth of the log odds beyond the breakaway angle", 0.0, 50.0),
     ),
-    needs=("true_range_cm", "incidence_deg"),
+    requires=("true_range_cm", "incidence_deg"),
     channels=("missed",),
     experiment="a wall, turned step by step at a fixed range until its readings become unreliable",
-    act=_act,
+    apply=_apply,
 )

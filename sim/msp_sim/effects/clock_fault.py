@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import ClockFault
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(fault=ClockFault(), fault_share=values["share"])
 
 
@@ -16,8 +16,8 @@ CLOCK_FAULT = Effect(
     physics="bit 15 reads as one: 32768 + reading",
     source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
     parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
-    needs=(),
+    requires=(),
     channels=("code",),
     experiment="the same wall with dtparam=i2c_arm_baudrate at 100000 and at 50000",
-    act=_act,
+    apply=_apply,
 )

@@ -8,7 +8,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     own_cm = scene.optional("true_range_cm", scene.sensor.maximum_cm)
     nearer = values["location_cm"] < own_cm
     component = Normal(values["location_cm"], values["sigma_cm"])
@@ -25,9 +25,9 @@ CLUTTER = Effect(
         Parameter("location_cm", "cm", "where it is", 0.0, 1000.0, None, 30.0, (25.0, 35.0, 50.0, 80.0)),
         Parameter("sigma_cm", "cm", "its scatter", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
-    needs=(),
+    requires=(),
     channels=("component",),
     experiment="the sensor on its vehicle, into open sky",
-    act=_act,
-    reads=("true_range_cm",),
+    apply=_apply,
+    optional=("true_range_cm",),
 )

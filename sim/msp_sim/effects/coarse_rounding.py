@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import Coarser
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
     return Contribution(fault=fault, fault_share=values["share"])
 
@@ -20,8 +20,8 @@ COARSE_ROUNDING = Effect(
         Parameter("share", "1", "1 where every reading is rounded", 0.0, 1.0),
         Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, (2.0, 2.54, 5.0, 10.0)),
     ),
-    needs=(),
+    requires=(),
     channels=("code",),
     experiment="a target moved slowly: the readings go up in steps",
-    act=_act,
+    apply=_apply,
 )

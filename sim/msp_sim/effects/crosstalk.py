@@ -8,7 +8,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     # The neighbour's ping is lag older than one's own: its echo comes lag earlier than from a range as far.
     false_cm = scene["neighbour_range_cm"] - scene.assumed_m_s * 100.0 * scene["neighbour_lag_ms"] / 1000.0 / 2.0
     own_cm = np.where(np.isnan(scene.range_cm), scene.sensor.maximum_cm, scene.range_cm)
@@ -25,9 +25,9 @@ CROSSTALK = Effect(
         Parameter("share", "1", "share of such pings that read the false echo", 0.0, 1.0),
         Parameter("sigma_cm", "cm", "scatter of the false echo", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
-    needs=("neighbour_lag_ms", "neighbour_range_cm"),
+    requires=("neighbour_lag_ms", "neighbour_range_cm"),
     channels=("component",),
     experiment="two sensors side by side, pinged together and then in turn",
-    act=_act,
-    reads=("true_range_cm",),
+    apply=_apply,
+    optional=("true_range_cm",),
 )

@@ -54,7 +54,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     names = [f"value_{i}" for i in range(count)]
     shape = (tuple(variables), tuple(tuple(each) for each in knots))
 
-    def act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+    def apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
         at = np.array([values[name] for name in names])
         if shape not in scene.kept:
             scene.kept[shape] = hats(scene, variables, knots)
@@ -66,10 +66,10 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
         physics="none: a curve through knots, linear between them",
         source="found in measured data by msp-lab gap",
         parameters=tuple(Parameter(name, unit, "value at a knot", -most, most) for name in names),
-        needs=tuple(dict.fromkeys((*variables, *(("true_range_cm",) if channel in ("bias", "spread") else ())))),
+        requires=tuple(dict.fromkeys((*variables, *(("true_range_cm",) if channel in ("bias", "spread") else ())))),
         channels=(channel,),
         experiment=f"vary {' and '.join(variables)} alone",
-        act=act,
+        apply=apply,
     )
 
 

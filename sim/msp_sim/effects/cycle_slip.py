@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_wavelength_cm = 100.0 * scene.assumed_m_s / scene.sensor.frequency_hz / 2.0
     slip_cm = values["cycles"] * half_wavelength_cm
     return Contribution(component=Normal(slip_cm, from_hit=True), share=values["share"])
@@ -21,8 +21,8 @@ CYCLE_SLIP = Effect(
         Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
         Parameter("cycles", "1", "periods that are missed", -40.0, 40.0, None, 6.0, (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("component",),
     experiment="a histogram of ten thousand readings of one target: a second peak beside the first",
-    act=_act,
+    apply=_apply,
 )

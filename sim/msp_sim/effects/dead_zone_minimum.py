@@ -8,7 +8,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Code
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     inside = scene.range_cm < values["depth_cm"]
     return Contribution(component=Code(scene.sensor.minimum_cm), share=np.where(inside, values["share"], 0.0))
 
@@ -22,8 +22,8 @@ DEAD_ZONE_MINIMUM = Effect(
         Parameter("share", "1", "share of such readings", 0.0, 1.0),
         Parameter("depth_cm", "cm", "how far the zone reaches", 1.0, 200.0, None, 30.0, (25.0, 30.0, 40.0, 60.0)),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("component",),
     experiment="a plate from 10 to 60 cm in steps of 2 cm",
-    act=_act,
+    apply=_apply,
 )

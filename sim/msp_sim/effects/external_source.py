@@ -16,7 +16,7 @@ BANDWIDTH_KHZ = 2.0
 """Off the sensor's frequency by this much its transducer hears 3 dB less [kHz], assumed: a quality factor of 10."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     off_khz = scene.optional("external_frequency_khz", scene.sensor.frequency_hz / 1000.0)
     off_khz = off_khz - scene.sensor.frequency_hz / 1000.0
     level_db = (
@@ -42,9 +42,9 @@ EXTERNAL_SOURCE = Effect(
         Parameter("rate_per_m", "1/m", "events per metre of range at full duty, far above the threshold", 0.0, 100.0),
         Parameter("threshold_db", "dB", "level at which half are heard", 20.0, 160.0, None, 90.0, (70.0, 90.0, 110.0)),
     ),
-    needs=("external_level_db", "external_duty", "external_distance_cm"),
+    requires=("external_level_db", "external_duty", "external_distance_cm"),
     channels=("component",),
     experiment="a 42 kHz transmitter on and off, at three distances",
-    act=_act,
-    reads=("true_range_cm", "external_frequency_khz"),
+    apply=_apply,
+    optional=("true_range_cm", "external_frequency_khz"),
 )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=-0.5 * values["share"])
 
 
@@ -15,9 +15,9 @@ FLOORING = Effect(
     physics="floor(x) = round(x - 1/2): an offset of half a step, whatever the noise",
     source="integer arithmetic",
     parameters=(Parameter("share", "1", "1 where every reading is cut", 0.0, 1.0),),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="none tells it from an offset of -0.5 cm; both are calibration",
-    act=_act,
-    also=("an offset of -0.5 cm",),
+    apply=_apply,
+    equivalent_causes=("an offset of -0.5 cm",),
 )

@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(component=Normal(0.0, from_hit=True, wider=values["wider"]), share=values["share"])
 
 
@@ -19,9 +19,9 @@ HEAVY_TAILS = Effect(
         Parameter("share", "1", "share of the readings that scatter more", 0.0, 0.5),
         Parameter("wider", "1", "times as wide", 1.5, 6.0, None, 2.5, (2.5,)),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("component",),
     experiment="a histogram of ten thousand readings of one target: tails on both sides alike",
-    act=_act,
+    apply=_apply,
     base="effects.heavy_tails",
 )

@@ -11,7 +11,7 @@ EDGE_CM = 3.0
 """Over which the air changes from one temperature to the other: sharp [cm], assumed."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     range_cm, length_cm = scene.range_cm, values["length_cm"]
     # Integral of a logistic edge at length_cm: how much of the path lies in the air of the sensor.
     near_cm = range_cm - EDGE_CM * (
@@ -38,8 +38,8 @@ HOT_BOX = Effect(
             "length_cm", "cm", "how far the sensor's air reaches", 1.0, 300.0, None, 30.0, (15.0, 30.0, 60.0, 120.0)
         ),
     ),
-    needs=("true_range_cm", "air_temperature_c", "target_temperature_c"),
+    requires=("true_range_cm", "air_temperature_c", "target_temperature_c"),
     channels=("bias",),
     experiment="sensor in a warm box, target outside, ranges below and above the box's length",
-    act=_act,
+    apply=_apply,
 )

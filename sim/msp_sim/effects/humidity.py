@@ -11,7 +11,7 @@ FASTER_BY = 0.158
 """Relative growth of the speed of sound with the mole fraction of water at 20 deg C: (a3 + a4 t) / c of Cramer 1993."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     temperature_c = scene["air_temperature_c"]
     saturation_pa = 610.94 * np.exp(17.625 * temperature_c / (temperature_c + 243.04))
     water = scene["humidity_pct"] / 100.0 * saturation_pa / STANDARD_PRESSURE_PA
@@ -24,8 +24,8 @@ HUMIDITY = Effect(
     physics="c grows by 0.158 of the mole fraction of water vapour, h p_sat(T) / p at sea level",
     source="Cramer 1993, J. Acoust. Soc. Am. 93, 2510, eq 15; p_sat of Magnus (Alduchov and Eskridge 1996)",
     parameters=(Parameter("share", "1", "share of it that nothing compensates", -0.5, 3.0),),
-    needs=("true_range_cm", "air_temperature_c", "humidity_pct"),
+    requires=("true_range_cm", "air_temperature_c", "humidity_pct"),
     channels=("bias",),
     experiment="a room at 30 deg C, dry and then with wet cloths hung about: 0.5 % of the range",
-    act=_act,
+    apply=_apply,
 )

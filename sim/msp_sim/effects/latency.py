@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=-values["delay_ms"] / 1000.0 * scene["range_rate_cm_s"])
 
 
@@ -15,9 +15,9 @@ LATENCY = Effect(
     physics="reading(t) = z(t - delay), to the first order z - delay dz/dt",
     source="PX4's mb12xx driver stamps the previous round's ping with the present time: about 400 ms late",
     parameters=(Parameter("delay_ms", "ms", "age of a reading at its time stamp", -1000.0, 1000.0),),
-    needs=("true_range_cm", "range_rate_cm_s"),
+    requires=("true_range_cm", "range_rate_cm_s"),
     channels=("bias",),
     experiment="climb and sink at 1 m/s over the same ground: up and down differ by twice the lag",
-    act=_act,
-    also=("the reference's delay, with the other sign",),
+    apply=_apply,
+    equivalent_causes=("the reference's delay, with the other sign",),
 )

@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import LostHighByte
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(fault=LostHighByte(), fault_share=values["share"])
 
 
@@ -16,8 +16,8 @@ LOST_HIGH_BYTE = Effect(
     physics="reading modulo 256",
     source="drivers that read one byte of two",
     parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
-    needs=(),
+    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm: 44",
-    act=_act,
+    apply=_apply,
 )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_odds_missed=values["log_odds"])
 
 
@@ -15,9 +15,9 @@ MISSED = Effect(
     physics="log odds of a reading of the maximum against a hit",
     source="report 4.3.2: 765 now and then",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
-    needs=(),
+    requires=(),
     channels=("missed",),
     experiment="a thousand readings of a wall at 1 m",
-    act=_act,
+    apply=_apply,
     base="reading_model.weights.missed",
 )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_odds_missed=values["log_odds"])
 
 
@@ -15,9 +15,9 @@ MISSED_BY_TARGET = Effect(
     physics="log odds of a missed echo over one target; for its share of the energy see acoustics.materials",
     source="report eq 4 and 4.3.4: plywood, asphalt and concrete alike; snow and grass reflect far less",
     parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
-    needs=(),
+    requires=(),
     channels=("missed",),
     experiment="this target and a plate side by side at the same range",
-    act=_act,
-    of="target",
+    apply=_apply,
+    per="target",
 )

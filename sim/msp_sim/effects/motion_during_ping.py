@@ -6,7 +6,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     temperature_c = scene.optional("air_temperature_c", scene.sensor.calibration_temperature_c)
     flight_s = scene.range_cm / (100.0 * speed_of_sound(temperature_c))
     return Contribution(bias_cm=values["share"] * scene["range_rate_cm_s"] * flight_s)
@@ -23,9 +23,9 @@ MOTION_DURING_PING = Effect(
     parameters=(
         Parameter("share", "1", "time of the truth before the meeting, in times of flight one way", -2.0, 2.0),
     ),
-    needs=("true_range_cm", "range_rate_cm_s"),
+    requires=("true_range_cm", "range_rate_cm_s"),
     channels=("bias",),
     experiment="climb and sink fast at 1 m and at 5 m: the lag grows with range, that of latency does not",
-    act=_act,
-    reads=("air_temperature_c",),
+    apply=_apply,
+    optional=("air_temperature_c",),
 )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=values["offset_cm"])
 
 
@@ -15,10 +15,10 @@ MOUNTING_OFFSET = Effect(
     physics="a constant added to every range of one sensor; of all sensors alike it is calibration",
     source="geometry",
     parameters=(Parameter("offset_cm", "cm", "how much too far this sensor reads", -50.0, 50.0),),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="all sensors before one wall at once, then two of them swapped: the offset stays with its place",
-    act=_act,
-    of="sensor",
-    also=("the reference's offset for this sensor",),
+    apply=_apply,
+    per="sensor",
+    equivalent_causes=("the reference's offset for this sensor",),
 )

@@ -8,7 +8,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     twice_cm = 2.0 * scene.range_cm
     heard = twice_cm < scene.sensor.maximum_cm
     return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
@@ -23,8 +23,8 @@ MULTIPATH = Effect(
         Parameter("share", "1", "share of the readings", 0.0, 1.0),
         Parameter("sigma_cm", "cm", "scatter of the second echo", 0.1, 50.0, None, 3.0, (3.0,)),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("component",),
     experiment="a hard floor at 1 m, with and without a plate about the sensor",
-    act=_act,
+    apply=_apply,
 )

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     half_angle_rad = scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0)
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     beyond_rad = np.maximum(tilt_rad - half_angle_rad, 0.0)
@@ -20,8 +20,8 @@ NEAREST_POINT = Effect(
     physics="z / cos(incidence - half angle) beyond the beam's half angle at that range, z within it",
     source="geometry of a cone; msp_range.acoustics.slant.nearest_range_in_beam; needs a surface rough on 8 mm",
     parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
-    needs=("true_range_cm", "incidence_deg"),
+    requires=("true_range_cm", "incidence_deg"),
     channels=("bias",),
     experiment="gravel at angles below and beyond the breakaway angle: no error below, growing beyond",
-    act=_act,
+    apply=_apply,
 )

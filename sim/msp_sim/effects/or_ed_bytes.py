@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import OrEd
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(fault=OrEd(), fault_share=values["share"])
 
 
@@ -16,8 +16,8 @@ OR_ED_BYTES = Effect(
     physics="high | low in place of 256 high + low: 0x02 | 0xFD = 255",
     source="a lost shift, found in two public drivers of this sensor",
     parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
-    needs=(),
+    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm: 45",
-    act=_act,
+    apply=_apply,
 )

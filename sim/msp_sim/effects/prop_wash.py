@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_odds_short=values["log_odds"] * scene["throttle"])
 
 
@@ -15,8 +15,8 @@ PROP_WASH = Effect(
     physics="log odds of a short reading grow in proportion to the throttle",
     source="field reports: climbs in altitude hold, fine on the bench; rotor noise gives short readings",
     parameters=(Parameter("log_odds", "1", "log odds at full throttle over those at none", -10.0, 10.0),),
-    needs=("throttle",),
+    requires=("throttle",),
     channels=("short",),
     experiment="the vehicle tied down over a floor, throttle in steps",
-    act=_act,
+    apply=_apply,
 )

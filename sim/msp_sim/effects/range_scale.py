@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=values["scale_pct"] / 100.0 * scene.range_cm)
 
 
@@ -15,9 +15,9 @@ RANGE_SCALE = Effect(
     physics="reading = z (1 + scale)",
     source="time of flight is counted in ticks of the sensor's own clock",
     parameters=(Parameter("scale_pct", "%", "how much too long ranges read", -10.0, 10.0),),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="ranges from 50 to 500 cm against a tape measure, in air of one temperature",
-    act=_act,
-    also=("the reference's scale", "air of one other temperature throughout", "a thermometer that is off throughout"),
+    apply=_apply,
+    equivalent_causes=("the reference's scale", "air of one other temperature throughout", "a thermometer that is off throughout"),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth"] * scene["throttle"] ** values["exponent"]))
 
 
@@ -20,8 +20,8 @@ ROTOR_NOISE = Effect(
         Parameter("growth", "1", "growth of sigma from no to full throttle", 0.0, 20.0),
         Parameter("exponent", "1", "1: as the throttle, 2: as the thrust", 0.5, 6.0, None, 1.0, (1.0, 3.0)),
     ),
-    needs=("true_range_cm", "throttle"),
+    requires=("true_range_cm", "throttle"),
     channels=("spread",),
     experiment="the vehicle tied down over a floor, throttle in steps",
-    act=_act,
+    apply=_apply,
 )

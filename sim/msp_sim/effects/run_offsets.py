@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(run_offset_cm=values["deviation_cm"])
 
 
@@ -15,8 +15,8 @@ RUN_OFFSETS = Effect(
     physics="an offset drawn once a run from a normal distribution; a reading's variance is sigma^2 + deviation^2",
     source="set-up of reference and sensor; temperature of the day",
     parameters=(Parameter("deviation_cm", "cm", "standard deviation of the offsets", 0.0, 50.0, power=2, step=0.03),),
-    needs=("true_range_cm", "run"),
+    requires=("true_range_cm", "run"),
     channels=("spread",),
     experiment="the same set-up, taken down and put up again ten times",
-    act=_act,
+    apply=_apply,
 )

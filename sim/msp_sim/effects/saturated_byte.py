@@ -6,7 +6,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.codes import Saturated
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(fault=Saturated(), fault_share=values["share"])
 
 
@@ -16,8 +16,8 @@ SATURATED_BYTE = Effect(
     physics="min(reading, 255)",
     source="report 4.3.2: 255 beside 765; 8-bit variables in drivers and loggers",
     parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
-    needs=(),
+    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm: 255 in place of 300, where OR-ed bytes would give 45",
-    act=_act,
+    apply=_apply,
 )

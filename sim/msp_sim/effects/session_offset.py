@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=values["offset_cm"])
 
 
@@ -15,10 +15,10 @@ SESSION_OFFSET = Effect(
     physics="a constant added to every range of one run",
     source="geometry; the reference's zero is set anew for each session",
     parameters=(Parameter("offset_cm", "cm", "how much too far this session reads", -50.0, 50.0),),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="the session again, with the reference set up anew",
-    act=_act,
-    of="run",
-    also=("the reference's zero in that session",),
+    apply=_apply,
+    per="run",
+    equivalent_causes=("the reference's zero in that session",),
 )

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     slant_cm = scene.optional("slant_range_cm", scene.range_cm / np.cos(tilt_rad))
     return Contribution(bias_cm=values["share"] * (slant_cm - scene.range_cm))
@@ -22,9 +22,9 @@ SLANT_RANGE = Effect(
     ),
     source="report eq 8",
     parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
-    needs=("true_range_cm", "incidence_deg"),
+    requires=("true_range_cm", "incidence_deg"),
     channels=("bias",),
     experiment="tilt the sensor to both sides before a wall: the error grows with the square of the angle",
-    act=_act,
-    reads=("slant_range_cm",),
+    apply=_apply,
+    optional=("slant_range_cm",),
 )

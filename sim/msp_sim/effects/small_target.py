@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     wavelength_m = scene.assumed_m_s / scene.sensor.frequency_hz
     area_m2 = (np.maximum(scene["target_size_cm"], 0.1) / 100.0) ** 2
     far = np.maximum(scene.range_cm, 1.0) / 100.0 * wavelength_m / (2.0 * area_m2)
@@ -24,8 +24,8 @@ SMALL_TARGET = Effect(
     ),
     source="msp_range.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is a choice",
     parameters=(Parameter("log_odds_per_10db", "1", "growth of the log odds for 10 dB", 0.0, 50.0),),
-    needs=("true_range_cm", "target_size_cm"),
+    requires=("true_range_cm", "target_size_cm"),
     channels=("missed",),
     experiment="plates of 20, 10 and 5 cm at growing range",
-    act=_act,
+    apply=_apply,
 )

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth_per_10deg"] * np.abs(scene["incidence_deg"]) / 10.0))
 
 
@@ -17,8 +17,8 @@ SPREAD_WITH_INCIDENCE = Effect(
     physics="sigma (1 + growth |incidence| / 10 deg): the beam's footprint on a tilted surface is spread over ranges",
     source="report 4.3.3: readings get unreliable towards the breakaway angle; the linear form is a choice",
     parameters=(Parameter("growth_per_10deg", "1", "growth of sigma for each 10 deg", 0.0, 10.0),),
-    needs=("true_range_cm", "incidence_deg"),
+    requires=("true_range_cm", "incidence_deg"),
     channels=("spread",),
     experiment="a thousand readings of a wall at 0 and at 10 deg",
-    act=_act,
+    apply=_apply,
 )

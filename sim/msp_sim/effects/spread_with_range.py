@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth_per_m"] * np.maximum(scene.range_cm, 0.0) / 100.0))
 
 
@@ -17,9 +17,9 @@ SPREAD_WITH_RANGE = Effect(
     physics="sigma (1 + growth z): a weak echo crosses the threshold less surely, and air shimmers along the path",
     source="usual for time-of-flight sensors; the linear form is a choice",
     parameters=(Parameter("growth_per_m", "1/m", "growth of sigma a metre", 0.0, 5.0),),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("spread",),
     experiment="a thousand readings of a wall at 50 and at 400 cm",
-    act=_act,
+    apply=_apply,
     base="reading_model.sigma_growth_cm_per_m",
 )

@@ -8,7 +8,7 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 from msp_sim.effects.component import Code
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     previous_cm = scene["previous_reading_cm"]
     whole = np.rint(previous_cm) == previous_cm
     within = (previous_cm >= scene.sensor.minimum_cm) & (previous_cm <= scene.sensor.maximum_cm)
@@ -21,8 +21,8 @@ STALE = Effect(
     physics="the sensor's previous reading in place of a new one",
     source="drivers that read before the ranging is done; register reads that ping again",
     parameters=(Parameter("share", "1", "share of the readings that are old", 0.0, 1.0),),
-    needs=("previous_reading_cm",),
+    requires=("previous_reading_cm",),
     channels=("component",),
     experiment="a target in steady motion: readings that stand still",
-    act=_act,
+    apply=_apply,
 )

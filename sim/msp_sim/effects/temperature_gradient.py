@@ -6,7 +6,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     at_sensor_m_s = speed_of_sound(scene["air_temperature_c"])
     at_target_m_s = speed_of_sound(scene["target_temperature_c"])
     slowness = scene.assumed_m_s * (2.0 / (at_sensor_m_s + at_target_m_s) - 1.0 / at_sensor_m_s)
@@ -22,8 +22,8 @@ TEMPERATURE_GRADIENT = Effect(
     ),
     source="integral of dx / c(T(x)) with c = 20.05 sqrt(T)",
     parameters=(Parameter("share", "1", "share of it that is there", -0.5, 2.5),),
-    needs=("true_range_cm", "air_temperature_c", "target_temperature_c"),
+    requires=("true_range_cm", "air_temperature_c", "target_temperature_c"),
     channels=("bias",),
     experiment="hot asphalt at noon and cool asphalt in the morning, a thermometer at the sensor and one at the ground",
-    act=_act,
+    apply=_apply,
 )

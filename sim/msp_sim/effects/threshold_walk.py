@@ -12,7 +12,7 @@ HALF_POWER_DEG = 18.0
 """Where the beam has half its power one way: the piston of 13.6 mm that fits the report's angles, at 8.2 mm."""
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     range_m = np.maximum(scene.range_cm, 1.0) / 100.0
     absorption = absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere())
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG
@@ -32,9 +32,9 @@ THRESHOLD_WALK = Effect(
     parameters=(
         Parameter("walk_cm_per_10db", "cm", "how much later for each 10 dB that the echo is weaker", -5.0, 5.0),
     ),
-    needs=("true_range_cm",),
+    requires=("true_range_cm",),
     channels=("bias",),
     experiment="a carpet and a plate at the same range, one after the other: the carpet reads farther",
-    act=_act,
-    reads=("incidence_deg",),
+    apply=_apply,
+    optional=("incidence_deg",),
 )

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_odds_short=values["log_odds"])
 
 
@@ -15,9 +15,9 @@ UNEXPECTED_OBJECTS = Effect(
     physics="log odds of a short reading against a hit",
     source="report eq 10",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
-    needs=(),
+    requires=(),
     channels=("short",),
     experiment="an empty hall and a furnished one",
-    act=_act,
+    apply=_apply,
     base="reading_model.weights.short",
 )

@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth"]) * (scene["vibration_hz"] > 0.0))
 
 
@@ -17,8 +17,8 @@ VIBRATION = Effect(
     physics="sigma (1 + growth) wherever the mount vibrates, at whatever frequency",
     source="report 4.3.6 (figure 4.19): none was seen at 60 Hz",
     parameters=(Parameter("growth", "1", "growth of sigma where the mount vibrates", 0.0, 20.0),),
-    needs=("true_range_cm", "vibration_hz"),
+    requires=("true_range_cm", "vibration_hz"),
     channels=("spread",),
     experiment="a shaker under the sensor, on and off, before one target",
-    act=_act,
+    apply=_apply,
 )

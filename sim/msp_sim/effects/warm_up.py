@@ -7,7 +7,7 @@ import numpy as np
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=values["offset_cm"] * np.exp(-scene["uptime_s"] / values["time_constant_s"]))
 
 
@@ -20,8 +20,8 @@ WARM_UP = Effect(
         Parameter("offset_cm", "cm", "error right after power-up", -20.0, 20.0),
         Parameter("time_constant_s", "s", "tau", 5.0, 3600.0, None, 300.0, (60.0, 180.0, 600.0)),
     ),
-    needs=("true_range_cm", "uptime_s"),
+    requires=("true_range_cm", "uptime_s"),
     channels=("bias",),
     experiment="one target from power-up for half an hour, in a room of one temperature",
-    act=_act,
+    apply=_apply,
 )

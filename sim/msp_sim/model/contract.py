@@ -104,7 +104,7 @@ class Trial:
 
     def at(self, values: Mapping[str, float]) -> Term:
         """The effect with these values, of one sensor, run or target where it is of one."""
-        return Term(self.effect, dict(values), WORDS[self.effect.of] if self.effect.of else None)
+        return Term(self.effect, dict(values), WORDS[self.effect.per] if self.effect.per else None)
 
     def on(self, model: Model) -> Model:
         """A model with the strong effect on top."""
@@ -133,7 +133,7 @@ class Trial:
         """What `act` changes, by the names of `Change`."""
         scene = Scene(self.base.sensor, contexts(200, 1, self.effect.columns))
         with np.errstate(all="ignore"):
-            change = self.effect.act(scene, strong_values(self.effect, STRENGTHS[0]))
+            change = self.effect.apply(scene, strong_values(self.effect, STRENGTHS[0]))
         return {each.name for each in fields(change) if getattr(change, each.name) is not None}
 
     def channels(self) -> set[str]:
@@ -143,9 +143,9 @@ class Trial:
 
 def strong_values(effect: Effect, strength: float) -> dict[str, float]:
     """Values part of the way from the null to the farther bound, the upper of two; shapes at their defaults."""
-    values = effect.nulls()
+    values = effect.neutral_values()
     for parameter in effect.parameters:
-        if parameter.null is not None:
+        if parameter.neutral is not None:
             bound = max(parameter.high, parameter.low, key=lambda each: abs(each - values[parameter.name]))
             values[parameter.name] += strength * (bound - values[parameter.name])
     return values
@@ -214,12 +214,12 @@ def _description_faults(effect: Effect) -> Iterator[str]:
             yield f"{key} is empty"
     if not effect.channels or not {*effect.channels} <= {*get_args(Channel)}:
         yield f"the channels are {effect.channels}"
-    if not any(parameter.null is not None for parameter in effect.parameters):
+    if not any(parameter.neutral is not None for parameter in effect.parameters):
         yield "no parameter has a null value, at which the effect vanishes"
     for parameter in effect.parameters:
-        if (parameter.null is None) == (parameter.default is None):
+        if (parameter.neutral is None) == (parameter.default is None):
             yield f"parameter {parameter.name} has not exactly one of null and default"
-        for value in (parameter.null, parameter.default, *parameter.tried):
+        for value in (parameter.neutral, parameter.default, *parameter.grid):
             if value is not None and not parameter.low <= value <= parameter.high:
                 bounds = f"{parameter.low:g} to {parameter.high:g}"
                 yield f"parameter {parameter.name}: {value:g} is outside its bounds {bounds}"
@@ -242,7 +242,7 @@ def _shows(trial: Trial) -> str | None:
 
 def _null(trial: Trial) -> str | None:
     base, given = trial.neighbour(), trial.contexts(3000)
-    null = Model(base.sensor, (*base.effects, trial.at(trial.effect.nulls())))
+    null = Model(base.sensor, (*base.effects, trial.at(trial.effect.neutral_values())))
     readings_cm = base.sample(given, np.random.default_rng(4))
     other = (null.sample(given, np.random.default_rng(4)) != readings_cm).sum()
     if other:
@@ -255,7 +255,7 @@ def _rests(trial: Trial) -> str | None:
     effect, base, given = trial.effect, trial.neighbour(), trial.contexts(3000)
     with_effect = trial.on(base)
     readings_cm = base.sample(given, np.random.default_rng(4))
-    for column in sorted({*effect.needs, *([effect.of] if effect.of else [])} - {TRUE_RANGE}):
+    for column in sorted({*effect.requires, *([effect.per] if effect.per else [])} - {TRUE_RANGE}):
         absent = {key: values for key, values in given.items() if key != column}
         empty = np.full(3000, "" if given[column].dtype.kind == "U" else np.nan)
         for unknown, how in ((absent, "is absent"), ({**given, column: empty}, "is empty")):
@@ -335,7 +335,7 @@ def _draws_of_one(trial: Trial) -> str | None:
     acting = np.flatnonzero(model.log_prob(before_cm, few) != trial.base.log_prob(before_cm, few))[:4]
     for row in acting:
         given = {column: np.repeat(values[row], n) for column, values in few.items()}
-        given["run"] = np.arange(n).astype(str) if trial.effect.of is None else given["run"]
+        given["run"] = np.arange(n).astype(str) if trial.effect.per is None else given["run"]
         readings_cm = model.sample(given, np.random.default_rng(int(row)))
         one = {column: np.repeat(values[row], CODES.size) for column, values in few.items()}
         expected = n * np.exp(model.log_prob(CODES, one))
@@ -387,7 +387,7 @@ def _leaves_others(trial: Trial) -> str | None:
     n, effect = 3000, trial.effect
     given = trial.contexts(n)
     rests = np.zeros(n, dtype=bool)
-    for column in effect.needs:
+    for column in effect.requires:
         here = given[column]
         rests |= (here == "") if here.dtype.kind == "U" else np.isnan(here)
     others: dict[str, dict[str, Any]] = {
@@ -408,7 +408,7 @@ def _leaves_others(trial: Trial) -> str | None:
 
 
 def _rare(trial: Trial) -> str | None:
-    if "share" not in trial.effect.nulls() or not {"component", "code"} & {*trial.effect.channels}:
+    if "share" not in trial.effect.neutral_values() or not {"component", "code"} & {*trial.effect.channels}:
         return None
     n = 20_000
     given = trial.contexts(n)

@@ -196,7 +196,7 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
         if known is False:
             continue
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            change = each.effect.act(scene, each.values)
+            change = each.effect.apply(scene, each.values)
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
         if change.log_spread is not None:
@@ -229,15 +229,15 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
 def applies(scene: Scene, each: Term) -> Any:
     """Where an effect has the context that it needs: True or False for all rows, or an array."""
     known: Any = True
-    for column in each.effect.needs:
+    for column in each.effect.requires:
         here = scene.known(column)
         if here is False:
             return False
         known = here if known is True else known & here
-    if each.effect.of is not None:
-        if each.effect.of not in scene:
+    if each.effect.per is not None:
+        if each.effect.per not in scene:
             return False
-        known = known & (scene[each.effect.of] == each.of)
+        known = known & (scene[each.effect.per] == each.of)
     return known
 
 
@@ -271,9 +271,9 @@ def make_term(name: str, of: str | None, values: Mapping[str, float], place: str
             f"{place}.name: found {name!r}, expected one that 'msp-lab effects' lists, or one of your own file: "
             f"--effects FILE.py.{near}"
         )
-    if (of is None) != (effect.of is None):
+    if (of is None) != (effect.per is None):
         expected = (
-            f"the name of the {effect.of} that {name} is of" if effect.of else f"nothing: {name} is of all readings"
+            f"the name of the {effect.per} that {name} is of" if effect.per else f"nothing: {name} is of all readings"
         )
         raise ConfigError(f"{place}.of: found {'nothing' if of is None else repr(of)}, expected {expected}")
     known = {parameter.name: parameter for parameter in effect.parameters}
@@ -284,9 +284,9 @@ def make_term(name: str, of: str | None, values: Mapping[str, float], place: str
         if not low <= value <= high:
             raise ConfigError(f"{place}.parameters.{key}: found {value:g}, expected {low:g} to {high:g} [{unit}]")
     for key, parameter in known.items():
-        if key not in values and parameter.null is not None:
+        if key not in values and parameter.neutral is not None:
             raise ConfigError(f"{place}.parameters.{key}: this key is missing; expected {parameter.meaning}")
-    return Term(effect, {**effect.nulls(), **values}, of)
+    return Term(effect, {**effect.neutral_values(), **values}, of)
 
 
 def make_curve_term(

@@ -42,7 +42,7 @@ class Sampler:
         self._needs = model.needs
         self._streams = RandomStreams(rng)
         self._plain = not any(
-            {"component", "code"} & set(each.effect.channels) or "run" in each.effect.needs for each in model.effects
+            {"component", "code"} & set(each.effect.channels) or "run" in each.effect.requires for each in model.effects
         )
 
     def sample_one(self, context: Mapping[str, Any]) -> int:
@@ -68,7 +68,7 @@ class Sampler:
             for each in self._model.effects:
                 if not applies(scene, each):
                     continue
-                change = each.effect.act(scene, each.values)
+                change = each.effect.apply(scene, each.values)
                 centre_cm += change.bias_cm or 0.0
                 sigma_cm *= math.exp(change.log_spread or 0.0)
                 short += change.log_odds_short or 0.0
