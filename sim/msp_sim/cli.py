@@ -1,4 +1,4 @@
-"""msp-sim: the commands of what imitates."""
+"""msp-sim: the commands of the simulator."""
 
 import sys
 from pathlib import Path
@@ -11,7 +11,7 @@ from msp_range.mistakes import tell_mistakes
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.yaml_file import ConfigError
 
-ReadBy = Annotated[
+SensorModelOption = Annotated[
     Path | None,
     typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
 ]
@@ -34,23 +34,26 @@ app = typer.Typer(
 @tell_mistakes
 def fly(
     scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
-    model: ReadBy = None,
-    seed: Annotated[int, typer.Option(min=0, help="of all chance: the same seed gives the same flight")] = 1,
+    model: SensorModelOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="random seed: the same seed gives the same flight")] = 1,
     out: Annotated[Path | None, typer.Option(help="folder for summary, recording, link log and picture")] = None,
     link: Annotated[
         str | None, typer.Option(help="share the link with a ground station, e.g. udpout:127.0.0.1:14550")
     ] = None,
     realtime: Annotated[bool, typer.Option("--realtime", help="fly in real time")] = False,
     speed: Annotated[
-        float | None, typer.Option(min=0.1, help="at most so many times real time, to watch; left out: all it can")
+        float | None,
+        typer.Option(
+            min=0.1, help="limit of the speed in multiples of real time, to watch; default: as fast as possible"
+        ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
+    force: Annotated[bool, typer.Option("--force", help="replace the flight in --out")] = False,
     effects: OwnEffects = None,
 ) -> None:
-    """Fly a scenario with the real bridge, and show what came of it.
+    """Fly a scenario with the real bridge, and show the result.
 
-    In --out: summary.json (what the table shows), flight.mcap (every stage of every reading, for Foxglove or
-    'msp-range replay'), link.tlog (what went out, for a ground station), flight.png, and the scenario.
+    In --out: summary.json (the numbers of the table), flight.mcap (every stage of every reading, for Foxglove or
+    'msp-range replay'), link.tlog (all messages sent, for a ground station), flight.png, and the scenario.
     """
     require("sim", "msp-sim fly", but=DRAWING)
     from msp_sim.effects.own import add_own_effects
@@ -67,39 +70,39 @@ def fly(
 def sitl(
     airframe_file: Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")],
     link: Annotated[
-        str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; left out: the airframe's")
+        str | None, typer.Option(help="link to the autopilot, e.g. tcp:127.0.0.1:5762; default: the airframe's")
     ] = None,
     autopilot: Annotated[
-        Literal["ardupilot", "px4"] | None, typer.Option(help="type of the autopilot; left out: the airframe's")
+        Literal["ardupilot", "px4"] | None, typer.Option(help="type of the autopilot; default: the airframe's")
     ] = None,
-    model: ReadBy = None,
-    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    model: SensorModelOption = None,
+    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
     ground: Annotated[
         Path | None,
         typer.Option(
             metavar="SCENARIO.yaml",
-            help="scenario whose ground, air and faults it flies with; left out: flat ground, no faults",
+            help="scenario with the ground, air and faults to use; default: flat ground, no faults",
         ),
     ] = None,
     ground_clearance: Annotated[
         float | None,
         typer.Option(
             min=0.0,
-            help="height of the vehicle's reference point above the ground when landed [m]; left out: so high that the "
+            help="height of the vehicle's reference point above the ground when landed [m]; default: such that the "
             "lowest sensor reads its minimum",
         ),
     ] = None,
     duration: Annotated[float | None, typer.Option(min=0.0, help="end after this time [s]")] = None,
     record: Annotated[Path | None, typer.Option(help="folder for a recording of every stage of every reading")] = None,
-    out: Annotated[Path | None, typer.Option(help="folder for summary and picture")] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace the flight that --out holds already")] = False,
+    out: Annotated[Path | None, typer.Option(help="folder for the summary and the picture")] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace the flight in --out")] = False,
     effects: OwnEffects = None,
 ) -> None:
     """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.
 
-    The vehicle's pose comes from the autopilot, over the link that DISTANCE_SENSOR goes out on. Start it while the
-    vehicle is disarmed and stands on the ground: that is where the heights begin. docs/sitl.md has the commands and
-    parameters.
+    The autopilot sends the vehicle's pose over the same link on which it receives DISTANCE_SENSOR. Start it while the
+    vehicle is disarmed and stands on the ground, because heights are counted from there. docs/sitl.md has the commands
+    and parameters.
     """
     require("sim", "msp-sim sitl", but=DRAWING)
     from msp_sim.effects.own import add_own_effects
@@ -113,12 +116,14 @@ def sitl(
 @tell_mistakes
 def sample(
     model: Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file")],
-    contexts: Annotated[Path, typer.Option(help="CSV whose rows say where a reading is to be drawn (true_range_cm)")],
+    contexts: Annotated[
+        Path, typer.Option(help="CSV with the contexts of the readings, one per row (true_range_cm and more)")
+    ],
     out: Annotated[Path, typer.Option(help="CSV to write: the contexts with reading_cm filled in")],
-    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
     effects: OwnEffects = None,
 ) -> None:
-    """Draw one reading a row of a CSV from a sensor model."""
+    """Draw one reading from a sensor model for each row of a CSV."""
     require("sim", "msp-sim sample")
     from numpy.random import default_rng
 
@@ -135,7 +140,7 @@ def sample(
     for effect in readings.effects:
         absent = [name for name in effect.effect.requires if name not in given]
         if absent:
-            print(f"{effect.stream} does not act: there is no column {', '.join(absent)}", file=sys.stderr)
+            print(f"{effect.stream} has no effect: there is no column {', '.join(absent)}", file=sys.stderr)
 
 
 @app.command()
@@ -144,11 +149,12 @@ def show(
     recording: Annotated[
         Path, typer.Argument(metavar="FLIGHT.mcap", help="a recording of 'msp-sim fly' or 'msp-range run'")
     ],
-    out: Annotated[Path, typer.Option(metavar="PICTURE.png", help="picture to make")],
+    out: Annotated[Path, typer.Option(metavar="PICTURE.png", help="picture to write")],
 ) -> None:
-    """Draw a recorded flight, simulated or real: what each sensor read, what was held back, and the fused distance.
+    """Draw a recorded flight, simulated or real: what each sensor read, which readings were rejected, and the fused
+    distance.
 
-    Below it the errors, where the recording knows the truth.
+    If the recording contains the truth, the errors are drawn below.
     """
     if recording.is_dir():
         print(f"{recording}: expected a recording (.mcap); pages of the gap workflow: msp-lab show", file=sys.stderr)

@@ -1,7 +1,4 @@
-"""What the commands of msp-sim do alike: a bar of progress, a folder for results.
-
-Where there is no terminal, what is printed goes into a file or a pipe: lines, and no bar.
-"""
+"""Shared parts of the commands: a progress bar and a folder for results."""
 
 from pathlib import Path
 from typing import Self
@@ -13,16 +10,16 @@ from msp_range.yaml_file import ConfigError
 
 
 class Bar:
-    """A bar of progress on a terminal, and nothing elsewhere, where whoever uses it prints lines.
+    """A progress bar on a terminal; shows nothing if the output is a file or a pipe.
 
     Parameters
     ----------
     columns
-        What stands in its line.
+        Columns of the bar's line.
     total
-        What is complete.
+        Value at which the bar is complete.
     on
-        Where to draw; None: standard output.
+        Console to draw on; None: standard output.
     """
 
     def __init__(self, *columns: str | ProgressColumn, total: float, on: Console | None = None) -> None:
@@ -40,13 +37,13 @@ class Bar:
             self._progress.stop()
 
     def show(self, description: str, completed: float) -> None:
-        """Say what is being done, and how much is."""
+        """Show what is being done, and how much of it is complete."""
         self._progress.update(self._task, description=description, completed=completed)
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results where it is not there; ConfigError where that fails."""
+    """Create a folder for results unless it exists; ConfigError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: this folder cannot be made: {error.strerror}") from None
+        raise ConfigError(f"{folder}: this folder cannot be created: {error.strerror}") from None

@@ -160,7 +160,7 @@ def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
     """The bridge speaks before it hears one, and its times follow the autopilot's new clock."""
     text = (SCENARIOS / "hover.yaml").read_text().replace("../", f"{SCENARIOS.parent}/")
     path = tmp_path / "reboot.yaml"
-    path.write_text(text + "\nautopilot: {heard_from_s: 5, reboots_at_s: [15]}\n")
+    path.write_text(text + "\nautopilot: {first_heartbeat_s: 5, reboots_at_s: [15]}\n")
     simulation = Simulation(load_scenario(path), VirtualClock(), 1)
     for _ in simulation.fly():
         pass

@@ -28,7 +28,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
 from msp_sim.sitl.flying import fly_sitl
-from msp_sim.sitl.sitl import POSE_STALE_S, HeardVehicle
+from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SYSTEM = 7
@@ -397,79 +397,79 @@ LEVEL = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_pose_moves_on_with_its_speed_but_not_into_the_ground() -> None:
-    vehicle = HeardVehicle(flat, 0.25)
-    vehicle.hear(1.0, LEVEL)
-    vehicle.hear(1.0, local_position(-0.7))
+    vehicle = AutopilotVehicle(flat, 0.25)
+    vehicle.on_message(1.0, LEVEL)
+    vehicle.on_message(1.0, local_position(-0.7))
     assert vehicle.pose(1.0).position_ned_m[2] == pytest.approx(-0.25)
-    vehicle.hear(2.0, local_position(-2.7, vz_m_s=4.0))
+    vehicle.on_message(2.0, local_position(-2.7, vz_m_s=4.0))
     assert vehicle.pose(2.1).position_ned_m[2] == pytest.approx(-1.85)
     assert vehicle.pose(1.95).position_ned_m[2] == pytest.approx(-2.45)
     assert vehicle.pose(2.9).position_ned_m[2] == -0.25
 
 
 def test_where_the_vehicle_is_is_known_from_fresh_poses_after_it_was_disarmed() -> None:
-    vehicle = HeardVehicle(flat, 0.25)
+    vehicle = AutopilotVehicle(flat, 0.25)
     assert not vehicle.is_known(100.0), "no autopilot yet: it may be in flight"
-    vehicle.hear(100.0, DISARMED)
+    vehicle.on_message(100.0, DISARMED)
     assert vehicle.is_known(100.0), "a disarmed vehicle stands on the ground, wherever that is"
-    vehicle.hear(100.0, ARMED)
+    vehicle.on_message(100.0, ARMED)
     assert not vehicle.is_known(100.0)
-    vehicle.hear(100.0, local_position(0.0))
+    vehicle.on_message(100.0, local_position(0.0))
     assert vehicle.source is None, "a position without an attitude is no pose"
-    vehicle.hear(100.0, LEVEL)
-    vehicle.hear(100.0, local_position(0.0))
+    vehicle.on_message(100.0, LEVEL)
+    vehicle.on_message(100.0, local_position(0.0))
     assert vehicle.is_known(100.0 + POSE_STALE_S)
-    vehicle.hear(101.1, local_position(0.0))
+    vehicle.on_message(101.1, local_position(0.0))
     assert not vehicle.is_known(101.1), "an old attitude is no pose either"
 
 
 def test_a_vehicle_that_was_never_received_disarmed_has_no_known_height() -> None:
-    vehicle = HeardVehicle(flat, 0.25)
-    vehicle.hear(0.0, ARMED)
-    vehicle.hear(0.0, sim_state(590.0))
+    vehicle = AutopilotVehicle(flat, 0.25)
+    vehicle.on_message(0.0, ARMED)
+    vehicle.on_message(0.0, sim_state(590.0))
     assert not vehicle.is_known(0.0)
-    vehicle.hear(9.0, sim_state(584.0))
-    vehicle.hear(9.0, DISARMED)
-    vehicle.hear(9.1, ARMED)
-    vehicle.hear(9.1, sim_state(585.0))
+    vehicle.on_message(9.0, sim_state(584.0))
+    vehicle.on_message(9.0, DISARMED)
+    vehicle.on_message(9.1, ARMED)
+    vehicle.on_message(9.1, sim_state(585.0))
     assert vehicle.is_known(9.1)
     assert vehicle.pose(9.1).position_ned_m[2] == pytest.approx(-1.25)
 
 
 def test_a_disarmed_vehicle_stands_on_the_ground_whatever_its_estimate_does() -> None:
     """PX4's EKF2 may reset its height before the simulator's truth comes."""
-    vehicle = HeardVehicle(lambda north_m, east_m: 0.1 * north_m, 0.25)
-    vehicle.hear(0.0, DISARMED)
-    vehicle.hear(0.0, LEVEL)
-    vehicle.hear(0.0, local_position(0.0))
-    vehicle.hear(0.5, local_position(-1.3))
-    vehicle.hear(0.6, sim_state(584.0))
-    vehicle.hear(1.0, DISARMED)
+    vehicle = AutopilotVehicle(lambda north_m, east_m: 0.1 * north_m, 0.25)
+    vehicle.on_message(0.0, DISARMED)
+    vehicle.on_message(0.0, LEVEL)
+    vehicle.on_message(0.0, local_position(0.0))
+    vehicle.on_message(0.5, local_position(-1.3))
+    vehicle.on_message(0.6, sim_state(584.0))
+    vehicle.on_message(1.0, DISARMED)
     assert vehicle.pose(1.0).position_ned_m == pytest.approx((0.0, 0.0, -0.25))
-    vehicle.hear(2.0, ARMED)
-    vehicle.hear(2.0, sim_state(590.0))
+    vehicle.on_message(2.0, ARMED)
+    vehicle.on_message(2.0, sim_state(590.0))
     assert vehicle.pose(2.0).position_ned_m[2] == pytest.approx(-6.25)
 
 
 def test_truth_goes_on_where_the_estimate_was_and_then_counts_alone() -> None:
-    vehicle = HeardVehicle(flat, 0.25)
-    vehicle.hear(0.0, LEVEL)
-    vehicle.hear(0.0, local_position(5.0))
-    vehicle.hear(0.1, local_position(3.0))
-    vehicle.hear(0.1, sim_state(584.0))
+    vehicle = AutopilotVehicle(flat, 0.25)
+    vehicle.on_message(0.0, LEVEL)
+    vehicle.on_message(0.0, local_position(5.0))
+    vehicle.on_message(0.1, local_position(3.0))
+    vehicle.on_message(0.1, sim_state(584.0))
     assert vehicle.pose(0.1).position_ned_m[2] == pytest.approx(-2.25)
-    vehicle.hear(0.2, local_position(-9.0))
+    vehicle.on_message(0.2, local_position(-9.0))
     assert vehicle.source == "SIM_STATE"
-    vehicle.hear(0.3, sim_state(585.0, vn=2.0, pitch=0.1))
+    vehicle.on_message(0.3, sim_state(585.0, vn=2.0, pitch=0.1))
     pose = vehicle.pose(0.4)
     assert pose.position_ned_m == pytest.approx((0.2, 0.0, -3.25))
     assert (pose.roll_rad, pose.pitch_rad, pose.yaw_rad) == (0.0, 0.1, 0.0)
 
 
 def test_degrees_become_metres_from_the_start() -> None:
-    vehicle = HeardVehicle(flat, 0.0, start_m=(10.0, 20.0))
-    vehicle.hear(0.0, sim_state(584.0, lat_int=600_000_000, lon_int=100_000_000))
-    vehicle.hear(0.1, sim_state(584.0, lat_int=600_000_100, lon_int=100_000_100))
+    vehicle = AutopilotVehicle(flat, 0.0, start_m=(10.0, 20.0))
+    vehicle.on_message(0.0, sim_state(584.0, lat_int=600_000_000, lon_int=100_000_000))
+    vehicle.on_message(0.1, sim_state(584.0, lat_int=600_000_100, lon_int=100_000_100))
     north_m, east_m, _ = vehicle.pose(0.1).position_ned_m
     # A minute of latitude is a nautical mile, and half as much of longitude at 60 deg; the radius differs by 0.1 %.
     assert north_m - 10.0 == pytest.approx(1852 * 60 * 1e-5, rel=2e-3)
@@ -485,11 +485,11 @@ def test_px4_tells_its_truth_as_a_quaternion() -> None:
             0, quaternion, 0, 0, 0, latitude_1e7, 0, altitude_mm, *velocity_cm_s, 0, 0, 0, 0, 0
         )
 
-    vehicle = HeardVehicle(flat, 0.2)
-    vehicle.hear(0.0, state(0, 0))
+    vehicle = AutopilotVehicle(flat, 0.2)
+    vehicle.on_message(0.0, state(0, 0))
     assert vehicle.source is None
-    vehicle.hear(0.0, state(473977420, 489_400))
-    vehicle.hear(1.0, state(473977420, 495_400))
+    vehicle.on_message(0.0, state(473977420, 489_400))
+    vehicle.on_message(1.0, state(473977420, 495_400))
     pose = vehicle.pose(1.1)
     assert vehicle.source == "HIL_STATE_QUATERNION"
     assert pose.position_ned_m == pytest.approx((0.1, -0.2, -6.5))

@@ -188,7 +188,7 @@ def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
     args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(tmp_path / "file" / "x")]
     result = CliRunner().invoke(sim_app, args, catch_exceptions=False)
     assert result.exit_code == 3
-    assert "cannot be made" in result.output
+    assert "cannot be created" in result.output
 
 
 def test_a_flight_is_not_replaced_unasked(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ def test_a_slanting_sensor_reads_the_slant_range() -> None:
         ({"name": "prop_wash", "of": "left", "parameters": {"log_odds": 1}}, r"of: found 'left', expected nothing"),
         (
             {"name": "mounting_offset", "parameters": {"offset_cm": 1}},
-            r"of: found nothing, expected the name of the sens",
+            r"of: found nothing, expected the name of a sens",
         ),
         ({"name": "prop_wash", "parameter": {}}, r"effects\[0\].parameter: unknown key. Did you mean 'parameters'\?"),
     ],
@@ -214,6 +214,6 @@ def test_samples_of_a_model_file_with_effects(tmp_path: Path) -> None:
     arguments = ["sample", SENSORS / "mb1242_in_flight.yaml", "--contexts", csv, "--out", tmp_path / "readings.csv"]
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     assert result.exit_code == 0, result.output
-    assert "prop_wash does not act: there is no column throttle" in result.stderr
+    assert "prop_wash has no effect: there is no column throttle" in result.stderr
     readings_cm = np.loadtxt(tmp_path / "readings.csv", delimiter=",", skiprows=1, usecols=0)
     assert np.median(readings_cm) == pytest.approx(312.0, abs=1.0)

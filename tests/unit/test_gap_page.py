@@ -140,7 +140,7 @@ def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
         app, ["gap", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(taken), "--until", "compare"]
     )
     assert told.exit_code == 3
-    assert "this folder cannot be made" in told.output
+    assert "this folder cannot be created" in told.output
 
 
 def test_what_an_earlier_comparison_left_does_not_stay(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.own import add_own_effects, effects_of_file, find_effect
 
 EXAMPLE = Path(__file__).parents[1] / "third_party" / "package" / "sonar_extras" / "supply_sag.py"
-ACT = 'return Change(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)'
+ACT = 'return Contribution(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)'
 NORMAL = """
 from msp_sim.effects.component import Normal
 class Own(Normal):
@@ -20,7 +20,7 @@ class Own(Normal):
 
     def {}
 """
-COMPONENT = "return Change(component=Own(100.0, 5.0, {}), share=np.maximum(values['sag_pct'], 0.0) / 40.0)"
+COMPONENT = "return Contribution(component=Own(100.0, 5.0, {}), share=np.maximum(values['sag_pct'], 0.0) / 40.0)"
 
 
 def check(path: Path, code: int) -> str:
@@ -42,25 +42,25 @@ def test_an_effect_that_keeps_the_contract_passes() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "title", "found"),
     [
-        ('"supply_sag"', '"Supply sag"', "it explains itself", "the name is 'Supply sag'"),
-        ("-20.0, 20.0)", "1.0, 20.0)", "it explains itself", "sag_pct: 0 is outside its bounds 1 to 20"),
+        ('"supply_sag"', '"Supply sag"', "it is described", "the name is 'Supply sag'"),
+        ("-20.0, 20.0)", "1.0, 20.0)", "it is described", "sag_pct: 0 is outside its bounds 1 to 20"),
         ('channels=("bias",)', 'channels=("spread",)', "it runs", "it changes bias, but says spread"),
         ('values["sag_pct"]', 'values["sag"]', "it runs", "it raises KeyError: 'sag'"),
-        (ACT, "return Change(bias_cm=0.0 * scene.range_cm)", "it shows", "its own readings 0 nats better"),
-        (ACT, ACT[:-1] + " + 1.0)", "at its null values it is not there", "of 3000 readings differ"),
+        (ACT, "return Contribution(bias_cm=0.0 * scene.range_cm)", "it is visible", "its own readings 0 nats better"),
+        (ACT, ACT[:-1] + " + 1.0)", "at its neutral values it does nothing", "of 3000 readings differ"),
         ('("throttle", "true', '("true', "it runs", "it raises KeyError: 'throttle'"),
-        (ACT, COMPONENT.format("False"), "readings are drawn as the probabilities say", "do not follow it (p = "),
+        (ACT, COMPONENT.format("False"), "draws follow the probabilities", "do not follow it (p = "),
         (ACT, COMPONENT.format("True"), "slopes are the derivatives of the probabilities", "slope by "),
         (
             ACT,
-            'return Change(bias_cm=-values["sag_pct"] * scene["throttle"].clip(0.0, 1.0))',
-            "one reading at a time is drawn as many are",
+            'return Contribution(bias_cm=-values["sag_pct"] * scene["throttle"].clip(0.0, 1.0))',
+            "a single reading is drawn like many",
             "has no attribute 'clip'",
         ),
         (
             ACT,
-            'return Change(bias_cm=values["sag_pct"] * np.mean(scene["throttle"] > 0.5))',
-            "a reading depends on its own context alone",
+            'return Contribution(bias_cm=values["sag_pct"] * np.mean(scene["throttle"] > 0.5))',
+            "a reading depends on its own context only",
             "of 600 probabilities depend on the other readings",
         ),
     ],
@@ -73,7 +73,7 @@ def test_a_mistake_is_found_and_explained(before: str, after: str, title: str, f
         own = "prob(self, *given, slopes=False):\n        p = super().prob(*given, slopes=slopes)\n"
         own += "        return p * np.array([[1.0], [2.0], [1.0]]) if slopes else p"
     if "Own" in after:
-        text = text.replace("\n\n\ndef _act", NORMAL.format(own) + "\n\ndef _act")
+        text = text.replace("\n\n\ndef _apply", NORMAL.format(own) + "\n\ndef _apply")
         text = text.replace('channels=("bias",)', 'channels=("component",)')
     path = tmp_path / "own.py"
     path.write_text(text.replace(before, after), encoding="utf-8")

@@ -149,7 +149,7 @@ def test_attitudes_that_make_no_sense():
 
 def test_no_autopilot_and_a_late_one():
     assert load_scenario(CONFIGS / "scenarios" / "no_autopilot.yaml").autopilot is None
-    assert load_scenario(CONFIGS / "scenarios" / "hover.yaml").autopilot.heard_from_s == 0.0
+    assert load_scenario(CONFIGS / "scenarios" / "hover.yaml").autopilot.first_heartbeat_s == 0.0
     assert load_scenario(CONFIGS / "scenarios" / "faults.yaml").autopilot.reboots_at_s == (92.0,)
 
 

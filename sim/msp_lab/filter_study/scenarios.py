@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters
-from msp_sim.world.profiles import SAMPLES_OF_A_STRETCH
+from msp_sim.world.profiles import SAMPLES_PER_SECTION
 
 SAMPLES = 200
 INTERVAL_S = 0.1
@@ -112,7 +112,7 @@ def truth(name: str, seeds: int, rng: np.random.Generator) -> Runs:
 
 def _random(true_cm: Array, segment: NDArray[np.int64], ramp: NDArray[np.bool_], rng: np.random.Generator) -> None:
     """Fill one run; a ramp's first sample is at the last level, and its new level is the next segment's last."""
-    fewest, most = SAMPLES_OF_A_STRETCH
+    fewest, most = SAMPLES_PER_SECTION
     start, number, last_cm = 0, 0, FIXED_CM
     while start < true_cm.size:
         length = int(rng.integers(fewest, most, endpoint=True))

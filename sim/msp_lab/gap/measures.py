@@ -19,7 +19,7 @@ from msp_lab.gap.cells import Partition, Stack
 from msp_lab.gap.runs import dependence
 from msp_sim.model.model import Model
 from msp_sim.model.rows import ModelRows
-from msp_sim.model.slopes import LEAST
+from msp_sim.model.slopes import MIN_PROBABILITY
 from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def usable(model: Model, readings: HeldOutReadings) -> NDArray[np.bool_]:
     """Readings that the model can give at all, (n,)."""
     found = np.empty(len(readings), dtype=bool)
     for part, rows in model.chunks(readings.contexts):
-        found[part] = rows.log_prob(readings.reading_cm[part]) > np.log(LEAST)
+        found[part] = rows.log_prob(readings.reading_cm[part]) > np.log(MIN_PROBABILITY)
     return found
 
 

@@ -1,4 +1,4 @@
-"""The catalogue of effects: physics that a sensor's readings may show on top of the base mixture, one file each."""
+"""The catalogue of effects: physical causes that change a sensor's readings, one file each."""
 
 from msp_sim.effects.air_temperature import AIR_TEMPERATURE
 from msp_sim.effects.base import Effect

@@ -1,4 +1,4 @@
-"""Air that is not at the temperature which the sensor assumes."""
+"""Effect: the air does not have the temperature that the sensor assumes."""
 
 from collections.abc import Mapping
 
@@ -13,12 +13,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 AIR_TEMPERATURE = Effect(
     name="air_temperature",
-    sentence="Sound is slower in cold air, so the sensor reads too far in the cold and too near in the heat.",
+    sentence="Sound is slower in cold air, so the sensor reads too far in cold air and too near in warm air.",
     physics="reading = z c(T_C) / c(T), c = 20.05 sqrt(T); T_C the sensor's calibration temperature, T the air's [K]",
-    source="report eq 6 and 7; MB1242 datasheet: no compensation of its own",
-    parameters=(Parameter("share", "1", "share of it that nothing compensates; 1 for the bare sensor", -1.5, 1.5),),
+    source="report eq 6 and 7; MB1242 datasheet: the sensor does not compensate",
+    parameters=(Parameter("share", "1", "share that is not compensated; 1 for the bare sensor", -1.5, 1.5),),
     requires=("true_range_cm", "air_temperature_c"),
     channels=("bias",),
-    experiment="the same target at 0 and at 30 deg C: 5 % of the range between them",
+    experiment="the same target at 0 and at 30 deg C: readings differ by 5 % of the range",
     apply=_apply,
 )

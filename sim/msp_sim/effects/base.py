@@ -1,9 +1,9 @@
-"""What an effect is: physics on top of the base reading model, named, bounded, and the same to draw and to score.
+"""The type of an effect: a physical cause with a name and bounded parameters that changes the distribution of readings.
 
-Context columns enter as a `Scene`, and a `Contribution` leaves: a shift of the hits, a change of their spread, of the odds of
-the outliers, one more component of the mixture, or a fault of the reading's code. `msp_sim.model` adds the changes of
-all effects to the base mixture; what is not known of a reading (a column that is absent, an empty cell) does not act on
-it.
+An effect gets the context columns as a `Scene` and returns a `Contribution`: a shift of the hits, a change of their
+spread or of the odds of outliers, one more component of the mixture, or a fault of the reading's code. `msp_sim.model`
+adds the contributions of all effects to the base mixture, for drawing readings and for their likelihood alike. An
+effect does not change a reading whose context is unknown (a missing column or an empty cell).
 """
 
 from collections.abc import Callable, Mapping
@@ -23,33 +23,33 @@ Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "com
 
 TRUE_RANGE = "true_range_cm"
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
-"""Context columns that hold words; an effect of one sensor, run or target names its word."""
+"""Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an effect.
+    """A parameter of an effect: a strength, which has a neutral value, or a shape parameter, which has a default.
 
     Attributes
     ----------
     name
-        Ends with its unit where it has one.
+        Name, ending with the unit if there is one.
     unit
-        As people write it; "1" for a ratio.
+        Unit as people write it; "1" for a ratio.
     meaning
-        What it is.
+        What it is, for help texts.
     low, high
         Bounds.
-    null
-        Value at which the effect vanishes; None for a parameter of its shape, which means nothing while it is away.
+    neutral
+        Value at which the effect does nothing; None for a shape parameter.
     default
-        Of a shape; a file may leave it out.
-    tried
-        Values of a shape among which a search begins.
+        Default of a shape parameter, if a model file leaves it out.
+    grid
+        Values of a shape parameter at which a search starts.
     step
-        A change that is small, for derivatives.
+        A small change, for numeric derivatives.
     power
-        The power with which it enters where it is small; one of 2 has no slope at its null.
+        Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero.
     """
 
     name: str
@@ -65,15 +65,15 @@ class Parameter:
 
 
 class Scene:
-    """The contexts of n readings as an effect reads them, and the sensor.
+    """The input of an effect: the contexts of n readings, and the sensor.
 
     Parameters
     ----------
     sensor
-        Its model file.
+        The sensor model file.
     contexts
-        Columns by name, of length n: numbers with NaN, words with "" where unknown. For one reading a number or a
-        word each, None where unknown.
+        Columns by name, of length n: numbers with NaN, words with "" if unknown. For a single reading a number or a
+        word each, None if unknown.
     """
 
     def __init__(self, sensor: SensorModel, contexts: Mapping[str, Any]) -> None:
@@ -81,18 +81,18 @@ class Scene:
         self._contexts = contexts
         self._known: dict[str, Any] = {}
         self.kept: dict[Any, Any] = {}
-        """What an effect wants to work out once for all its values."""
+        """Cache for what an effect computes once for all values of its parameters."""
 
     def __contains__(self, column: str) -> bool:
         return column in self._contexts
 
     def __getitem__(self, column: str) -> Any:
-        """A column; KeyError where it is absent."""
+        """A column; KeyError if it is absent."""
         return self._contexts[column]
 
     @property
     def range_cm(self) -> Any:
-        """True range [cm]; NaN where nothing can be heard."""
+        """True range [cm]; NaN if there is no echo."""
         return self._contexts[TRUE_RANGE]
 
     @property
@@ -101,29 +101,29 @@ class Scene:
         return speed_of_sound(self.sensor.calibration_temperature_c)
 
     def optional(self, column: str, otherwise: float) -> Any:
-        """A column with a value in place of what is unknown."""
+        """A column, with a default value in place of unknown ones."""
         known = self.known(column)
         if known is True or known is False:
             return self._contexts[column] if known else otherwise
         return np.where(known, self._contexts[column], otherwise)
 
     def known(self, column: str) -> Any:
-        """True where a column says something; False alone where the column is absent."""
+        """Rows in which a column is known: an array, or True for all rows, or False if the column is absent."""
         if column not in self._known:
-            self._known[column] = column in self._contexts and _says(column, self._contexts[column])
+            self._known[column] = column in self._contexts and _is_known(column, self._contexts[column])
         return self._known[column]
 
 
-def _says(column: str, values: Any) -> Any:
+def _is_known(column: str, values: Any) -> Any:
     if not isinstance(values, np.ndarray):
         return bool(values) if column in WORD_COLUMNS else values is not None and abs(values) < np.inf
-    said = values != "" if column in WORD_COLUMNS else np.isfinite(values)
-    return True if said.all() else said
+    known = values != "" if column in WORD_COLUMNS else np.isfinite(values)
+    return True if known.all() else known
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """What an effect changes about n readings; what is left out stays as it is.
+    """What an effect changes in the distribution of n readings; None leaves that part unchanged.
 
     Attributes
     ----------
@@ -132,13 +132,13 @@ class Contribution:
     log_spread
         Added to the logarithm of the hits' standard deviation.
     run_offset_cm
-        Standard deviation of an offset that all readings of one run share [cm].
+        Standard deviation of an offset that is common to all readings of a run [cm].
     log_odds_short, log_odds_missed, log_odds_random
-        Added to the logarithm of the odds of a short, a missed or a random reading against a hit.
+        Added to the log odds of a short, missed or random reading against a hit.
     component, share
-        One more component of the mixture, and the share of the readings that it gets when it is alone.
+        One more component of the mixture, and its share of the readings if it were the only one.
     fault, fault_share
-        A fault of the reading's code, and the share of the readings that it befalls.
+        A fault of the reading's code, and the share of the readings affected.
     """
 
     bias_cm: Any = None
@@ -160,31 +160,32 @@ class Effect:
     Attributes
     ----------
     name
-        As in a model file.
+        Name in model files.
     sentence
-        What it is, for a pilot.
+        What it does, in a sentence for a pilot.
     physics
-        The equation or the mechanism, and how far it holds.
+        Equation or mechanism, and its range of validity.
     source
-        Where it is from.
+        Source of the equation.
     parameters
-        Its numbers.
-    needs
-        Context columns without which it does not act.
+        Parameters.
+    requires
+        Context columns without which it does nothing.
     channels
-        What it changes.
+        Parts of the distribution that it changes.
     experiment
-        What would show it alone.
-    act
-        What it changes, given the contexts and the parameters' values by name. At the null values, nothing.
-    reads
-        Further context columns that it takes into account where they are known.
-    of
-        Column of words of which it concerns one (`mounting_offset` of one sensor); None for all readings.
+        An experiment that shows this effect alone.
+    apply
+        Function from the contexts and the parameters' values by name to a `Contribution`; nothing at the neutral
+        values.
+    optional
+        Further context columns that it uses if they are known.
+    per
+        Column of words if the effect concerns one of them (`mounting_offset` of one sensor); None: all readings.
     base
-        Parameter of the sensor model that says the same; adding the effect is then calibration.
-    also
-        Other causes that look the same in every reading.
+        Parameter of the sensor model with the same meaning; adding the effect is then calibration.
+    equivalent_causes
+        Other causes that change every reading in the same way.
     """
 
     name: str
@@ -203,15 +204,15 @@ class Effect:
 
     @property
     def columns(self) -> frozenset[str]:
-        """Context columns that it reads."""
+        """All context columns that it uses."""
         return frozenset({*self.requires, *self.optional, *([self.per] if self.per else [])})
 
     def neutral_values(self) -> dict[str, float]:
-        """Values at which it vanishes, shapes at their defaults."""
+        """Values at which the effect does nothing; shape parameters at their defaults."""
         return {p.name: p.neutral if p.neutral is not None else _default(p) for p in self.parameters}
 
 
 def _default(parameter: Parameter) -> float:
     if parameter.default is None:
-        raise ValueError(f"parameter {parameter.name}: a shape needs a default")
+        raise ValueError(f"parameter {parameter.name}: a shape parameter needs a default")
     return parameter.default

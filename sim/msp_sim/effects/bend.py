@@ -1,4 +1,4 @@
-"""A response that bends at some range."""
+"""Effect: the slope of the response changes at some range."""
 
 from collections.abc import Mapping
 
@@ -13,18 +13,25 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 BEND = Effect(
     name="bend",
-    sentence="From some range on the readings grow faster or slower than before.",
+    sentence="Beyond some range the readings grow faster or slower with range than before.",
     physics="z + slope max(z - from, 0); several of them are a piecewise linear curve",
     source="piecewise linear calibration, as the report's literature proposes",
     parameters=(
         Parameter("slope_pct", "%", "change of the slope", -20.0, 20.0),
         Parameter(
-            "from_cm", "cm", "range from which on", 0.0, 1000.0, None, 200.0, (100.0, 150.0, 200.0, 300.0, 400.0)
+            "from_cm",
+            "cm",
+            "range at which the slope changes",
+            0.0,
+            1000.0,
+            None,
+            200.0,
+            (100.0, 150.0, 200.0, 300.0, 400.0),
         ),
     ),
     requires=("true_range_cm",),
     channels=("bias",),
     experiment="ranges in steps of 20 cm against a tape measure",
     apply=_apply,
-    equivalent_causes=("a bent reference",),
+    equivalent_causes=("the same nonlinearity of the reference",),
 )

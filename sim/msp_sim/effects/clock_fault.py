@@ -1,4 +1,4 @@
-"""A bus master that samples too early."""
+"""Effect: the bus master samples too early."""
 
 from collections.abc import Mapping
 
@@ -12,10 +12,10 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 CLOCK_FAULT = Effect(
     name="clock_fault",
-    sentence="The computer reads the bus before the sensor is ready, and 3 m arrive as more than 300 m.",
+    sentence="The computer samples the bus before the sensor is ready, and 3 m arrives as more than 300 m.",
     physics="bit 15 reads as one: 32768 + reading",
     source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
-    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
     requires=(),
     channels=("code",),
     experiment="the same wall with dtparam=i2c_arm_baudrate at 100000 and at 50000",

@@ -1,4 +1,4 @@
-"""Something that stays before the sensor: ring-down, a landing gear, a cable."""
+"""Effect: a fixed object in front of the sensor, such as landing gear or a cable, or the transducer's ring-down."""
 
 from collections.abc import Mapping
 
@@ -17,17 +17,17 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 CLUTTER = Effect(
     name="clutter",
-    sentence="A leg, a cable or the sensor's own ringing answers at a fixed range in place of the ground.",
-    physics="hits at a place that does not move with the ground, where the ground is farther",
+    sentence="A leg, a cable or the sensor's own ringing gives an echo at a fixed range instead of the ground.",
+    physics="readings near a fixed range, if the ground is farther away",
     source="ring-down of the transducer; parts of the airframe in the beam",
     parameters=(
-        Parameter("share", "1", "share of the readings of surfaces beyond it", 0.0, 1.0),
-        Parameter("location_cm", "cm", "where it is", 0.0, 1000.0, None, 30.0, (25.0, 35.0, 50.0, 80.0)),
+        Parameter("share", "1", "share of the readings if the surface is farther away", 0.0, 1.0),
+        Parameter("location_cm", "cm", "its range", 0.0, 1000.0, None, 30.0, (25.0, 35.0, 50.0, 80.0)),
         Parameter("sigma_cm", "cm", "its scatter", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
     requires=(),
     channels=("component",),
-    experiment="the sensor on its vehicle, into open sky",
+    experiment="the sensor on its vehicle, pointed at the open sky",
     apply=_apply,
     optional=("true_range_cm",),
 )

@@ -1,4 +1,4 @@
-"""Readings on a coarser grid than the sensor's."""
+"""Effect: readings are rounded to a coarser step than the sensor's."""
 
 from collections.abc import Mapping
 
@@ -13,11 +13,11 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 COARSE_ROUNDING = Effect(
     name="coarse_rounding",
-    sentence="Something on the way rounds the readings to inches or to steps of several centimetres.",
-    physics="rounded to multiples of a step, then to whole centimetres; the sensor's limits stay",
+    sentence="Software between sensor and recording rounds the readings to inches or to steps of several centimetres.",
+    physics="rounded to multiples of a step, then to whole centimetres; the sensor's limits are unchanged",
     source="drivers and loggers that convert units",
     parameters=(
-        Parameter("share", "1", "1 where every reading is rounded", 0.0, 1.0),
+        Parameter("share", "1", "1 if every reading is rounded", 0.0, 1.0),
         Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, (2.0, 2.54, 5.0, 10.0)),
     ),
     requires=(),

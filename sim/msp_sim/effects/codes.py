@@ -1,6 +1,7 @@
-"""Faults between a reading and the word that arrives: each turns a code into another.
+"""Faults of the transmission: each turns the code of a reading into another one.
 
-A fault befalls a share of the readings. To score what arrives, one asks which codes could have become it.
+A fault affects a share of the readings. The probability of a received code is the sum over the codes that the fault
+turns into it, so each fault can list those (`CodeFault.origins`).
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 _Array = NDArray[np.float64]
 CLOCK_FAULT = 0x8000
-"""Bit 15, which reads as one when the master samples while the sensor still stretches the clock."""
+"""Bit 15, which reads as one if the master samples while the sensor still stretches the clock."""
 
 
 class CodeFault(Protocol):
@@ -21,27 +22,27 @@ class CodeFault(Protocol):
     Attributes
     ----------
     order
-        Faults happen in this order, from the sensor to the master.
+        Faults are applied in this order, from the sensor to the master.
     """
 
     @property
     def order(self) -> int: ...
 
     def arrives(self, code: _Array) -> _Array:
-        """What a code becomes."""
+        """The code that is received for each sent code."""
         ...
 
     def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
-        """Ranges of codes (first, last) that become one of the codes from first to last; empty where last < first.
+        """Ranges (first, last) of sent codes that are received as codes from first to last; empty if last < first.
 
-        A fault that is not monotone answers for one code (first == last) and for all codes up to one (first = -inf).
+        A fault that is not monotone supports single codes (first == last) and all codes up to one (first = -inf).
         """
         ...
 
 
 @dataclass(frozen=True)
 class Coarser:
-    """Rounded to multiples of a step, and then to whole centimetres; the sensor's limits stay as they are."""
+    """Rounded to multiples of a step, then to whole centimetres; the sensor's limits are unchanged."""
 
     step_cm: float
     minimum_cm: int
@@ -58,7 +59,7 @@ class Coarser:
 
     @cached_property
     def _arrivals(self) -> _Array:
-        """What each of the sensor's codes becomes; it never falls."""
+        """Received code for each of the sensor's codes; never decreasing."""
         code = np.arange(self.minimum_cm, self.maximum_cm + 1.0)
         arrivals = np.rint(np.floor(code / self.step_cm + 0.5) * self.step_cm)
         arrivals = np.clip(arrivals, self.minimum_cm, self.maximum_cm)
@@ -68,7 +69,7 @@ class Coarser:
 
 @dataclass(frozen=True)
 class Saturated:
-    """Cut to eight bits: 255 from there on."""
+    """Limited to eight bits: at most 255."""
 
     order = 1
 
@@ -81,7 +82,7 @@ class Saturated:
 
 @dataclass(frozen=True)
 class LostHighByte:
-    """The low byte alone: modulo 256."""
+    """Only the low byte is received: modulo 256."""
 
     order = 2
 
@@ -115,7 +116,7 @@ class OrEd:
         return ranges
 
     def _origins_below(self, arrived: _Array) -> list[tuple[_Array, _Array]]:
-        """Codes that become less than ``arrived``."""
+        """Sent codes that are received as less than ``arrived``."""
         ranges = [(np.zeros_like(arrived), arrived - 1.0)]
         for high, block in ((1, 2.0), (2, 4.0)):
             # Low bytes in whole blocks of 2 or 4 stay within their block.

@@ -1,6 +1,6 @@
-"""Further components of the mixture: where readings lie that are neither hits nor the base's outliers.
+"""Additional components of the mixture: distributions of readings that are neither hits nor the base model's outliers.
 
-Each kind draws and scores one distribution, in whole centimetres clipped to the sensor's limits as hits are.
+Each kind can draw readings and give their probabilities, in whole centimetres and within the sensor's limits.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Hits:
-    """Centre and standard deviation of n hits [cm], with all effects; and the sensor's limits."""
+    """Centre and standard deviation of n hits [cm], all effects included, and the sensor's limits."""
 
     centre_cm: _Array
     sigma_cm: _Array
@@ -26,32 +26,32 @@ class Hits:
 
 
 class Component(Protocol):
-    """One more component of the mixture."""
+    """An additional component of the mixture."""
 
     def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
         """Probability of the codes from first to last, for n readings, (1, n).
 
-        With ``slopes`` its derivatives by the hits' centre [1/cm] and the log of their spread too, (3, n).
+        With ``slopes`` also its derivatives by the hits' centre [1/cm] and by the log of their spread, (3, n).
         """
         ...
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
-        """n readings [cm]."""
+        """Draw n readings [cm]."""
         ...
 
     def take(self, rows: Any) -> "Component":
-        """The same for some of the n readings."""
+        """The component for a selection of the n readings."""
         ...
 
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal about a place.
+    """Normal distribution about a fixed range, or about a distance from the hit.
 
     Attributes
     ----------
     location_cm
-        The place [cm], or its distance from the hit where ``from_hit``.
+        The centre [cm], or with ``from_hit`` its distance from the hits' centre.
     sigma_cm
         Standard deviation [cm]; None: that of the hits, times ``wider``.
     """
@@ -65,7 +65,7 @@ class Normal:
         hit = Hit(first_cm, last_cm, last_cm == hits.maximum_cm, *self._place(hits), hits.minimum_cm, 1.0)
         if not slopes:
             return hit.p[None]
-        # What does not move with the hits does not change with them.
+        # Derivatives are zero unless location or spread is that of the hits.
         return np.stack([hit.p, hit.by_centre * self.from_hit, hit.by_log_sigma * (self.sigma_cm is None)])
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
@@ -84,12 +84,12 @@ class Normal:
 
 @dataclass(frozen=True)
 class FirstBefore:
-    """The first of events that come at a constant rate, given that one comes before the hit: exponential, cut there.
+    """The first event of a Poisson process, given that there is one before the hit: exponential, truncated at the hit.
 
     Attributes
     ----------
     rate_per_m
-        Events per metre of range that the sensor listens [1/m]; above 0 where the component has a share.
+        Events per metre of range [1/m]; above 0 if the component has a share.
     """
 
     rate_per_m: Any
@@ -101,8 +101,8 @@ class FirstBefore:
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         share, lowest, highest = rng.random(hits.centre_cm.size), hits.minimum_cm, hits.maximum_cm
-        heard_cm = Short.draw(share, hits.centre_cm, self._rate_per_cm, lowest, highest)
-        reading_cm: _Array = np.minimum(np.rint(heard_cm), hits.maximum_cm)
+        drawn_cm = Short.draw(share, hits.centre_cm, self._rate_per_cm, lowest, highest)
+        reading_cm: _Array = np.minimum(np.rint(drawn_cm), hits.maximum_cm)
         return reading_cm
 
     def take(self, rows: Any) -> "FirstBefore":
@@ -115,7 +115,7 @@ class FirstBefore:
 
 @dataclass(frozen=True)
 class Code:
-    """One code [cm]: a number for all readings, or one for each."""
+    """A fixed code [cm], the same for all readings or one for each."""
 
     code_cm: Any
 

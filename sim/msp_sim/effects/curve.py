@@ -1,7 +1,7 @@
-"""A curve that no effect of the catalogue explains: one channel as a function of one or two context columns.
+"""An unknown effect as a curve: one channel as a function of one or two context columns.
 
-Knots and values enter, an `Effect` leaves that acts as any other. It says that something depends on a context, and how
-far, and claims no cause.
+`curve` makes an `Effect` from knots and values. It describes how the readings depend on a context, without a physical
+cause.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,17 +21,17 @@ FIELDS: dict[str, str] = {
     "missed": "log_odds_missed",
     "random": "log_odds_random",
 }
-"""What of a `Contribution` each channel sets."""
-MOST = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "random": 15.0}
-"""Bounds of a curve's values."""
+"""Field of a `Contribution` for each channel."""
+MAX_VALUE = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "random": 15.0}
+"""Largest magnitude of a curve's values, by channel: far beyond any real effect, so that a fit cannot diverge."""
 _Array = NDArray[np.float64]
 
 
 def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> Effect:
     """A curve as an effect; its parameters are its values at the knots.
 
-    Linear between knots and constant beyond them; over two variables bilinear, values row by row. A column of words
-    has words for knots, and other words have 0.
+    Linear between knots and constant beyond them. Over two variables it is bilinear, with values row by row. For a
+    column of words the knots are words, and the value for other words is 0.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     variables
         One or two context columns.
     knots
-        For each variable its knots, rising.
+        Knots of each variable, increasing.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     >>> [parameter.name for parameter in bow.parameters]
     ['value_0', 'value_1', 'value_2']
     """
-    most = MOST[channel]
+    limit = MAX_VALUE[channel]
     count = int(np.prod([len(each) for each in knots]))
     unit = "cm" if channel == "bias" else "1"
     names = [f"value_{i}" for i in range(count)]
@@ -62,10 +62,10 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
 
     return Effect(
         name=CURVE,
-        sentence=f"Something makes the {channel} depend on {' and '.join(variables)}; what it is, is not known.",
+        sentence=f"Something makes the {channel} depend on {' and '.join(variables)}; the cause is unknown.",
         physics="none: a curve through knots, linear between them",
         source="found in measured data by msp-lab gap",
-        parameters=tuple(Parameter(name, unit, "value at a knot", -most, most) for name in names),
+        parameters=tuple(Parameter(name, unit, "value at a knot", -limit, limit) for name in names),
         requires=tuple(dict.fromkeys((*variables, *(("true_range_cm",) if channel in ("bias", "spread") else ())))),
         channels=(channel,),
         experiment=f"vary {' and '.join(variables)} alone",
@@ -74,13 +74,13 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
 
 
 def hats(scene: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> _Array:
-    """Weights of the knots for each row, shape (n, knots); for two variables their products, row by row."""
+    """Interpolation weights of the knots for each row, shape (n, knots); for two variables products of both."""
     weights: _Array | None = None
     for variable, places in zip(variables, knots, strict=True):
         own = _hats(variable, np.atleast_1d(scene[variable]), places)
         weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
     if weights is None:
-        raise ValueError("a curve needs a variable")
+        raise ValueError("a curve needs at least one variable")
     return weights if np.ndim(scene[variables[0]]) else weights[0]
 
 

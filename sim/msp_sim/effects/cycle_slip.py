@@ -1,4 +1,4 @@
-"""An echo that is noticed some periods late."""
+"""Effect: the echo is detected some periods late."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 CYCLE_SLIP = Effect(
     name="cycle_slip",
     sentence="Now and then the first waves of an echo are missed, and the reading jumps by whole wavelengths.",
-    physics="hits later by n periods, n lambda / 2 in range: 0.41 cm a period at 42 kHz",
+    physics="hits later by n periods, n lambda / 2 in range: 0.41 cm per period at 42 kHz",
     source="zero-crossing and threshold detectors on tone bursts",
     parameters=(
         Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
@@ -23,6 +23,6 @@ CYCLE_SLIP = Effect(
     ),
     requires=("true_range_cm",),
     channels=("component",),
-    experiment="a histogram of ten thousand readings of one target: a second peak beside the first",
+    experiment="a histogram of ten thousand readings of one target: a second peak next to the first",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""A surface nearer than the sensor can hear, which reads as no echo."""
+"""Effect: a surface nearer than the sensor can measure gives the code for no echo."""
 
 from collections.abc import Mapping
 
@@ -15,11 +15,11 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 DEAD_ZONE_MAXIMUM = Effect(
     name="dead_zone_maximum",
-    sentence="Very near the ground the sensor hears nothing but its own ringing, and reports that there is no ground.",
+    sentence="Very near the ground the echo is hidden by the sensor's own ringing, and the sensor reports no echo.",
     physics="no echo in place of a hit, for a share of the readings of surfaces within the zone",
-    source="range finders that blank their own ring-down",
+    source="range finders that ignore input during their ring-down",
     parameters=(
-        Parameter("share", "1", "share of such readings", 0.0, 1.0),
+        Parameter("share", "1", "share of the readings within the zone", 0.0, 1.0),
         Parameter("depth_cm", "cm", "how far the zone reaches", 1.0, 200.0, None, 30.0, (25.0, 30.0, 40.0, 60.0)),
     ),
     requires=("true_range_cm",),

@@ -1,4 +1,4 @@
-"""A surface nearer than the sensor can hear, which reads the minimum."""
+"""Effect: a surface nearer than the sensor can measure gives the sensor's minimum."""
 
 from collections.abc import Mapping
 
@@ -19,7 +19,7 @@ DEAD_ZONE_MINIMUM = Effect(
     physics="the minimum in place of a hit, for a share of the readings of surfaces within the zone",
     source="report: objects closer than 20 cm read 20",
     parameters=(
-        Parameter("share", "1", "share of such readings", 0.0, 1.0),
+        Parameter("share", "1", "share of the readings within the zone", 0.0, 1.0),
         Parameter("depth_cm", "cm", "how far the zone reaches", 1.0, 200.0, None, 30.0, (25.0, 30.0, 40.0, 60.0)),
     ),
     requires=("true_range_cm",),

@@ -1,4 +1,4 @@
-"""Ultrasound of somebody else, which the sensor takes for its echo."""
+"""Effect: ultrasound from another source is mistaken for the echo."""
 
 from collections.abc import Mapping
 
@@ -11,9 +11,10 @@ from msp_sim.effects.component import FirstBefore
 REFERENCE_CM = 30.0
 """Distance at which ``external_level_db`` is given [cm]."""
 FADE_DB = 3.0
-"""Over which a level gets from rarely to mostly heard [dB], assumed."""
+"""Width of the transition from rarely to mostly detected [dB]; assumed. A larger one makes the threshold less sharp."""
 BANDWIDTH_KHZ = 2.0
-"""Off the sensor's frequency by this much its transducer hears 3 dB less [kHz], assumed: a quality factor of 10."""
+"""Frequency offset at which the transducer is 3 dB less sensitive [kHz]; assumed (quality factor of 10). A larger one
+lets sources at other frequencies disturb more."""
 
 
 def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
@@ -32,15 +33,24 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 EXTERNAL_SOURCE = Effect(
     name="external_source",
-    sentence="Another source of ultrasound is heard at any moment, and whatever comes before the echo is taken for it.",
+    sentence="Ultrasound of another source arrives at random times and is mistaken for the echo if it comes first.",
     physics=(
-        "events at a constant rate while the sensor listens, the first before the own echo counts: exponential, cut "
-        "there. The rate goes with the source's duty and with its level at the sensor over the threshold"
+        "events at a constant rate while the sensor listens; the first one before the own echo counts (exponential, "
+        "truncated at the echo). The rate depends on the source's duty and on its level above the threshold"
     ),
-    source="report 4.3.8, inconclusive; Poisson arrivals, independent of the own pings",
+    source="report 4.3.8, inconclusive; Poisson arrivals, independent of the sensor's pings",
     parameters=(
         Parameter("rate_per_m", "1/m", "events per metre of range at full duty, far above the threshold", 0.0, 100.0),
-        Parameter("threshold_db", "dB", "level at which half are heard", 20.0, 160.0, None, 90.0, (70.0, 90.0, 110.0)),
+        Parameter(
+            "threshold_db",
+            "dB",
+            "level at which half of them are detected",
+            20.0,
+            160.0,
+            None,
+            90.0,
+            (70.0, 90.0, 110.0),
+        ),
     ),
     requires=("external_level_db", "external_duty", "external_distance_cm"),
     channels=("component",),

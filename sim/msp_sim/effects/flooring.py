@@ -1,4 +1,4 @@
-"""Ranges that are cut to whole centimetres, not rounded."""
+"""Effect: ranges are truncated to whole centimetres instead of rounded."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,13 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 FLOORING = Effect(
     name="flooring",
-    sentence="The sensor cuts off fractions of a centimetre in place of rounding them: half a centimetre too near.",
-    physics="floor(x) = round(x - 1/2): an offset of half a step, whatever the noise",
+    sentence="The sensor truncates to whole centimetres instead of rounding, so it reads half a centimetre too near.",
+    physics="floor(x) = round(x - 1/2): an offset of half a step, independent of the noise",
     source="integer arithmetic",
-    parameters=(Parameter("share", "1", "1 where every reading is cut", 0.0, 1.0),),
+    parameters=(Parameter("share", "1", "1 if every reading is truncated", 0.0, 1.0),),
     requires=("true_range_cm",),
     channels=("bias",),
-    experiment="none tells it from an offset of -0.5 cm; both are calibration",
+    experiment="none: it equals an offset of -0.5 cm, and both are calibration",
     apply=_apply,
     equivalent_causes=("an offset of -0.5 cm",),
 )

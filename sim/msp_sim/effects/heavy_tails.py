@@ -1,4 +1,4 @@
-"""Noise with more large errors than a normal distribution has."""
+"""Effect: noise with more large errors than a normal distribution has."""
 
 from collections.abc import Mapping
 
@@ -12,16 +12,16 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 HEAVY_TAILS = Effect(
     name="heavy_tails",
-    sentence="Most readings scatter little, and some a few times as much.",
-    physics="a share of the hits has a wider normal distribution about the same place",
-    source="contaminated normal of Tukey 1960; air and reference are not steady from ping to ping",
+    sentence="Most readings scatter little, and some scatter several times as much.",
+    physics="a share of the hits has a wider normal distribution with the same centre",
+    source="contaminated normal of Tukey 1960; air and reference vary from ping to ping",
     parameters=(
         Parameter("share", "1", "share of the readings that scatter more", 0.0, 0.5),
-        Parameter("wider", "1", "times as wide", 1.5, 6.0, None, 2.5, (2.5,)),
+        Parameter("wider", "1", "factor on the standard deviation", 1.5, 6.0, None, 2.5, (2.5,)),
     ),
     requires=("true_range_cm",),
     channels=("component",),
-    experiment="a histogram of ten thousand readings of one target: tails on both sides alike",
+    experiment="a histogram of ten thousand readings of one target: equal tails on both sides",
     apply=_apply,
     base="effects.heavy_tails",
 )

@@ -1,4 +1,4 @@
-"""Hot or cold air about the sensor only, as in the report's hot box."""
+"""Effect: hot or cold air around the sensor only, as in the report's hot box."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 EDGE_CM = 3.0
-"""Over which the air changes from one temperature to the other: sharp [cm], assumed."""
+"""Distance over which the air changes from one temperature to the other [cm]; assumed, sharp compared with the box."""
 
 
 def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
@@ -25,17 +25,24 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 HOT_BOX = Effect(
     name="hot_box",
-    sentence="Only the air right before the sensor is hot or cold, and a thermometer there speaks for the whole path.",
+    sentence="Only the air close to the sensor is hot or cold, but the thermometer there is used for the whole path.",
     physics=(
-        "time of flight of z - h(z) in air of the target's temperature in place of the sensor's; h(z) is the length of "
-        "path in the sensor's air, min(z, length) with an edge of 3 cm. Beside air_temperature, which takes the "
-        "sensor's air for all of the path"
+        "beyond the box, z - h(z), the air has the target's temperature; h(z) is the length of path in the sensor's "
+        "air, min(z, length) with an edge of 3 cm. Acts in addition to air_temperature, which assumes the sensor's "
+        "air along the whole path"
     ),
     source="report 4.3.5 and its erratum 11: hot air confined to about 30 cm explains 1-2 cm at all ranges",
     parameters=(
-        Parameter("share", "1", "share of it that is there", -0.5, 1.5),
+        Parameter("share", "1", "strength; 1 is the effect of the equation", -0.5, 1.5),
         Parameter(
-            "length_cm", "cm", "how far the sensor's air reaches", 1.0, 300.0, None, 30.0, (15.0, 30.0, 60.0, 120.0)
+            "length_cm",
+            "cm",
+            "length of the path in the sensor's air",
+            1.0,
+            300.0,
+            None,
+            30.0,
+            (15.0, 30.0, 60.0, 120.0),
         ),
     ),
     requires=("true_range_cm", "air_temperature_c", "target_temperature_c"),

@@ -1,4 +1,4 @@
-"""Humid air, in which sound is a little faster."""
+"""Effect: sound is a little faster in humid air."""
 
 from collections.abc import Mapping
 
@@ -23,9 +23,9 @@ HUMIDITY = Effect(
     sentence="Sound is a little faster in humid air, so on a hot and humid day ranges read up to 0.7 % short.",
     physics="c grows by 0.158 of the mole fraction of water vapour, h p_sat(T) / p at sea level",
     source="Cramer 1993, J. Acoust. Soc. Am. 93, 2510, eq 15; p_sat of Magnus (Alduchov and Eskridge 1996)",
-    parameters=(Parameter("share", "1", "share of it that nothing compensates", -0.5, 3.0),),
+    parameters=(Parameter("share", "1", "share that is not compensated", -0.5, 3.0),),
     requires=("true_range_cm", "air_temperature_c", "humidity_pct"),
     channels=("bias",),
-    experiment="a room at 30 deg C, dry and then with wet cloths hung about: 0.5 % of the range",
+    experiment="a room at 30 deg C, first dry and then with wet cloths: readings differ by 0.5 % of the range",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""Readings that are older than their time stamp."""
+"""Effect: readings are older than their time stamp."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,13 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 LATENCY = Effect(
     name="latency",
-    sentence="A reading is older than its time stamp, so it lags behind while the vehicle climbs or sinks.",
+    sentence="A reading is older than its time stamp, so it lags while the vehicle climbs or descends.",
     physics="reading(t) = z(t - delay), to the first order z - delay dz/dt",
-    source="PX4's mb12xx driver stamps the previous round's ping with the present time: about 400 ms late",
+    source="PX4's mb12xx driver stamps the previous cycle's ping with the present time: about 400 ms late",
     parameters=(Parameter("delay_ms", "ms", "age of a reading at its time stamp", -1000.0, 1000.0),),
     requires=("true_range_cm", "range_rate_cm_s"),
     channels=("bias",),
-    experiment="climb and sink at 1 m/s over the same ground: up and down differ by twice the lag",
+    experiment="climb and descend at 1 m/s over the same ground: up and down differ by twice the lag",
     apply=_apply,
     equivalent_causes=("the reference's delay, with the other sign",),
 )

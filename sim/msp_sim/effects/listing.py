@@ -1,4 +1,4 @@
-"""The catalogue for people and for other programs."""
+"""The catalogue of effects as text and as data, for `msp-lab effects`."""
 
 import textwrap
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ _WIDTH = 100
 
 
 def as_data(catalogue: Mapping[str, Effect]) -> list[dict[str, Any]]:
-    """Everything that is known of each effect, as plain values."""
+    """All fields of each effect as plain values, for JSON."""
     return [
         {
             "name": effect.name,
@@ -42,24 +42,27 @@ def as_data(catalogue: Mapping[str, Effect]) -> list[dict[str, Any]]:
 
 
 def as_text(catalogue: Mapping[str, Effect]) -> str:
-    """A paragraph for each effect."""
+    """One paragraph for each effect."""
     return "\n\n".join(_paragraph(effect) for effect in catalogue.values())
 
 
 def _paragraph(effect: Effect) -> str:
     lines = [effect.sentence, f"Physics: {effect.physics}. Source: {effect.source}."]
     lines += [_parameter(each) for each in effect.parameters]
-    needs = [*effect.requires, *([f"{effect.per} (of one)"] if effect.per else [])]
-    lines.append(f"Needs: {', '.join(needs) if needs else 'nothing'}. Shown alone by: {effect.experiment}.")
+    requires = [*effect.requires, *([f"{effect.per} (one of them)"] if effect.per else [])]
+    columns = ", ".join(requires) if requires else "none"
+    lines.append(f"Required columns: {columns}. Experiment that shows it alone: {effect.experiment}.")
     if effect.base:
-        lines.append(f"The base mixture has it too: {effect.base}.")
+        lines.append(f"The base model has a parameter for it: {effect.base}.")
     if effect.equivalent_causes:
-        lines.append(f"Looks the same: {', '.join(effect.equivalent_causes)}.")
+        lines.append(f"Equivalent causes: {', '.join(effect.equivalent_causes)}.")
     body = [textwrap.fill(line, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT) for line in lines]
     return "\n".join([f"{effect.name} ({', '.join(effect.channels)})", *body])
 
 
 def _parameter(parameter: Parameter) -> str:
     unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-    at_rest = f"none at {parameter.neutral:g}" if parameter.neutral is not None else f"{parameter.default:g} if left out"
-    return f"{parameter.name}{unit}: {parameter.meaning}; {parameter.low:g} to {parameter.high:g}, {at_rest}"
+    neutral = (
+        f"no effect at {parameter.neutral:g}" if parameter.neutral is not None else f"default {parameter.default:g}"
+    )
+    return f"{parameter.name}{unit}: {parameter.meaning}; {parameter.low:g} to {parameter.high:g}, {neutral}"

@@ -1,4 +1,4 @@
-"""The high byte lost."""
+"""Effect: the high byte of a reading is lost."""
 
 from collections.abc import Mapping
 
@@ -15,9 +15,9 @@ LOST_HIGH_BYTE = Effect(
     sentence="Half of a reading is lost on the bus: 300 arrives as 44, and no echo (765) as 253.",
     physics="reading modulo 256",
     source="drivers that read one byte of two",
-    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
     requires=(),
     channels=("code",),
-    experiment="a wall at 300 cm: 44",
+    experiment="a wall at 300 cm reads 44",
     apply=_apply,
 )

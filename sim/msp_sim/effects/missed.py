@@ -1,4 +1,4 @@
-"""Echoes missed for no reason that is known."""
+"""Effect: more echoes are missed, without a known cause."""
 
 from collections.abc import Mapping
 

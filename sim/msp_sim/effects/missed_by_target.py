@@ -1,4 +1,4 @@
-"""A material that swallows the ping."""
+"""Effect: a material that absorbs the ping."""
 
 from collections.abc import Mapping
 
@@ -11,9 +11,9 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 MISSED_BY_TARGET = Effect(
     name="missed_by_target",
-    sentence="One kind of ground swallows the ping: over it echoes are missed more often.",
-    physics="log odds of a missed echo over one target; for its share of the energy see acoustics.materials",
-    source="report eq 4 and 4.3.4: plywood, asphalt and concrete alike; snow and grass reflect far less",
+    sentence="One kind of ground absorbs the ping, so over it echoes are missed more often.",
+    physics="log odds of a missed echo over one target; reflected energy: msp_range.acoustics.materials",
+    source="report eq 4 and 4.3.4: plywood, asphalt and concrete reflect equally; snow and grass reflect far less",
     parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
     requires=(),
     channels=("missed",),

@@ -1,4 +1,4 @@
-"""Echoes that are too weak from far away."""
+"""Effect: echoes from far away are too weak."""
 
 from collections.abc import Mapping
 
@@ -14,12 +14,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 MISSED_WITH_RANGE = Effect(
     name="missed_with_range",
-    sentence="The farther the surface, the more often its echo is too weak to be heard.",
-    physics="log odds of a missed echo grow by the same for each metre beyond a range",
-    source="sonar equation: level falls with 20 log z and absorption; the straight line is a choice",
+    sentence="The farther the surface, the more often its echo is too weak to be detected.",
+    physics="log odds of a missed echo grow linearly with range beyond a start",
+    source="sonar equation: level falls with 20 log z and absorption; the straight line is an assumption",
     parameters=(
-        Parameter("log_odds_per_m", "1/m", "growth of the log odds a metre", -20.0, 20.0),
-        Parameter("from_cm", "cm", "range from which on", 0.0, 1000.0, None, 100.0, (0.0, 200.0, 400.0)),
+        Parameter("log_odds_per_m", "1/m", "growth of the log odds per metre", -20.0, 20.0),
+        Parameter("from_cm", "cm", "range at which the growth starts", 0.0, 1000.0, None, 100.0, (0.0, 200.0, 400.0)),
     ),
     requires=("true_range_cm",),
     channels=("missed",),

@@ -1,4 +1,4 @@
-"""The way that the vehicle makes while the sound is in the air."""
+"""Effect: the vehicle moves while the sound travels."""
 
 from collections.abc import Mapping
 
@@ -14,18 +14,18 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 MOTION_DURING_PING = Effect(
     name="motion_during_ping",
-    sentence="While the sound is under way the vehicle moves on, so the range belongs to a moment after the ping.",
+    sentence="The vehicle moves while the sound travels, so the reading belongs to a moment after the ping.",
     physics=(
-        "the sound meets the surface z / c after the ping: z + z dz/dt / c. Share 1 where the truth is that of the "
-        "ping, 0 where it is that of the meeting, -1 where it is that of the echo's return"
+        "the sound meets the surface z / c after the ping: z + z dz/dt / c. Share 1 if the truth is that at the "
+        "ping, 0 at the reflection, -1 at the return of the echo"
     ),
     source="kinematics",
     parameters=(
-        Parameter("share", "1", "time of the truth before the meeting, in times of flight one way", -2.0, 2.0),
+        Parameter("share", "1", "time of the truth before the reflection, in one-way times of flight", -2.0, 2.0),
     ),
     requires=("true_range_cm", "range_rate_cm_s"),
     channels=("bias",),
-    experiment="climb and sink fast at 1 m and at 5 m: the lag grows with range, that of latency does not",
+    experiment="climb and descend fast at 1 m and at 5 m: this lag grows with range, that of latency does not",
     apply=_apply,
     optional=("air_temperature_c",),
 )

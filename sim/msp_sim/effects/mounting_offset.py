@@ -1,4 +1,4 @@
-"""A sensor that is not mounted where the airframe file says."""
+"""Effect: a sensor is not mounted where the airframe file says."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,13 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 MOUNTING_OFFSET = Effect(
     name="mounting_offset",
-    sentence="One sensor sits a little higher or lower than the others, so it reads too far or too near everywhere.",
-    physics="a constant added to every range of one sensor; of all sensors alike it is calibration",
+    sentence="One sensor is mounted a little higher or lower than stated, so all its readings are off by that.",
+    physics="a constant added to every range of one sensor; the same for all sensors would be calibration",
     source="geometry",
     parameters=(Parameter("offset_cm", "cm", "how much too far this sensor reads", -50.0, 50.0),),
     requires=("true_range_cm",),
     channels=("bias",),
-    experiment="all sensors before one wall at once, then two of them swapped: the offset stays with its place",
+    experiment="all sensors in front of one wall, then two of them swapped: the offset stays with the position",
     apply=_apply,
     per="sensor",
     equivalent_causes=("the reference's offset for this sensor",),

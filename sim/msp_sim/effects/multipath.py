@@ -1,4 +1,4 @@
-"""An echo that went twice."""
+"""Effect: an echo that travelled twice between ground and vehicle."""
 
 from collections.abc import Mapping
 
@@ -16,15 +16,15 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 MULTIPATH = Effect(
     name="multipath",
-    sentence="The sound bounces between ground and vehicle, and the second echo is taken: about twice the height.",
-    physics="hits at 2 z in place of z, where that is within reach",
-    source="echo sounding over hard ground; the vehicle's own belly is the second mirror",
+    sentence="The sound bounces between ground and vehicle, and the second echo is measured: about twice the height.",
+    physics="hits at 2 z instead of z, if that is within the maximum range",
+    source="echo sounding over hard ground; the vehicle's underside is the second reflector",
     parameters=(
         Parameter("share", "1", "share of the readings", 0.0, 1.0),
         Parameter("sigma_cm", "cm", "scatter of the second echo", 0.1, 50.0, None, 3.0, (3.0,)),
     ),
     requires=("true_range_cm",),
     channels=("component",),
-    experiment="a hard floor at 1 m, with and without a plate about the sensor",
+    experiment="a hard floor at 1 m, with and without a plate around the sensor",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""The nearest point that the beam covers."""
+"""Effect: a rough surface gives an echo from the nearest point inside the beam."""
 
 from collections.abc import Mapping
 
@@ -16,10 +16,10 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 NEAREST_POINT = Effect(
     name="nearest_point",
-    sentence="Beyond what the beam covers, a rough surface answers from the beam's edge, the nearest point in it.",
+    sentence="If its perpendicular lies outside the beam, a rough surface gives an echo from the edge of the beam.",
     physics="z / cos(incidence - half angle) beyond the beam's half angle at that range, z within it",
-    source="geometry of a cone; msp_range.acoustics.slant.nearest_range_in_beam; needs a surface rough on 8 mm",
-    parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
+    source="geometry of a cone; msp_range.acoustics.slant.nearest_range_in_beam; needs roughness of about 8 mm",
+    parameters=(Parameter("share", "1", "strength; 1 is the effect of the equation", -1.5, 1.5),),
     requires=("true_range_cm", "incidence_deg"),
     channels=("bias",),
     experiment="gravel at angles below and beyond the breakaway angle: no error below, growing beyond",

@@ -1,4 +1,4 @@
-"""Two bytes OR-ed into one."""
+"""Effect: the two bytes of a reading are OR-ed into one."""
 
 from collections.abc import Mapping
 
@@ -12,12 +12,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 OR_ED_BYTES = Effect(
     name="or_ed_bytes",
-    sentence="A driver puts the two bytes of a reading on top of each other: no echo (765) arrives as 255, 300 as 45.",
-    physics="high | low in place of 256 high + low: 0x02 | 0xFD = 255",
-    source="a lost shift, found in two public drivers of this sensor",
-    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    sentence="A driver ORs the two bytes of a reading into one: no echo (765) arrives as 255, and 300 as 45.",
+    physics="high | low instead of 256 high + low: 0x02 | 0xFD = 255",
+    source="a missing shift, found in two public drivers of this sensor",
+    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
     requires=(),
     channels=("code",),
-    experiment="a wall at 300 cm: 45",
+    experiment="a wall at 300 cm reads 45",
     apply=_apply,
 )

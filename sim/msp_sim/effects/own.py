@@ -1,6 +1,6 @@
-"""Effects that are not in the package: of installed packages by entry points, and of a Python file that a user names.
+"""Effects from outside the package: from installed packages by entry points, and from a Python file named by the user.
 
-Both are added to the catalogue, and then are as good as those in it: model files may name them, the gap workflow tries
+Both are added to the catalogue and then are equal to those in it: model files may name them, and the gap workflow tests
 them. A file holds one or more `Effect` objects at its top level; an entry point of the group `GROUP` is one::
 
     [project.entry-points."msp_sim.effects"]
@@ -20,19 +20,19 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
 
 GROUP = "msp_sim.effects"
-"""Entry points of installed packages that are effects."""
+"""Group of the entry points of installed packages with effects."""
 
 _SOURCES: dict[str, str] = {}
-"""Where each effect that was added is from."""
+"""Source of each effect that was added."""
 
 
 def find_effect(name: str) -> Effect | None:
-    """The effect of this name: of the catalogue, or of an installed package; None where there is none.
+    """Find an effect by name in the catalogue or in an installed package; None if there is none.
 
     Raises
     ------
     ConfigError
-        The package that offers it cannot be used.
+        The package with the effect cannot be used.
     """
     if name not in CATALOGUE:
         entry = installed(GROUP).get(name)
@@ -63,10 +63,10 @@ def effects_of_file(path: Path) -> list[Effect]:
     Raises
     ------
     ConfigError
-        There is no such file, it cannot be run, or no effect is in it.
+        There is no such file, it cannot be run, or it contains no effect.
     """
     found = {each.name: each for each in vars(_run(path)).values() if isinstance(each, Effect)}
-    # What the file imports from the catalogue is not its own.
+    # Effects that the file imports from the catalogue are not its own.
     own = [each for each in found.values() if each is not CATALOGUE.get(each.name)]
     if not own:
         raise ConfigError(f"{path}: found no effect; expected an msp_sim.effects.base.Effect at the top level")
@@ -82,7 +82,7 @@ def _run(path: Path) -> ModuleType:
     module = module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # Whatever somebody's own file does is a mistake there.
+    except Exception as error:  # Any exception of a user's file is an error in that file.
         lines = [each.lineno for each in traceback.extract_tb(sys.exc_info()[2]) if each.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         place = f"{path}:{line}" if line is not None else str(path)

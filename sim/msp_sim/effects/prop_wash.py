@@ -1,4 +1,4 @@
-"""Short readings from the rotors' wash."""
+"""Effect: the rotors' noise and wash cause short readings."""
 
 from collections.abc import Mapping
 
@@ -11,12 +11,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 PROP_WASH = Effect(
     name="prop_wash",
-    sentence="With more throttle the rotors' noise is taken for an echo more often, and the sensor reads short.",
+    sentence="With more throttle the rotors' noise is mistaken for an echo more often, and the sensor reads short.",
     physics="log odds of a short reading grow in proportion to the throttle",
-    source="field reports: climbs in altitude hold, fine on the bench; rotor noise gives short readings",
-    parameters=(Parameter("log_odds", "1", "log odds at full throttle over those at none", -10.0, 10.0),),
+    source="field reports: short readings in flight that do not occur on the bench",
+    parameters=(Parameter("log_odds", "1", "log odds at full throttle minus those at zero throttle", -10.0, 10.0),),
     requires=("throttle",),
     channels=("short",),
-    experiment="the vehicle tied down over a floor, throttle in steps",
+    experiment="the vehicle tied down over a floor, with the throttle raised in steps",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""Readings that nothing explains."""
+"""Effect: readings anywhere in the range, without a known cause."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 RANDOM_READINGS = Effect(
     name="random_readings",
-    sentence="More (or fewer) readings than usual are anywhere at all.",
+    sentence="More (or fewer) readings than usual lie anywhere between minimum and maximum.",
     physics="log odds of a random reading against a hit",
     source="report eq 12",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),

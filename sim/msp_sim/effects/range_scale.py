@@ -1,4 +1,4 @@
-"""A sensor whose clock runs fast or slow."""
+"""Effect: the sensor's clock runs fast or slow."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,17 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 RANGE_SCALE = Effect(
     name="range_scale",
-    sentence="The sensor's clock runs a little fast or slow, so every range is too long or too short by some percent.",
+    sentence="The sensor's clock runs a little fast or slow, so all ranges are off by the same percentage.",
     physics="reading = z (1 + scale)",
     source="time of flight is counted in ticks of the sensor's own clock",
-    parameters=(Parameter("scale_pct", "%", "how much too long ranges read", -10.0, 10.0),),
+    parameters=(Parameter("scale_pct", "%", "relative error of the readings", -10.0, 10.0),),
     requires=("true_range_cm",),
     channels=("bias",),
-    experiment="ranges from 50 to 500 cm against a tape measure, in air of one temperature",
+    experiment="ranges from 50 to 500 cm against a tape measure, at constant air temperature",
     apply=_apply,
-    equivalent_causes=("the reference's scale", "air of one other temperature throughout", "a thermometer that is off throughout"),
+    equivalent_causes=(
+        "the reference's scale",
+        "a constant difference of the air temperature",
+        "a constant error of the thermometer",
+    ),
 )

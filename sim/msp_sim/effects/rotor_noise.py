@@ -1,4 +1,4 @@
-"""Noise of the rotors in the sensor's band."""
+"""Effect: the rotors' noise in the sensor's frequency band increases the scatter."""
 
 from collections.abc import Mapping
 
@@ -14,14 +14,14 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 ROTOR_NOISE = Effect(
     name="rotor_noise",
     sentence="With more throttle the rotors are louder, and the readings scatter more.",
-    physics="sigma (1 + growth throttle^exponent): noise on the envelope moves its crossing of the threshold",
-    source="MaxBotix: mount out of the prop wash, away from rotors; the power is a choice",
+    physics="sigma (1 + growth throttle^exponent): noise on the envelope shifts its threshold crossing",
+    source="MaxBotix: mount out of the prop wash, away from rotors; the power law is an assumption",
     parameters=(
-        Parameter("growth", "1", "growth of sigma from no to full throttle", 0.0, 20.0),
-        Parameter("exponent", "1", "1: as the throttle, 2: as the thrust", 0.5, 6.0, None, 1.0, (1.0, 3.0)),
+        Parameter("growth", "1", "relative growth of sigma from zero to full throttle", 0.0, 20.0),
+        Parameter("exponent", "1", "1: proportional to throttle, 2: to thrust", 0.5, 6.0, None, 1.0, (1.0, 3.0)),
     ),
     requires=("true_range_cm", "throttle"),
     channels=("spread",),
-    experiment="the vehicle tied down over a floor, throttle in steps",
+    experiment="the vehicle tied down over a floor, with the throttle raised in steps",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""Offsets that differ from run to run."""
+"""Effect: a constant error that differs from run to run."""
 
 from collections.abc import Mapping
 
@@ -11,12 +11,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 RUN_OFFSETS = Effect(
     name="run_offsets",
-    sentence="Each session is off by a little something of its own.",
-    physics="an offset drawn once a run from a normal distribution; a reading's variance is sigma^2 + deviation^2",
-    source="set-up of reference and sensor; temperature of the day",
+    sentence="Each session has a small constant error of its own.",
+    physics="an offset drawn once per run from a normal distribution; a reading's variance is sigma^2 + deviation^2",
+    source="placement of reference and sensor; temperature of the day",
     parameters=(Parameter("deviation_cm", "cm", "standard deviation of the offsets", 0.0, 50.0, power=2, step=0.03),),
     requires=("true_range_cm", "run"),
     channels=("spread",),
-    experiment="the same set-up, taken down and put up again ten times",
+    experiment="the same arrangement, dismantled and rebuilt ten times",
     apply=_apply,
 )

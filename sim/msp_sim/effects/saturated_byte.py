@@ -1,4 +1,4 @@
-"""Readings cut to eight bits."""
+"""Effect: readings are limited to eight bits."""
 
 from collections.abc import Mapping
 
@@ -12,12 +12,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 SATURATED_BYTE = Effect(
     name="saturated_byte",
-    sentence="Ranges beyond 255 cm all arrive as 255: they do not fit into the one byte that somebody kept.",
+    sentence="Ranges beyond 255 cm all arrive as 255: they do not fit into the one byte of some driver's variable.",
     physics="min(reading, 255)",
-    source="report 4.3.2: 255 beside 765; 8-bit variables in drivers and loggers",
-    parameters=(Parameter("share", "1", "share of the readings that it befalls", 0.0, 1.0),),
+    source="report 4.3.2: 255 as well as 765; 8-bit variables in drivers and loggers",
+    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
     requires=(),
     channels=("code",),
-    experiment="a wall at 300 cm: 255 in place of 300, where OR-ed bytes would give 45",
+    experiment="a wall at 300 cm reads 255 (OR-ed bytes would give 45)",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""A session in which everything was measured from another zero."""
+"""Effect: in one session everything was measured from another zero."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,13 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 SESSION_OFFSET = Effect(
     name="session_offset",
-    sentence="On one day everything reads too far or too near by the same amount: something was set up differently.",
+    sentence="On one day everything reads too far or too near by the same amount: something was arranged differently.",
     physics="a constant added to every range of one run",
-    source="geometry; the reference's zero is set anew for each session",
+    source="geometry; the reference's zero is set again for each session",
     parameters=(Parameter("offset_cm", "cm", "how much too far this session reads", -50.0, 50.0),),
     requires=("true_range_cm",),
     channels=("bias",),
-    experiment="the session again, with the reference set up anew",
+    experiment="repeat the session with the reference arranged again",
     apply=_apply,
     per="run",
     equivalent_causes=("the reference's zero in that session",),

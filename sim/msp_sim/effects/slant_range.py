@@ -1,4 +1,4 @@
-"""The range along a tilted beam, which is longer than the height."""
+"""Effect: a tilted sensor measures the range along its axis, which is longer than the perpendicular."""
 
 from collections.abc import Mapping
 
@@ -15,16 +15,16 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 SLANT_RANGE = Effect(
     name="slant_range",
-    sentence="A tilted sensor measures along its beam, which is longer than the distance straight to the surface.",
+    sentence="A tilted sensor measures along its axis, which is longer than the perpendicular distance to the surface.",
     physics=(
-        "z / cos(incidence), or slant_range_cm where that is known, in place of the perpendicular z; share -1 where "
-        "the truth is along the beam and the sensor reads the perpendicular"
+        "z / cos(incidence), or slant_range_cm if known, instead of the perpendicular z; share -1 if the truth is "
+        "along the axis and the sensor reads the perpendicular"
     ),
     source="report eq 8",
-    parameters=(Parameter("share", "1", "share of it that is there", -1.5, 1.5),),
+    parameters=(Parameter("share", "1", "strength; 1 is the effect of the equation", -1.5, 1.5),),
     requires=("true_range_cm", "incidence_deg"),
     channels=("bias",),
-    experiment="tilt the sensor to both sides before a wall: the error grows with the square of the angle",
+    experiment="tilt the sensor to both sides in front of a wall: the error grows with the square of the angle",
     apply=_apply,
     optional=("slant_range_cm",),
 )

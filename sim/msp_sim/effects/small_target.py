@@ -1,4 +1,4 @@
-"""A target that is too small to answer as a wall does."""
+"""Effect: a small target returns a weaker echo than a wall."""
 
 from collections.abc import Mapping
 
@@ -17,15 +17,15 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 SMALL_TARGET = Effect(
     name="small_target",
-    sentence="A small target sends back less than a wall, and from far away its echo is missed.",
+    sentence="A small target returns a weaker echo than a wall, so from far away its echo is missed.",
     physics=(
-        "beyond z = 2 A / lambda a square plate of area A answers 20 log(z lambda / 2 A) dB weaker than a wall; log "
-        "odds of a missed echo grow by the same for each 10 dB"
+        "beyond z = 2 A / lambda a square plate of area A gives an echo 20 log(z lambda / 2 A) dB weaker than a wall; "
+        "log odds of a missed echo grow linearly with that"
     ),
-    source="msp_range.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is a choice",
-    parameters=(Parameter("log_odds_per_10db", "1", "growth of the log odds for 10 dB", 0.0, 50.0),),
+    source="msp_range.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is an assumption",
+    parameters=(Parameter("log_odds_per_10db", "1", "growth of the log odds per 10 dB", 0.0, 50.0),),
     requires=("true_range_cm", "target_size_cm"),
     channels=("missed",),
-    experiment="plates of 20, 10 and 5 cm at growing range",
+    experiment="plates of 20, 10 and 5 cm at increasing range",
     apply=_apply,
 )

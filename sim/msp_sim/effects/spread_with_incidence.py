@@ -1,4 +1,4 @@
-"""Scatter that grows with the angle of the surface."""
+"""Effect: the scatter grows with the angle of incidence."""
 
 from collections.abc import Mapping
 
@@ -14,9 +14,9 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SPREAD_WITH_INCIDENCE = Effect(
     name="spread_with_incidence",
     sentence="Readings of a tilted surface scatter more.",
-    physics="sigma (1 + growth |incidence| / 10 deg): the beam's footprint on a tilted surface is spread over ranges",
-    source="report 4.3.3: readings get unreliable towards the breakaway angle; the linear form is a choice",
-    parameters=(Parameter("growth_per_10deg", "1", "growth of sigma for each 10 deg", 0.0, 10.0),),
+    physics="sigma (1 + growth |incidence| / 10 deg): the beam's footprint on a tilted surface covers a span of ranges",
+    source="report 4.3.3: readings become unreliable towards the breakaway angle; the linear form is an assumption",
+    parameters=(Parameter("growth_per_10deg", "1", "relative growth of sigma per 10 deg", 0.0, 10.0),),
     requires=("true_range_cm", "incidence_deg"),
     channels=("spread",),
     experiment="a thousand readings of a wall at 0 and at 10 deg",

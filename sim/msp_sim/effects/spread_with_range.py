@@ -1,4 +1,4 @@
-"""Scatter that grows with range."""
+"""Effect: the scatter grows with range."""
 
 from collections.abc import Mapping
 
@@ -14,9 +14,9 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SPREAD_WITH_RANGE = Effect(
     name="spread_with_range",
     sentence="Far readings scatter more than near ones.",
-    physics="sigma (1 + growth z): a weak echo crosses the threshold less surely, and air shimmers along the path",
-    source="usual for time-of-flight sensors; the linear form is a choice",
-    parameters=(Parameter("growth_per_m", "1/m", "growth of sigma a metre", 0.0, 5.0),),
+    physics="sigma (1 + growth z): weak echoes cross the threshold less precisely, and air is turbulent",
+    source="usual for time-of-flight sensors; the linear form is an assumption",
+    parameters=(Parameter("growth_per_m", "1/m", "relative growth of sigma per metre", 0.0, 5.0),),
     requires=("true_range_cm",),
     channels=("spread",),
     experiment="a thousand readings of a wall at 50 and at 400 cm",

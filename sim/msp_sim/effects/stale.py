@@ -1,4 +1,4 @@
-"""The last reading, read again."""
+"""Effect: the previous reading is reported again."""
 
 from collections.abc import Mapping
 
@@ -17,12 +17,12 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 STALE = Effect(
     name="stale",
-    sentence="Now and then the sensor's last reading is handed out once more, as if nothing had moved.",
-    physics="the sensor's previous reading in place of a new one",
-    source="drivers that read before the ranging is done; register reads that ping again",
-    parameters=(Parameter("share", "1", "share of the readings that are old", 0.0, 1.0),),
+    sentence="Sometimes the sensor's previous reading is reported again instead of a new one.",
+    physics="the sensor's previous reading instead of a new one",
+    source="drivers that read before the measurement has ended; register reads that trigger a new ping",
+    parameters=(Parameter("share", "1", "share of repeated readings", 0.0, 1.0),),
     requires=("previous_reading_cm",),
     channels=("component",),
-    experiment="a target in steady motion: readings that stand still",
+    experiment="a target in steady motion: some readings do not change",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""Air that gets warmer or colder all along the path."""
+"""Effect: the air gets steadily warmer or colder along the path."""
 
 from collections.abc import Mapping
 
@@ -15,15 +15,15 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 TEMPERATURE_GRADIENT = Effect(
     name="temperature_gradient",
-    sentence="Over hot ground the air gets warmer on the way down, and a thermometer at the sensor tells half of it.",
+    sentence="Over hot ground the air is warmer further down, but the sensor's thermometer shows one end only.",
     physics=(
-        "temperature linear from sensor to target: the mean of 1 / c is 2 / (c_sensor + c_target), exactly. Beside "
-        "air_temperature, which takes the sensor's air for all of the path"
+        "temperature linear from sensor to target: the mean of 1 / c is 2 / (c_sensor + c_target), exactly. Acts in "
+        "addition to air_temperature, which assumes the sensor's air along the whole path"
     ),
     source="integral of dx / c(T(x)) with c = 20.05 sqrt(T)",
-    parameters=(Parameter("share", "1", "share of it that is there", -0.5, 2.5),),
+    parameters=(Parameter("share", "1", "strength; 1 is the effect of the equation", -0.5, 2.5),),
     requires=("true_range_cm", "air_temperature_c", "target_temperature_c"),
     channels=("bias",),
-    experiment="hot asphalt at noon and cool asphalt in the morning, a thermometer at the sensor and one at the ground",
+    experiment="hot asphalt at noon and cool asphalt in the morning, thermometers at sensor and ground",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""A thermometer that shows too much."""
+"""Effect: the thermometer shows too high a temperature."""
 
 from collections.abc import Mapping
 
@@ -15,13 +15,13 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 THERMOMETER_OFFSET = Effect(
     name="thermometer_offset",
-    sentence="The thermometer shows more than the air has, so compensated ranges come out too long.",
-    physics="z sqrt(T / (T - d)) with T the temperature that is shown [K] and T - d the air's",
-    source="report eq 7; barometers' own dies are often 10 to 30 C above the air",
-    parameters=(Parameter("offset_c", "K", "how much too much the thermometer shows", -50.0, 50.0),),
+    sentence="The thermometer shows more than the air temperature, so compensated ranges are too long.",
+    physics="z sqrt(T / (T - d)) with T the temperature shown [K] and T - d that of the air",
+    source="report eq 7; the chips of barometers are often 10 to 30 C above the air",
+    parameters=(Parameter("offset_c", "K", "error of the thermometer", -50.0, 50.0),),
     requires=("true_range_cm", "air_temperature_c"),
     channels=("bias",),
-    experiment="a second thermometer in the shade beside the first",
+    experiment="a second thermometer in the shade next to the first",
     apply=_apply,
     equivalent_causes=("range_scale, unless the temperature varies by tens of degrees",),
 )

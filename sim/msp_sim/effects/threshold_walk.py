@@ -1,4 +1,4 @@
-"""A weak echo, which crosses the detection threshold late."""
+"""Effect: a weak echo crosses the detection threshold late."""
 
 from collections.abc import Mapping
 
@@ -9,32 +9,32 @@ from msp_range.acoustics.atmosphere import Atmosphere
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 HALF_POWER_DEG = 18.0
-"""Where the beam has half its power one way: the piston of 13.6 mm that fits the report's angles, at 8.2 mm."""
+"""One-way half-power angle [deg] of a piston of 13.6 mm, which fits the report's angles, at a wavelength of 8.2 mm."""
 
 
 def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     range_m = np.maximum(scene.range_cm, 1.0) / 100.0
     absorption = absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere())
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG
-    # Over a wall at 1 m straight ahead: spreading as from an image, absorption there and back, directivity both ways.
+    # Relative to a wall at 1 m on the axis: spreading as from a mirror image, two-way absorption, two-way directivity.
     weaker_db = 20.0 * np.log10(range_m) + 2.0 * absorption * (range_m - 1.0) + 6.0 * off_axis**2
     return Contribution(bias_cm=values["walk_cm_per_10db"] * weaker_db / 10.0)
 
 
 THRESHOLD_WALK = Effect(
     name="threshold_walk",
-    sentence="A weak echo rises slowly and is noticed late, so far and slanted surfaces read a little too far.",
+    sentence="A weak echo rises slowly and is detected late, so far and tilted surfaces read a little too far.",
     physics=(
-        "an envelope that rises exponentially passes a fixed threshold later in proportion to the echo's level in dB; "
-        "level of a wall: 20 log z, absorption, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
+        "an envelope that rises exponentially crosses a fixed threshold with a delay proportional to the loss in dB; "
+        "loss for a wall: 20 log z, absorption, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
     ),
     source="time walk of leading-edge discriminators; levels: msp_range.acoustics",
     parameters=(
-        Parameter("walk_cm_per_10db", "cm", "how much later for each 10 dB that the echo is weaker", -5.0, 5.0),
+        Parameter("walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker", -5.0, 5.0),
     ),
     requires=("true_range_cm",),
     channels=("bias",),
-    experiment="a carpet and a plate at the same range, one after the other: the carpet reads farther",
+    experiment="a carpet and a plate at the same range, one after the other: the carpet gives the larger reading",
     apply=_apply,
     optional=("incidence_deg",),
 )

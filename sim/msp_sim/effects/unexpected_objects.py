@@ -1,4 +1,4 @@
-"""Things in the beam that are nearer than the surface."""
+"""Effect: objects in the beam that are nearer than the surface."""
 
 from collections.abc import Mapping
 
@@ -11,7 +11,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 UNEXPECTED_OBJECTS = Effect(
     name="unexpected_objects",
-    sentence="More (or fewer) things than usual get into the beam before the ground does.",
+    sentence="More (or fewer) objects than usual are in the beam above the ground.",
     physics="log odds of a short reading against a hit",
     source="report eq 10",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),

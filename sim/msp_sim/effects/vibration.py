@@ -1,4 +1,4 @@
-"""Vibration of the sensor's mount."""
+"""Effect: the sensor's mount vibrates."""
 
 from collections.abc import Mapping
 
@@ -14,11 +14,11 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 VIBRATION = Effect(
     name="vibration",
     sentence="On a vibrating mount the readings scatter more.",
-    physics="sigma (1 + growth) wherever the mount vibrates, at whatever frequency",
-    source="report 4.3.6 (figure 4.19): none was seen at 60 Hz",
-    parameters=(Parameter("growth", "1", "growth of sigma where the mount vibrates", 0.0, 20.0),),
+    physics="sigma (1 + growth) if the mount vibrates, at any frequency",
+    source="report 4.3.6 (figure 4.19): no effect at 60 Hz",
+    parameters=(Parameter("growth", "1", "relative growth of sigma if the mount vibrates", 0.0, 20.0),),
     requires=("true_range_cm", "vibration_hz"),
     channels=("spread",),
-    experiment="a shaker under the sensor, on and off, before one target",
+    experiment="a shaker under the sensor, switched on and off, in front of a fixed target",
     apply=_apply,
 )

@@ -1,4 +1,4 @@
-"""A sensor that is not yet warm."""
+"""Effect: the sensor is still warming up."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 
 WARM_UP = Effect(
     name="warm_up",
-    sentence="In its first minutes a sensor warms up, and its readings drift until it is warm.",
+    sentence="In the first minutes after power-up the sensor warms up, and its readings drift.",
     physics="offset exp(-t / tau), t since the sensor was powered",
     source="heating of a body by a constant power",
     parameters=(
@@ -22,6 +22,6 @@ WARM_UP = Effect(
     ),
     requires=("true_range_cm", "uptime_s"),
     channels=("bias",),
-    experiment="one target from power-up for half an hour, in a room of one temperature",
+    experiment="a fixed target for half an hour from power-up, at constant room temperature",
     apply=_apply,
 )

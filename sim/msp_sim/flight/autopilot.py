@@ -1,9 +1,9 @@
-"""The other end of the link: a loopback autopilot, and a transport that shares its bytes with a real link.
+"""The other end of the link: a simulated autopilot, and a transport that also sends its messages over a real link.
 
-`LoopbackAutopilot` is a transport of the bridge: what the bridge sends, it parses and keeps; what the bridge receives
-is an autopilot's heartbeat, attitude, acceleration, pressure and temperature, and time. It has a clock of its own,
-answers TIMESYNC and commands, and can be heard late and start anew in flight. `Tee` puts a real link alongside it, so
-that a ground station sees autopilot and bridge.
+`LoopbackAutopilot` is a transport of the bridge. It parses and keeps what the bridge sends; the bridge receives from it
+an autopilot's heartbeat, attitude, acceleration, pressure, temperature, and time. It has its own clock, answers
+TIMESYNC and commands, and can appear late and reboot in flight. `Tee` adds a real link, so that a ground station
+receives both autopilot and bridge.
 """
 
 import math
@@ -21,16 +21,17 @@ from msp_range.mavlink.transport import Transport, TransportStats
 from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
 
 BOOTED_BEFORE_S = 42.5
-"""How long before the flight the autopilot was switched on [s]: its clock is not the bridge's."""
+"""Time between the autopilot's start and the flight [s], so that its clock differs from the bridge's. Any value will
+do."""
 REBOOT_S = 3.0
-"""It is silent for this long when it starts anew [s]."""
+"""Time for which it is silent when it reboots [s]."""
 SEA_LEVEL_HPA = 1013.25
 BAROMETER_WARMER_C = 15.0
-"""The barometer's die is this much warmer than the air [K]."""
+"""Difference between the barometer's chip and the air [K]; typical for autopilots."""
 BAROMETER_STD_M, BAROMETER_DRIFT_M = 0.15, 0.05
-"""Noise of a pressure as a height [m], and how its error wanders [m per root second]; of a good barometer, assumed."""
+"""Noise of a pressure as a height [m], and random walk of its error [m per root second]; assumed, a good barometer."""
 ACCELEROMETER_STD_M_S2, ACCELEROMETER_BIAS_M_S2 = 0.3, 0.1
-"""Noise and constant error of each axis [m/s^2]: vibration behind an autopilot's low pass, assumed."""
+"""Noise and constant error of each axis [m/s^2]; assumed, vibration after an autopilot's low-pass filter."""
 
 _MESSAGES = {
     dialect.MAVLINK_MSG_ID_ATTITUDE: "attitude",
@@ -41,9 +42,9 @@ _MESSAGES = {
 """Messages whose rate can be set."""
 _ANSWERED = (dialect.MAVLINK_MSG_ID_TIMESYNC, dialect.MAVLINK_MSG_ID_COMMAND_LONG)
 _INTERVALS_S = {"heartbeat": 1.0, "system_time": 1.0, "pressure": 1.0, "attitude": 0.1}
-"""What is sent from the beginning."""
+"""Messages that are sent without a request, and their intervals [s]."""
 _MOTION = ("pressure", "raw_imu", "highres_imu")
-"""What an autopilot that shows nothing of its motion does not send."""
+"""Messages that are not sent if ``sends_motion`` is False."""
 
 
 class LoopbackAutopilot:
@@ -52,19 +53,19 @@ class LoopbackAutopilot:
     Parameters
     ----------
     clock
-        The flight's clock; ``start_s`` on it is the flight's beginning.
+        The flight's clock; its time at construction is the start of the flight.
     pose, air_c
         The vehicle's pose and the air temperature [deg C] at a time of the flight [s].
     sent_pose
-        What it sends as its attitude of the true pose; None: the truth.
+        Function from the true pose to the pose that it sends; None: the truth.
     kind
         Which autopilot it claims to be.
     draw
-        Noise of its accelerometer and barometer; None: they have none.
-    heard_from_s, reboots_at_s
-        Times of the flight [s].
+        Source of its accelerometer's and barometer's noise; None: no noise.
+    first_heartbeat_s, reboots_at_s
+        Time of the first heartbeat, and times of reboots [s from the start of the flight].
     sends_motion
-        Whether it sends accelerations and pressures; requests for them are denied where it does not.
+        Whether it sends accelerations and pressures; otherwise requests for them are denied.
     """
 
     description = "loopback"
@@ -79,7 +80,7 @@ class LoopbackAutopilot:
         sent_pose: Callable[[Pose], Pose] | None = None,
         kind: Autopilot = "ardupilot",
         draw: random.Random | None = None,
-        heard_from_s: float = 0.0,
+        first_heartbeat_s: float = 0.0,
         reboots_at_s: Sequence[float] = (),
         sends_motion: bool = True,
     ) -> None:
@@ -92,7 +93,7 @@ class LoopbackAutopilot:
         self._sent_pose = sent_pose or (lambda pose: pose)
         self._air_c = air_c
         self._kind = dialect.MAV_AUTOPILOT_PX4 if kind == "px4" else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
-        self._heard_from_s = heard_from_s
+        self._first_heartbeat_s = first_heartbeat_s
         self._reboots_at_s = sorted(reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
@@ -108,19 +109,19 @@ class LoopbackAutopilot:
 
     @property
     def connected(self) -> bool:
-        """A loopback is always there."""
+        """A loopback is always connected."""
         return True
 
     @property
     def quiet_until_s(self) -> float:
-        """When it speaks next [s on the flight's clock]."""
+        """Time of its next message [s on the flight's clock]."""
         if self._outgoing:
             return float("-inf")
         due_s = min(self._due_s.values())
         return self._start_s + (min(due_s, self._reboots_at_s[0]) if self._reboots_at_s else due_s)
 
     def send(self, frame: bytes) -> bool:
-        """Take a frame from the bridge."""
+        """Receive a frame from the bridge."""
         now_s = self._flight_s()
         self.stats.sent_frames += 1
         if not self._is_up(now_s):
@@ -132,28 +133,28 @@ class LoopbackAutopilot:
 
     @property
     def received(self) -> list[tuple[float, Any]]:
-        """What the bridge has sent: time of the flight [s], message."""
-        # Decoded only for those who ask: it takes longer than all else that is done with a frame.
+        """Messages from the bridge: time of the flight [s], message."""
+        # Decoded only when asked for, because decoding takes longer than everything else done with a frame.
         for time_s, frame in self._frames[len(self._decoded) :]:
             self._decoded.append((time_s, self._decode(frame)))
         return self._decoded
 
     def received_counts(self) -> Counter[str]:
-        """How many messages of each name the bridge has sent."""
+        """Number of messages received from the bridge, by name."""
         return Counter(dialect.mavlink_map[_message_id(frame)].msgname for _, frame in self._frames)
 
     def _decode(self, frame: bytes) -> Any:
         return self._mav.decode(bytearray(frame))
 
     def receive(self) -> bytes:
-        """What the autopilot has sent since the last call."""
+        """Bytes that the autopilot has sent since the last call."""
         now_s = self._flight_s()
         if self._reboots_at_s and now_s >= self._reboots_at_s[0]:
             self._boot_s = self._reboots_at_s.pop(0)
-            self._heard_from_s = max(self._heard_from_s, self._boot_s + REBOOT_S)
+            self._first_heartbeat_s = max(self._first_heartbeat_s, self._boot_s + REBOOT_S)
             self._outgoing.clear()
         if self._is_up(now_s):
-            self._speak(now_s)
+            self._send_due(now_s)
         sent = bytes(self._outgoing)
         self._outgoing.clear()
         return sent
@@ -165,9 +166,9 @@ class LoopbackAutopilot:
         return self._clock.now() - self._start_s
 
     def _is_up(self, now_s: float) -> bool:
-        return now_s >= self._heard_from_s
+        return now_s >= self._first_heartbeat_s
 
-    def _speak(self, now_s: float) -> None:
+    def _send_due(self, now_s: float) -> None:
         if now_s < min(self._due_s.values()):
             return
         boot_ms = round((now_s - self._boot_s) * 1e3)
@@ -202,9 +203,9 @@ class LoopbackAutopilot:
         )
 
     def _specific_force(self, pose: Pose) -> Vector:
-        """What the accelerometer measures, body FRD: f = R^T (a - g), with its noise [m/s^2].
+        """Specific force that the accelerometer measures, body FRD: f = R^T (a - g), with its noise [m/s^2].
 
-        The acceleration a is the mean since the sample before, so that a profile's sudden change of speed shows.
+        The acceleration a is the mean since the previous sample, so that a sudden change of speed is included.
         """
         before, self._sampled = self._sampled, pose
         elapsed_s = (pose.time_s - before.time_s) or math.inf
@@ -224,7 +225,7 @@ class LoopbackAutopilot:
         return self._draw.gauss(0.0, std) if self._draw else 0.0
 
     def _pressure(self, boot_ms: int, now_s: float, pose: Pose) -> Any:
-        """Barometric formula p = p0 exp(-h / 8434 m); the temperature is the barometer's and too warm."""
+        """Barometric formula p = p0 exp(-h / 8434 m); the temperature is that of the barometer's chip."""
         self._drift_m += self._noise(BAROMETER_DRIFT_M * math.sqrt(now_s - self._drift_s))
         self._drift_s = now_s
         height_m = self._drift_m + self._noise(BAROMETER_STD_M) - pose.position_ned_m[2]
@@ -259,7 +260,8 @@ def _message_id(frame: bytes) -> int:
 
 
 class Tee:
-    """A real link beside the loopback autopilot: both hear the bridge, and the real link hears the autopilot too."""
+    """A real link next to the simulated autopilot: both receive the bridge, and the link also gets the autopilot's
+    messages."""
 
     quiet_until_s = float("-inf")
 
@@ -270,30 +272,30 @@ class Tee:
 
     @property
     def stats(self) -> TransportStats:
-        """The real link's."""
+        """That of the real link."""
         return self._link.stats
 
     @property
     def last_error(self) -> str | None:
-        """The real link's."""
+        """That of the real link."""
         return self._link.last_error
 
     @property
     def connected(self) -> bool:
-        """The real link's."""
+        """That of the real link."""
         return self._link.connected
 
     def send(self, frame: bytes) -> bool:
-        """To both; True where the real link took it."""
+        """Send to both; True if the real link accepted it."""
         self._autopilot.send(frame)
         return self._link.send(frame)
 
     def receive(self) -> bytes:
-        """From both."""
-        spoken = self._autopilot.receive()
-        if spoken:
-            self._link.send(spoken)
-        return spoken + self._link.receive()
+        """Receive from both."""
+        sent = self._autopilot.receive()
+        if sent:
+            self._link.send(sent)
+        return sent + self._link.receive()
 
     def close(self) -> None:
         """Close the real link."""

@@ -1,13 +1,12 @@
 """A simulated flight: a scenario's vehicle, world and emulated sensors around the real bridge.
 
 Everything that varies is an argument: with a virtual clock and a seed, the same flight gives the same bytes on the
-link. What comes out is a `Flight`: what each reading became, beside the truth.
+link. The result is a `FlightResult`: what became of each reading, together with the truth.
 """
 
 import hashlib
 import random
-from collections.abc import Callable
-from collections.abc import Generator as Steps
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +25,11 @@ from msp_sim.flight.scenario import Scenario
 from msp_sim.world.vehicle import Pose
 
 
-class _Keeping:
-    """A transport that keeps a copy of what is sent: its hash, and its frames in a telemetry log.
+class _LoggingTransport:
+    """A transport that also hashes what is sent and writes the frames to a telemetry log.
 
-    The log is in the form of ground stations' tlog files: microseconds since 1970 as eight bytes, most significant
-    first, before each frame.
+    The log has the format of ground stations' tlog files: before each frame the microseconds since 1970 as eight bytes,
+    most significant first.
     """
 
     def __init__(self, transport: Transport, clock: Clock, tlog: Path | None) -> None:
@@ -77,20 +76,20 @@ class Simulation:
     clock
         Virtual, or the system's for a flight in real time.
     seed
-        Of all chance.
+        Random seed: the same seed gives the same flight.
     model
-        What the sensors read, for all of them; None: each sensor's own model file.
+        Sensor model for all sensors; None: each sensor's own model file.
     recorder
-        Keeps every stage of every reading and the truth.
+        Records every stage of every reading, and the truth.
     link
-        A real link to share the flight with.
+        Opens a real link that also gets all messages; None: no real link.
     tlog
-        File for the frames sent.
+        File for the frames sent; None: no file.
 
     Attributes
     ----------
     world, vehicle
-        The truth: what is there, and where the vehicle is at any time of the flight.
+        The true world, and the vehicle, which knows its true pose at any time of the flight.
     """
 
     def __init__(
@@ -121,31 +120,31 @@ class Simulation:
             self.vehicle.pose,
             self.now_s,
             for_sensors,
-            self._log.keep_truth,
+            self._log.record_truth,
             scenario.device_faults(),
         )
-        self._shown_c = scenario.thermometer.reading_c
+        self._displayed_c = scenario.thermometer.reading_c
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
             clock,
             self.vehicle.pose,
-            lambda pose: self._shown_c(pose.time_s, self._air_c),
+            lambda pose: self._displayed_c(pose.time_s, self._air_c),
             sent_pose=plan.sent_pose if plan else None,
             draw=random.Random(int(for_autopilot.generate_state(1)[0])),
             kind=(plan.kind if plan else None) or airframe.link.autopilot,
-            heard_from_s=plan.heard_from_s if plan else float("inf"),
+            first_heartbeat_s=plan.first_heartbeat_s if plan else float("inf"),
             reboots_at_s=plan.reboots_at_s if plan else (),
             sends_motion=plan.sends_motion if plan else True,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
-        self._transport = _Keeping(transport, clock, tlog)
+        self._transport = _LoggingTransport(transport, clock, tlog)
         self._bridge = Bridge(
             airframe,
             bus,
             clock,
             self._transport,
             recorder=recorder,
-            report=lambda severity, text: self._log.note(self.now_s(), severity, text),
+            report=lambda severity, text: self._log.record_text(self.now_s(), severity, text),
             thermometer=LoopReader(self._thermometer),
         )
 
@@ -154,32 +153,32 @@ class Simulation:
         return self._clock.now() - self._start_s
 
     def pose(self) -> Pose:
-        """Where the vehicle is now."""
+        """The vehicle's present pose."""
         return self.vehicle.pose(self.now_s())
 
     def height_m(self) -> float:
-        """Vertical distance to what is below the vehicle now [m]."""
+        """Present vertical distance from the vehicle to the surface below [m]."""
         return self.world.height_m(self.pose())
 
-    def fly(self) -> Steps[list[Step], None, None]:
-        """Fly to the end, a step of the bridge at a time; `flight` is complete when the iterator is."""
+    def fly(self) -> Generator[list[Step], None, None]:
+        """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""
         end_s = self._start_s + self._duration_s
         now, step = self._clock.now, self._bridge.step
         try:
             while now() < end_s:
                 steps = step()
                 for each in steps:
-                    self._log.take(each)
+                    self._log.record_step(each)
                 yield steps
         finally:
             self._finish()
 
     def _thermometer(self, source: FileSource) -> float:
-        """What the vehicle's thermometers show, in place of this computer's own files."""
-        return self._shown_c(self.now_s(), self._air_c) / source.scale
+        """Reading of the vehicle's thermometers, instead of this computer's own files."""
+        return self._displayed_c(self.now_s(), self._air_c) / source.scale
 
     def _air_c(self, time_s: float) -> float:
-        """The air at the vehicle at a time of the flight [deg C]."""
+        """Air temperature at the vehicle at a time of the flight [deg C]."""
         return self.world.air_temperature_c(-self.vehicle.pose(time_s).position_ned_m[2])
 
     def _finish(self) -> None:
@@ -191,10 +190,10 @@ class Simulation:
 
     @property
     def link_error(self) -> str | None:
-        """What is wrong with the real link; None: nothing, or there is none."""
+        """Error of the real link; None if it works or there is none."""
         return self._transport.last_error
 
     @property
     def received(self) -> list[tuple[float, Any]]:
-        """What the autopilot has received: time of the flight [s], message."""
+        """Messages received by the autopilot: time of the flight [s], message."""
         return self._autopilot.received

@@ -1,6 +1,6 @@
-"""What a simulated flight leaves behind: what each reading became, beside the truth.
+"""Record what became of each reading of a simulated flight, together with the truth.
 
-Pings and the bridge's steps enter; a `FlightResult` leaves, which the table, the picture and ``summary.json`` are made of.
+Pings and the bridge's steps enter; a `FlightResult` leaves, from which table, picture and ``summary.json`` are made.
 """
 
 import math
@@ -17,17 +17,19 @@ from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import Ping, World
 
 LEVEL_M = 0.15
-"""Where the ground below the sensors differs by more than this, one fused distance has no truth to compare with [m]."""
+"""Largest difference of the ground between the sensors at which the fused distance is compared with the truth [m]. With
+a larger difference no single distance is true. A larger value counts edges as errors of the fusion."""
 EDGE_S = 0.5
-"""Nor has it for a round of the sensors after the ground below the vehicle's middle has changed by as much [s]."""
+"""Time without comparison after the ground below the vehicle's middle has changed by `LEVEL_M` [s]: a polling cycle of
+four sensors, during which they still see the old ground."""
 
 
 @dataclass(slots=True)
 class SensorTrack:
-    """One sensor's flight, reading by reading, or the fused stream's; None where there was no value.
+    """The readings of one sensor or of the fused stream during a flight; None if there was no value.
 
-    ``below_m`` is the distance from the fused stream's reference point along the vehicle's down axis at that time: None
-    for sensors that look elsewhere, and where the ground differs from sensor to sensor.
+    ``below_m`` is the true distance from the fused stream's reference point along the vehicle's down axis at that time:
+    None for sensors that do not look down, and where the ground differs between the sensors.
     """
 
     time_s: list[float] = field(default_factory=list)
@@ -40,20 +42,20 @@ class SensorTrack:
 
 @dataclass(slots=True)
 class FlightResult:
-    """What a flight left behind.
+    """The result of a flight.
 
     Attributes
     ----------
     tracks
-        By sensor.
+        Readings by sensor.
     fused
-        The fused stream; its ``raw_m`` stays empty, and ``why`` says ``edge`` where the ground below differs.
+        The fused stream; its ``raw_m`` is empty, and ``why`` is ``edge`` where the ground differs between the sensors.
     texts
-        Health changes: time [s], severity, text.
+        Health messages: time [s], severity, text.
     rejected, sent, dropped
-        Readings by sensor and reason; messages by type.
+        Rejected readings by sensor and reason; numbers of messages by type.
     frames_sha256
-        Of all bytes sent, in order.
+        Hash of all bytes sent, in order.
     duration_s
         Time flown [s].
     """
@@ -70,18 +72,18 @@ class FlightResult:
 
 
 class FlightLog:
-    """What each reading of a flight became, beside the truth.
+    """Records what became of each reading of a flight, together with the truth.
 
     Parameters
     ----------
     airframe, models
-        The vehicle, and what its sensors read by, by name.
+        The vehicle, and the sensor models by name of the sensor.
     world, pose
-        What is there, and where the vehicle is at a time of the flight [s].
+        The world, and the vehicle's pose at a time of the flight [s].
     start_s
-        When the flight began [s on the bridge's clock].
+        Start of the flight [s on the bridge's clock].
     recorder
-        Keeps the truth.
+        Records the truth; may be None.
     """
 
     def __init__(
@@ -107,8 +109,8 @@ class FlightLog:
         self._ground_m: float | None = None
         self._edge_s = float("-inf")
 
-    def keep_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
-        """Note what a ping met, at a time of the flight [s], and further context."""
+    def record_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
+        """Record the truth of a ping at a time of the flight [s], with further context."""
         self._truths[sensor] = ping
         mounted = self._downward.get(sensor)
         if mounted is not None and ping.slant_range_cm is not None:
@@ -117,12 +119,12 @@ class FlightLog:
                 down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
                 self._steps_m[sensor] = down_m - below_m
         if self._recorder is not None:
-            unsaid = ("heard", "slant_range_cm")
-            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in unsaid}
+            not_recorded = ("heard", "slant_range_cm")
+            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in not_recorded}
             self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth | dict(extra))
 
-    def take(self, step: Step) -> None:
-        """Note what a reading became."""
+    def record_step(self, step: Step) -> None:
+        """Record what became of a reading."""
         reading = step.ranging.reading
         time_s = reading.time_s - self._start_s
         track = self.flight.tracks[reading.sensor]
@@ -149,26 +151,26 @@ class FlightLog:
             fused.below_m.append(None if is_edge else truth_m)
 
     def _is_edge(self, time_s: float, pose: Pose, below_m: float) -> bool:
-        # Where the down axis meets the ground: what the vehicle does up and down is no edge.
+        # The ground's own height where the down axis meets it, so that climbing or descending is not an edge.
         ground_m = pose.position_ned_m[2] + below_m * math.cos(pose.pitch_rad) * math.cos(pose.roll_rad)
         if self._ground_m is not None and abs(ground_m - self._ground_m) > LEVEL_M:
             self._edge_s = time_s
         self._ground_m = ground_m
         return time_s - self._edge_s < EDGE_S or any(abs(step_m) > LEVEL_M for step_m in self._steps_m.values())
 
-    def note(self, time_s: float, severity: Severity, text: str) -> None:
-        """Note a change of health, at a time of the flight [s]."""
+    def record_text(self, time_s: float, severity: Severity, text: str) -> None:
+        """Record a health message at a time of the flight [s]."""
         self.flight.texts.append((time_s, severity.name.lower(), text))
 
     def finish(self, duration_s: float, bridge: Bridge) -> None:
-        """Complete `flight` with what the bridge has counted."""
+        """Complete `flight` with the bridge's counters."""
         self.flight.duration_s = duration_s
         self.flight.rejected = {name: counts.rejected for name, counts in bridge.counts().items()}
         self.flight.sent = dict(bridge.link.sent)
         self.flight.dropped = dict(bridge.link.dropped)
 
     def _truth_m(self, sensor: str) -> float | None:
-        """The range at the time of the last echo."""
+        """True range at the time of the last echo [m]."""
         ping = self._truths.get(sensor)
         if ping is None or not ping.heard:
             return None

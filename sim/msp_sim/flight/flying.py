@@ -1,6 +1,6 @@
-"""What ``msp-sim fly`` does: fly, show it while it goes on, and write what came of it.
+"""The command ``msp-sim fly``: fly a scenario, show it meanwhile, and write the results.
 
-The commands' options enter; lines on the terminal and files in the folder for results leave.
+Input are the command's options, output are lines on the terminal and files in the folder for results.
 """
 
 from contextlib import ExitStack, closing, nullcontext
@@ -23,8 +23,8 @@ from msp_sim.flight.results import RECORDING, SCENARIO, TLOG, make_ready, write_
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.flight.summary import summarise
 
-SHOWN_EACH_S = 0.1
-"""Wall time between two looks at a flight [s]."""
+REFRESH_S = 0.1
+"""Wall time between two updates of the display [s]; smaller costs processor time."""
 
 
 def fly_scenario(
@@ -69,7 +69,7 @@ def fly_scenario(
     )
     out_to = console()
     shown = show.FlightDisplay(simulation, scenario.duration_s)
-    started_s = next_look_s = system.now()
+    started_s = next_refresh_s = system.now()
     live: Any = Live(shown, console=out_to, auto_refresh=False) if out_to.is_terminal else nullcontext()
     with ExitStack() as opened:
         stopped = opened.enter_context(stop_signals())
@@ -78,12 +78,12 @@ def fly_scenario(
         for steps in flying:
             if stopped:
                 break
-            shown.take(steps)
+            shown.update(steps)
             if steps and speed is not None:
                 system.sleep_until(started_s + simulation.now_s() / speed)
             if out_to.is_terminal:
-                if system.now() >= next_look_s:
-                    next_look_s = system.now() + SHOWN_EACH_S
+                if system.now() >= next_refresh_s:
+                    next_refresh_s = system.now() + REFRESH_S
                     live.refresh()
             elif steps and (line := shown.line()) is not None:
                 print(line)
@@ -93,7 +93,7 @@ def fly_scenario(
     summary = summarise(simulation.flight, scenario.name, seed)
     show.print_table(out_to, summary)
     times = summary["duration_s"] / wall_s
-    held = "" if speed is None else f", held at {speed:g}"
+    held = "" if speed is None else f", limited to {speed:g}"
     print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time{held}")
     if simulation.link_error is not None:
         print(f"link {link}: {simulation.link_error}")

@@ -1,7 +1,6 @@
-"""A flight from its recording, simulated or real, as the picture shows it.
+"""Read a recorded flight, simulated or real, for its picture.
 
-An MCAP recording enters, a `FlightResult` leaves. The truth is what a simulator recorded with each ping; a real flight has
-none.
+An MCAP recording enters, a `FlightResult` leaves. A simulator records the truth with each ping; real flights have none.
 """
 
 from collections import defaultdict
@@ -18,12 +17,12 @@ CM_PER_M = 100
 
 
 def recorded_flight(path: Path) -> FlightResult:
-    """What each reading of a recording became, and the fused stream, with times from the first ping on.
+    """Read what became of each reading, and the fused stream; times count from the first ping.
 
     Raises
     ------
     RecordingError
-        Not a recording, or one without readings.
+        The file is not a recording, or has no readings.
     """
     tracks: dict[str, SensorTrack] = defaultdict(SensorTrack)
     truths_m: dict[str, float | None] = {}
@@ -33,7 +32,7 @@ def recorded_flight(path: Path) -> FlightResult:
         if topic.startswith(TRUTH_PREFIX):
             range_m = message.get("true_range_cm", float("nan")) / CM_PER_M
             speed_m_s = message.get("range_rate_cm_s", 0.0) / CM_PER_M
-            # The vehicle moves while the sound is on its way; see `FlightLog`.
+            # The vehicle moves while the sound travels; see `FlightLog`.
             moved_m = speed_m_s * range_m / speed_of_sound(message.get("air_temperature_c", 20.0))
             truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_m + moved_m if range_m == range_m else None
         elif topic.startswith(RANGE_PREFIX):

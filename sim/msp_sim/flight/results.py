@@ -1,4 +1,4 @@
-"""The folder of a flight: numbers, picture, recording and link log, and that none is replaced unasked."""
+"""The folder with the results of a flight: numbers, picture, recording, link log. None is replaced unless asked."""
 
 import json
 from pathlib import Path
@@ -14,25 +14,27 @@ RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO = "flight.mcap", "link.tlog", "summa
 
 
 def make_ready(folder: Path, force: bool) -> None:
-    """Make the folder of a flight; what an earlier flight left there goes.
+    """Make the folder of a flight, and delete the files of an earlier flight.
 
     Raises
     ------
     ConfigError
-        It holds a flight, and ``force`` is not given; or it cannot be made.
+        The folder holds a flight and ``force`` is not given, or it cannot be made.
     """
     make_folder(folder)
-    there = [folder / name for name in (RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO) if (folder / name).exists()]
-    if there and not force:
-        raise ConfigError(f"{there[0]}: a flight is in this folder already; name another one, or replace it: --force")
-    for path in there:
+    existing = [folder / name for name in (RECORDING, TLOG, NUMBERS, PICTURE, SCENARIO) if (folder / name).exists()]
+    if existing and not force:
+        raise ConfigError(
+            f"{existing[0]}: a flight is in this folder already; name another one, or replace it: --force"
+        )
+    for path in existing:
         path.unlink()
     if (absent := missing("sim")) is not None:
         print(f"no picture will be drawn without {absent}")
 
 
 def write_results(folder: Path, summary: dict[str, Any], flight: FlightResult, title: str) -> None:
-    """Write the flight as numbers and, where that can be drawn, as a picture, and print where they are."""
+    """Write the numbers and, if matplotlib is installed, the picture of a flight, and print their paths."""
     (folder / NUMBERS).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"  numbers: {folder / NUMBERS}")
     if missing("sim") is None:

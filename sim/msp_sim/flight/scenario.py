@@ -1,7 +1,8 @@
-"""The scenario file: a flight, the world below it, and what goes wrong.
+"""The scenario file: a flight, the world below it, and the faults to inject.
 
-YAML enters, a `Scenario` leaves; every mistake is named with its place (`msp_range.yaml_file`). That the vehicle would
-fly through the ground, or a fault hit a sensor that the airframe does not have, is found here too and not in flight.
+A YAML file enters, a `Scenario` leaves; every error is reported with its place (`msp_range.yaml_file`). Two errors are
+found here and not only in flight: a vehicle that would fly into the ground, and a fault of a sensor that does not
+exist.
 """
 
 import math
@@ -24,41 +25,42 @@ from msp_sim.world.vehicle import FlightSection, Pose, Vehicle
 from msp_sim.world.world import AirSection, World
 
 CHECK_EVERY_S = 0.1
-"""Time between two looks at the vehicle's height above the ground when a scenario is loaded [s]."""
-MOST_CHECKS = 36_000
-"""Looks in all, 10 us each: in flights of more than an hour they are farther apart."""
+"""Time between two checks of the vehicle's height above the ground when a scenario is loaded [s]. Larger may miss a
+short contact with the ground; smaller takes longer."""
+MAX_CHECKS = 36_000
+"""Largest number of these checks, 10 us each: in flights of more than an hour they are further apart."""
 LONGEST_FLIGHT_S = 36_000.0
-"""A longer flight is refused [s]: ten hours of simulated flight take 200 s."""
+"""Longer flights are refused [s]: ten hours of simulated flight take some 200 s of wall time."""
 LONGEST_EXCESS_S = 3600.0
-"""A plan that is longer than the flight by more than this is not worked out to say by how much [s]."""
-SCRAPES_M = 0.01
-"""The vehicle's feet may be this deep in the ground [m]."""
+"""If the altitude segments exceed the flight by more than this, the error is reported without simulating them [s]."""
+GROUND_TOLERANCE_M = 0.01
+"""Depth to which the vehicle's feet may be in the ground without an error [m]: sloped ground under a landed vehicle."""
 
 NotNegative = Annotated[float, Field(ge=0)]
 
 _VALUE_OF_KIND = {"word": "impossible", "spread_cm": "noisy", "offset_cm": "offset"}
-"""Keys of a planned fault that belong to one kind only."""
+"""Keys of a planned fault that are valid for one kind only."""
 
 
 class PlannedFault(Section):
-    """Something that goes wrong with a sensor or the bus for a while; kinds: `msp_sim.device.device`."""
+    """A fault of a sensor or of the bus for some time; kinds: `msp_sim.device.device`."""
 
     sensor: str
-    """name of the sensor in the airframe; one that holds the bus (locked_up) stops all of them"""
+    """name of the sensor in the airframe; one that blocks the bus (locked_up) stops all sensors"""
     kind: str
-    """what goes wrong: one of the fault kinds, such as clock_fault, silent or stuck"""
+    """kind of fault, such as clock_fault, silent or stuck"""
     from_s: NotNegative
     """when it begins, from the start of the flight [s]"""
     to_s: NotNegative
     """when it ends [s]"""
     probability: float = 1.0
-    """that it shows at one opportunity, more than 0 and at most 1"""
+    """probability that it affects a reading, more than 0 and at most 1"""
     word: Annotated[int, Field(ge=0, le=0xFFFF)] | None = None
-    """the answer of the kind impossible: 16 bits that are no range; left out: 1000"""
+    """answer of the kind impossible, 16 bits that are not a range; default: 1000"""
     spread_cm: Positive | None = None
-    """standard deviation of the errors of the kind noisy [cm]; left out: 100"""
+    """standard deviation of the errors of the kind noisy [cm]; default: 100"""
     offset_cm: float | None = None
-    """error of the kind offset [cm]; left out: 100"""
+    """error of the kind offset [cm]; default: 100"""
 
     @model_validator(mode="after")
     def _possible(self) -> "PlannedFault":
@@ -74,17 +76,17 @@ class PlannedFault(Section):
         return self
 
     def on_device(self) -> device.Fault:
-        """The fault as the emulated sensor takes it."""
+        """The fault in the form that the emulated sensor uses."""
         fault = device.Fault(self.kind, self.from_s, self.to_s, self.probability)
         given = {name: value for name in _VALUE_OF_KIND if (value := getattr(self, name)) is not None}
         return replace(fault, **given)
 
 
 class ThermometerFault(Section):
-    """Something that goes wrong for a while with what thermometers read."""
+    """A fault of the thermometers for some time."""
 
     kind: Literal["jump", "freeze"]
-    """jump: off by by_c at once; freeze: the value at from_s stays"""
+    """jump: wrong by by_c from one moment to the next; freeze: the value at from_s is kept"""
     from_s: NotNegative
     """when it begins, from the start of the flight [s]"""
     to_s: NotNegative
@@ -94,15 +96,15 @@ class ThermometerFault(Section):
 
 
 class Thermometer(Section):
-    """What the vehicle's thermometers read: files of this computer, and what the autopilot sends."""
+    """What the vehicle's thermometers read: those read from files, and those whose values the autopilot sends."""
 
     warmer_by_c: float = 0.0
-    """constant error, as in the sun or beside a processor [K]"""
+    """constant error, as in sunshine or next to a processor [K]"""
     faults: tuple[ThermometerFault, ...] = ()
-    """what goes wrong, in any order"""
+    """faults, in any order"""
 
     def reading_c(self, time_s: float, air_c: Callable[[float], float]) -> float:
-        """What is read at a time of the flight [deg C], where ``air_c`` is the air at the vehicle at a time [s]."""
+        """Reading at a time of the flight [deg C]; ``air_c`` gives the air temperature at the vehicle at a time [s]."""
         active = [fault for fault in self.faults if fault.from_s <= time_s < fault.to_s]
         frozen_s = [fault.from_s for fault in active if fault.kind == "freeze"]
         jumps_c = [fault.by_c for fault in active if fault.kind == "jump"]
@@ -110,7 +112,7 @@ class Thermometer(Section):
 
 
 class AttitudeFault(Section):
-    """Attitudes that make no sense, for a while."""
+    """Invalid attitude messages for some time."""
 
     kind: Literal["roll", "huge", "not_a_number"]
     """roll: this roll is sent; huge: 1e38 rad; not_a_number: NaN"""
@@ -128,21 +130,22 @@ class AttitudeFault(Section):
 
 
 class AutopilotSection(Section):
-    """The autopilot at the other end of the link."""
+    """The simulated autopilot at the other end of the link."""
 
     kind: Autopilot | None = None
-    """ardupilot or px4; left out: the one that the airframe's link names"""
-    heard_from_s: NotNegative = 0.0
-    """when its first heartbeat comes, from the start of the flight [s]"""
+    """ardupilot or px4; default: the one that the airframe's link names"""
+    first_heartbeat_s: NotNegative = 0.0
+    """time of its first heartbeat, from the start of the flight [s]"""
     reboots_at_s: tuple[NotNegative, ...] = ()
-    """when it starts anew, its clock with it [s]"""
+    """times at which it reboots, which resets its clock [s]"""
     attitude_faults: tuple[AttitudeFault, ...] = ()
-    """attitudes that make no sense, in any order"""
+    """invalid attitudes, in any order"""
     sends_motion: bool = True
-    """sends accelerations and pressures; where it does not, nothing is sent of its barometer's temperature either"""
+    """whether it sends accelerations and pressures; without pressures it does not send its barometer's temperature
+    either"""
 
     def sent_pose(self, pose: Pose) -> Pose:
-        """The pose that its messages are made of."""
+        """The pose that its messages contain."""
         for fault in self.attitude_faults:
             if fault.from_s <= pose.time_s < fault.to_s:
                 pose = pose._replace(roll_rad=fault.roll_rad)
@@ -153,23 +156,23 @@ class Scenario(Section):
     """A scenario file."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-    """a name of its own: small letters, digits and underscores"""
+    """name of the scenario: lower-case letters, digits and underscores"""
     airframe: NamedAirframe
     """airframe file, relative to the scenario file"""
     duration_s: Annotated[float, Field(gt=0, le=LONGEST_FLIGHT_S)]
-    """how long the flight is looked at [s]"""
+    """duration of the simulated flight [s]"""
     flight: FlightSection
     """what the vehicle does"""
     ground: GroundSection = GroundSection()
-    """what lies and stands below"""
+    """the ground and the objects on it"""
     air: AirSection = AirSection()
     """air temperature over height"""
     thermometer: Thermometer = Thermometer()
     """what the vehicle's thermometers read"""
     faults: tuple[PlannedFault, ...] = ()
-    """what goes wrong, in any order"""
+    """faults, in any order"""
     autopilot: AutopilotSection | None = AutopilotSection()
-    """the autopilot at the other end of the link; null: none is ever heard"""
+    """the autopilot at the other end of the link; null: no autopilot is ever received"""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
@@ -202,24 +205,24 @@ class Scenario(Section):
                 f"duration_s: found {self.duration_s:g}; expected at least {vehicle.duration_s:.1f}, which "
                 "flight.altitude takes"
             )
-        every_s = max(CHECK_EVERY_S, self.duration_s / MOST_CHECKS)
+        every_s = max(CHECK_EVERY_S, self.duration_s / MAX_CHECKS)
         for i in range(math.ceil(self.duration_s / every_s)):
             clearance_m = vehicle.clearance_m(i * every_s)
-            if clearance_m < -SCRAPES_M:
+            if clearance_m < -GROUND_TOLERANCE_M:
                 raise ValueError(
                     f"flight: at {i * every_s:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "
                     "is below it; expected heights above the ground and its boxes, and a landing at rest"
                 )
 
     def device_faults(self) -> dict[str, list[device.Fault]]:
-        """Faults as the emulated sensors take them, by sensor."""
+        """Faults in the form that the emulated sensors use, by sensor."""
         faults: dict[str, list[device.Fault]] = {}
         for planned in self.faults:
             faults.setdefault(planned.sensor, []).append(planned.on_device())
         return faults
 
     def world(self) -> World:
-        """Ground, objects and air."""
+        """The world: ground, objects and air."""
         return World(self.ground, self.air)
 
     def vehicle(self, world: World, generator: Generator) -> Vehicle:
@@ -233,6 +236,6 @@ def load_scenario(path: Path | str) -> Scenario:
     Raises
     ------
     ConfigError
-        The file cannot be read or used; one line a mistake.
+        The file cannot be read or used; one line per error.
     """
     return load(config_path(path, "scenarios"), Scenario)

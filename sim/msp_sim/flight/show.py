@@ -1,4 +1,4 @@
-"""A flight on the terminal: progress while it goes on, and its table after it."""
+"""A flight on the terminal: its progress, and afterwards its table."""
 
 from typing import Any
 
@@ -11,12 +11,12 @@ from msp_range.bridge import Step
 from msp_sim.flight.flight import Simulation
 
 BAR_CELLS = 44
-LINE_EACH_S = 10.0
-"""Flown time between two lines where there is no terminal to draw on [s]."""
+LINE_PERIOD_S = 10.0
+"""Flown time between two lines if the output is not a terminal [s]."""
 
 
 class FlightDisplay:
-    """What happens now: height, the last answer of every sensor, the newest texts."""
+    """The present state of a flight: height, last answer of every sensor, newest texts."""
 
     def __init__(self, simulation: Simulation, duration_s: float) -> None:
         self._simulation = simulation
@@ -26,8 +26,8 @@ class FlightDisplay:
         self._highest_m = 1.0
         self._next_line_s = 0.0
 
-    def take(self, steps: list[Step]) -> None:
-        """Note what the bridge did."""
+    def update(self, steps: list[Step]) -> None:
+        """Update with the bridge's newest steps."""
         for step in steps:
             reading = step.ranging.reading
             estimate = step.filtered.estimate or step.corrected
@@ -37,11 +37,11 @@ class FlightDisplay:
                 self._fused_m = step.fused.range_m
 
     def line(self) -> str | None:
-        """What happens now in a line, now and then; None in between."""
+        """The present state in a line every `LINE_PERIOD_S`; None in between."""
         now_s = self._simulation.now_s()
         if now_s < self._next_line_s:
             return None
-        self._next_line_s = now_s + LINE_EACH_S
+        self._next_line_s = now_s + LINE_PERIOD_S
         fused = "no estimate" if self._fused_m is None else f"{self._fused_m:.2f} m"
         sensors = ", ".join(f"{name} {shown}" for name, shown in self._last.items())
         return f"{now_s:6.1f} s: true height {self._simulation.height_m():.2f} m, fused {fused}; {sensors}"
@@ -68,13 +68,13 @@ def _bar(share: float, colour: str) -> Text:
 
 
 def print_table(console: Console, summary: dict[str, Any]) -> None:
-    """Per sensor: readings, rejected and why, error before and after; the link's messages by type and rate."""
+    """Print readings, rejections and errors of each sensor, and the messages sent by type and rate."""
     table = Table(
         title=f"{summary['scenario']}, {summary['duration_s']:.0f} s flown, seed {summary['seed']}", box=box.SIMPLE_HEAD
     )
     table.add_column("sensor", no_wrap=True)
     table.add_column("readings", justify="right")
-    table.add_column("rejected, why")
+    table.add_column("rejected, reason")
     for heading in ("rms raw", "95 % raw", "rms filtered", "95 % filtered"):
         table.add_column(f"{heading} [cm]", justify="right", max_width=8)
     for name, sensor in summary["sensors"].items():
@@ -86,7 +86,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
         )
     fused = summary["fused"]
     if fused["estimates"]:
-        rate = f"{fused['rate_hz']:.2f} Hz; {fused['over_edges']} over edges, not compared"
+        rate = f"{fused['rate_hz']:.2f} Hz; {fused['over_edges']} over edges of the ground, not compared"
         table.add_row("fused", str(fused["estimates"]), rate, "", "", *_error(fused["error"]))
     console.print(table)
     link = Table(box=box.SIMPLE_HEAD)

@@ -1,8 +1,8 @@
-"""A flight in numbers: what ``summary.json`` holds and the table shows.
+"""The numbers of a flight for ``summary.json`` and the table.
 
-Errors are a reading minus the truth at the time of its echo, over readings with a range, a truth, and not at the
-sensor's minimum; of the fused distance only over level ground. 'Before' is the reading as the sensor gave it, 'after'
-what came out of the filters.
+An error is a reading minus the truth at the time of its echo. Readings without a range or truth and readings at the
+sensor's minimum are left out; for the fused distance so are times at which the ground differs between the sensors.
+'Before' is the raw reading, 'after' the filters' output.
 """
 
 import math
@@ -14,7 +14,7 @@ from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
 def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:
-    """Bias, root mean square and 95th percentile of the magnitude [cm], and how many they are of."""
+    """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors."""
     pairs = [
         (value - truth) * 100
         for truth, value, reason in zip(truth_m, value_m, why, strict=True)
@@ -32,7 +32,7 @@ def error_of(truth_m: list[float | None], value_m: list[float | None], why: list
 
 
 def summarise(flight: FlightResult, scenario: str, seed: int) -> dict[str, Any]:
-    """Everything about a flight that the same seed repeats."""
+    """All numbers of a flight; the same seed gives the same numbers."""
     rejected = flight.rejected
     return {
         "scenario": scenario,

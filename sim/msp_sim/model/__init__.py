@@ -1,1 +1,1 @@
-"""The base reading model with effects on it: what it draws is what it scores, on arrays of contexts."""
+"""The reading model with effects: draws readings and gives their likelihood, for arrays of contexts."""

@@ -1,8 +1,8 @@
-"""What the simulator and the gap workflow rely on of an effect, as checks that anybody can run on an own effect.
+"""Checks of what the simulator and the gap workflow require of an effect; anybody can run them on an own effect.
 
-An effect enters; for each check leaves what was found, in words for its author. The fits need the probabilities and
-their slopes, the simulator the draws, and both must mean the same thing. Every effect of the catalogue passes
-(`tests/property/test_effects.py`), and ``msp-lab check-effect`` runs the same checks on a file.
+An effect enters; each check returns what is wrong, in words for the author of the effect. Fits use the probabilities
+and their slopes, the simulator uses the draws, and both must describe the same distribution. Every effect of the
+catalogue passes (`tests/property/test_effects.py`), and ``msp-lab check-effect`` runs the same checks on a file.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scen
 from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import ModelRows
 from msp_sim.model.sampler import Sampler
-from msp_sim.model.slopes import LEAST, slopes
+from msp_sim.model.slopes import MIN_PROBABILITY, slopes
 from msp_sim.model.streams import RandomStreams
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
@@ -27,15 +27,15 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 CODES = np.concatenate([np.arange(766.0), 32768.0 + np.arange(766.0)])
 """Every number that an MB1242 or a fault of its bus can send [cm]; probabilities over them sum to one."""
 STRENGTHS = (0.3, 0.6, 1.0)
-"""Parts of the way from the null value to the farther bound at which an effect is tried: the first at which it shows.
-Weaker ones hide mistakes in the noise; at the bound itself some effects saturate."""
-SEEN_NATS = 1e-3
-"""An effect that improves the log probability of its own readings by less than this (nats per reading) does not show:
+"""Fractions of the way from the neutral value to the farther bound; an effect is checked at the first one at which it
+is visible. Weaker effects hide errors in the noise; at the bound itself some effects saturate."""
+VISIBLE_NATS = 1e-3
+"""An effect that improves the log probability of its own readings by less than this (nats per reading) is not visible:
 of 40,000 readings random variation alone gives about 1e-5."""
 UNLIKELY = 1e-4
 """p-value below which draws do not follow the probabilities: a correct effect fails one check in ten thousand."""
 WORDS = {"sensor": "left", "run": "3", "target": "grass"}
-"""The sensor, run or target that an effect of one of them is tried on."""
+"""The sensor, run or target to which an effect of one of them is applied."""
 _CHANGES: dict[str, Channel] = {
     "bias_cm": "bias",
     "log_spread": "spread",
@@ -50,16 +50,16 @@ _CHANGES: dict[str, Channel] = {
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement.
+    """A requirement on an effect.
 
     Attributes
     ----------
     title
         What is checked.
     find
-        Returns what is wrong with an effect; None where nothing is.
+        Returns what is wrong with an effect; None if nothing is.
     advice
-        What to do then.
+        How to correct it.
     """
 
     title: str
@@ -69,21 +69,21 @@ class Check:
 
 @dataclass(frozen=True)
 class Result:
-    """The outcome of a check; ``found`` is None where the effect passes."""
+    """The outcome of a check; ``found`` is None if the effect passes."""
 
     check: Check
     found: str | None
 
 
 class Trial:
-    """An effect at a strength that shows, and the contexts that it is tried in.
+    """An effect at a strength at which it is visible, with contexts for the checks.
 
     Parameters
     ----------
     effect
-        What is tried.
+        The effect to check.
     sensor
-        The sensor model that it acts on, without effects.
+        The sensor model that it changes; its own effects are left out.
     """
 
     def __init__(self, effect: Effect, sensor: SensorModel) -> None:
@@ -93,17 +93,17 @@ class Trial:
 
     @property
     def strong(self) -> Term:
-        """The effect at the first of `STRENGTHS` at which it shows."""
+        """The effect at the first of `STRENGTHS` at which it is visible."""
         if self._strong is None:
             for strength in STRENGTHS:
                 self._strong = self.at(strong_values(self.effect, strength))
-                if self.gain() > SEEN_NATS:
+                if self.gain() > VISIBLE_NATS:
                     break
         assert self._strong is not None
         return self._strong
 
     def at(self, values: Mapping[str, float]) -> Term:
-        """The effect with these values, of one sensor, run or target where it is of one."""
+        """The effect with these values, applied to one sensor, run or target if it is per one of them."""
         return Term(self.effect, dict(values), WORDS[self.effect.per] if self.effect.per else None)
 
     def on(self, model: Model) -> Model:
@@ -111,11 +111,11 @@ class Trial:
         return Model(model.sensor, (*model.effects, self.strong))
 
     def neighbour(self) -> Model:
-        """Another effect on the base model, which this one must leave alone."""
+        """The base model with another effect, which this one must not change."""
         return self.base.adding("clutter" if self.effect.name != "clutter" else "multipath", share=0.3)
 
     def contexts(self, n: int, seed: int = 1) -> Columns:
-        """Contexts with the columns of this effect among them; each run offset is the only one of its run."""
+        """Contexts including the columns of this effect; with run offsets each reading is its own run."""
         columns = contexts(n, seed, self.effect.columns)
         if "run_offset_cm" in self._changed():
             columns["run"] = np.arange(n).astype(str)
@@ -127,22 +127,23 @@ class Trial:
         readings_cm = self.on(self.base).sample(given, np.random.default_rng(2))
         with np.errstate(divide="ignore", invalid="ignore"):
             own, base = self.on(self.base).log_prob(readings_cm, given), self.base.log_prob(readings_cm, given)
-        return float(np.mean(own - np.maximum(base, np.log(LEAST))))
+        return float(np.mean(own - np.maximum(base, np.log(MIN_PROBABILITY))))
 
     def _changed(self) -> set[str]:
-        """What `act` changes, by the names of `Change`."""
+        """Names of the fields of `Contribution` that the effect changes."""
         scene = Scene(self.base.sensor, contexts(200, 1, self.effect.columns))
         with np.errstate(all="ignore"):
             change = self.effect.apply(scene, strong_values(self.effect, STRENGTHS[0]))
         return {each.name for each in fields(change) if getattr(change, each.name) is not None}
 
     def channels(self) -> set[str]:
-        """The channels that `act` changes."""
+        """Channels that the effect changes."""
         return {_CHANGES[name] for name in self._changed() if name in _CHANGES}
 
 
 def strong_values(effect: Effect, strength: float) -> dict[str, float]:
-    """Values part of the way from the null to the farther bound, the upper of two; shapes at their defaults."""
+    """Values at a fraction of the way from the neutral value to the farther bound (the upper one if equally far); shape
+    parameters at their defaults."""
     values = effect.neutral_values()
     for parameter in effect.parameters:
         if parameter.neutral is not None:
@@ -151,7 +152,7 @@ def strong_values(effect: Effect, strength: float) -> dict[str, float]:
     return values
 
 
-def contexts(n: int, seed: int = 1, also: Sequence[str] | frozenset[str] = ()) -> Columns:
+def contexts(n: int, seed: int = 1, extra: Sequence[str] | frozenset[str] = ()) -> Columns:
     """Contexts of all kinds, each column unknown in a tenth of the rows.
 
     Parameters
@@ -160,10 +161,10 @@ def contexts(n: int, seed: int = 1, also: Sequence[str] | frozenset[str] = ()) -
         Number of rows.
     seed
         Random seed.
-    also
-        Columns of an own effect: those that are not known here get numbers from 0 to 1.
+    extra
+        Columns of an own effect; those that are not known here get numbers from 0 to 1.
     """
-    # A stream of its own: a check that draws by the same seed must not draw the same numbers.
+    # A separate random stream: a check with the same seed must not draw the same numbers.
     rng = np.random.default_rng((seed, 17))
     near = rng.random(n) < 0.5
     columns: Columns = {
@@ -185,7 +186,7 @@ def contexts(n: int, seed: int = 1, also: Sequence[str] | frozenset[str] = ()) -
         "external_frequency_khz": rng.uniform(38.0, 46.0, n),
         "previous_reading_cm": np.rint(rng.uniform(20.0, 765.0, n)),
     }
-    columns |= {name: rng.random(n) for name in sorted({*also} - columns.keys() - WORD_COLUMNS)}
+    columns |= {name: rng.random(n) for name in sorted({*extra} - columns.keys() - WORD_COLUMNS)}
     for name, column in columns.items():
         column[rng.random(n) < (0.02 if name == TRUE_RANGE else 0.1)] = np.nan
     columns["sensor"] = rng.choice(["left", "right", ""], n)
@@ -196,7 +197,7 @@ def contexts(n: int, seed: int = 1, also: Sequence[str] | frozenset[str] = ()) -
 
 
 def own_columns(effect: Effect) -> list[str]:
-    """Columns of an effect that `contexts` knows nothing of and fills with numbers from 0 to 1."""
+    """Columns of an effect that `contexts` does not know and fills with numbers from 0 to 1."""
     return sorted(effect.columns - contexts(1).keys())
 
 
@@ -215,10 +216,10 @@ def _description_faults(effect: Effect) -> Iterator[str]:
     if not effect.channels or not {*effect.channels} <= {*get_args(Channel)}:
         yield f"the channels are {effect.channels}"
     if not any(parameter.neutral is not None for parameter in effect.parameters):
-        yield "no parameter has a null value, at which the effect vanishes"
+        yield "no parameter has a neutral value, at which the effect does nothing"
     for parameter in effect.parameters:
         if (parameter.neutral is None) == (parameter.default is None):
-            yield f"parameter {parameter.name} has not exactly one of null and default"
+            yield f"parameter {parameter.name} does not have exactly one of neutral and default"
         for value in (parameter.neutral, parameter.default, *parameter.grid):
             if value is not None and not parameter.low <= value <= parameter.high:
                 bounds = f"{parameter.low:g} to {parameter.high:g}"
@@ -237,21 +238,21 @@ def _shows(trial: Trial) -> str | None:
     gain = trial.gain() if trial.strong else 0.0
     if not np.isfinite(gain):
         return "some readings that it draws have no probability"
-    return None if gain > SEEN_NATS else f"the model with it explains its own readings {gain:.1g} nats better"
+    return None if gain > VISIBLE_NATS else f"the model with it explains its own readings {gain:.1g} nats better"
 
 
-def _null(trial: Trial) -> str | None:
+def _neutral(trial: Trial) -> str | None:
     base, given = trial.neighbour(), trial.contexts(3000)
-    null = Model(base.sensor, (*base.effects, trial.at(trial.effect.neutral_values())))
+    neutral = Model(base.sensor, (*base.effects, trial.at(trial.effect.neutral_values())))
     readings_cm = base.sample(given, np.random.default_rng(4))
-    other = (null.sample(given, np.random.default_rng(4)) != readings_cm).sum()
+    other = (neutral.sample(given, np.random.default_rng(4)) != readings_cm).sum()
     if other:
-        return f"at its null values {other} of 3000 readings differ from those without it"
-    off = np.abs(null.log_prob(readings_cm, given) - base.log_prob(readings_cm, given)).max()
-    return None if off < 1e-8 else f"at its null values log probabilities differ by up to {off:.2g}"
+        return f"at its neutral values {other} of 3000 readings differ from those without it"
+    off = np.abs(neutral.log_prob(readings_cm, given) - base.log_prob(readings_cm, given)).max()
+    return None if off < 1e-8 else f"at its neutral values log probabilities differ by up to {off:.2g}"
 
 
-def _rests(trial: Trial) -> str | None:
+def _requires_context(trial: Trial) -> str | None:
     effect, base, given = trial.effect, trial.neighbour(), trial.contexts(3000)
     with_effect = trial.on(base)
     readings_cm = base.sample(given, np.random.default_rng(4))
@@ -281,7 +282,7 @@ def _slopes(trial: Trial) -> str | None:
     reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(CODES, n))
     reading_cm[:10] += 0.5
     log_p, by = slopes(rows, reading_cm)
-    if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(LEAST))).max() > 1e-9:
+    if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(MIN_PROBABILITY))).max() > 1e-9:
         return "log probabilities with and without slopes differ"
     can = log_p > np.log(1e-11)
     with np.errstate(invalid="ignore"):
@@ -371,7 +372,7 @@ def _one_at_a_time(trial: Trial) -> str | None:
 
 
 def _alone(trial: Trial) -> str | None:
-    """Probabilities of rows in parts are those of all rows at once."""
+    """Probabilities of parts of a table equal those of the whole table."""
     model, given, n = trial.on(trial.base), trial.contexts(600), 600
     readings_cm = model.sample(given, np.random.default_rng(4))
     together = model.log_prob(readings_cm, given)
@@ -386,10 +387,10 @@ def _alone(trial: Trial) -> str | None:
 def _leaves_others(trial: Trial) -> str | None:
     n, effect = 3000, trial.effect
     given = trial.contexts(n)
-    rests = np.zeros(n, dtype=bool)
+    inactive = np.zeros(n, dtype=bool)
     for column in effect.requires:
         here = given[column]
-        rests |= (here == "") if here.dtype.kind == "U" else np.isnan(here)
+        inactive |= (here == "") if here.dtype.kind == "U" else np.isnan(here)
     others: dict[str, dict[str, Any]] = {
         "multipath": {"share": 0.3},
         "range_scale": {"scale_pct": 3.0},
@@ -402,8 +403,8 @@ def _leaves_others(trial: Trial) -> str | None:
         readings_cm = other.sample(given, np.random.default_rng(9))
         for both in (trial.on(other), Model(other.sensor, (trial.strong, *other.effects))):
             same = both.sample(given, np.random.default_rng(9)) == readings_cm
-            if not same[rests].all():
-                return f"next to {name}, readings change where it does not act"
+            if not same[inactive].all():
+                return f"next to {name}, readings change where it has no effect"
     return None
 
 
@@ -420,25 +421,29 @@ def _rare(trial: Trial) -> str | None:
 
 CHECKS = (
     Check(
-        "it explains itself, and its values lie within its bounds",
+        "it is described, and its values lie within its bounds",
         _description,
-        "give every field of Effect and Parameter; a parameter has a null (where the effect vanishes) or a default",
+        "fill in every field of Effect and Parameter; a parameter has a neutral value (no effect) or a default",
     ),
     Check(
-        "it runs, and changes what it says",
+        "it runs, and changes the channels that it states",
         _runs,
-        "act returns a Change; channels lists what that changes, and needs or reads every column that act uses",
+        "channels must list what the Contribution of apply changes, and requires or optional every column that it uses",
     ),
     Check(
-        "it shows",
+        "it is visible",
         _shows,
-        "check that act uses every parameter and that needs names the columns it depends on; widen the bounds",
+        "check that apply uses every parameter and that requires names the columns it depends on; widen the bounds",
     ),
-    Check("at its null values it is not there", _null, "at the null values act must return zero shifts and shares"),
     Check(
-        "it rests where a column that it needs is unknown",
-        _rests,
-        "list every column that act reads in needs, or in reads where it can do without",
+        "at its neutral values it does nothing",
+        _neutral,
+        "at the neutral values apply must return zero shifts and shares",
+    ),
+    Check(
+        "it does nothing if a required column is unknown",
+        _requires_context,
+        "list every column that apply uses in requires, or in optional if it can do without it",
     ),
     Check(
         "probabilities sum to one",
@@ -449,41 +454,41 @@ CHECKS = (
         "slopes are the derivatives of the probabilities", _slopes, "check the component's or the code fault's slopes"
     ),
     Check(
-        "readings are drawn as the probabilities say",
+        "draws follow the probabilities",
         _draws,
-        "check that the component or code fault draws from the distribution that it scores",
+        "check that the component or code fault draws from the distribution whose probabilities it gives",
     ),
     Check(
-        "readings are drawn as the probabilities say, code by code",
+        "draws follow the probabilities, code by code",
         _draws_of_one,
-        "check that the component or code fault draws from the distribution that it scores",
+        "check that the component or code fault draws from the distribution whose probabilities it gives",
     ),
     Check(
-        "one reading at a time is drawn as many are",
+        "a single reading is drawn like many",
         _one_at_a_time,
-        "act is called with plain numbers too: use numpy functions (np.maximum, np.where), not array methods",
+        "apply is called with plain numbers too: use numpy functions (np.maximum, np.where), not array methods",
     ),
     Check(
-        "a reading depends on its own context alone",
+        "a reading depends on its own context only",
         _alone,
-        "act must take no mean, minimum or maximum over a column, nor keep anything from one call to the next",
+        "apply must not use a mean, minimum or maximum over a column, nor keep anything from one call to the next",
     ),
     Check(
-        "other effects draw what they drew",
+        "the draws of other effects are unchanged",
         _leaves_others,
-        "list every column that act depends on in needs, and draw nothing in act",
+        "list every column that apply depends on in requires, and draw no random numbers in apply",
     ),
     Check("a share is a share of the readings", _rare, "the parameter share is the share of readings that it changes"),
 )
 
 
 def run_checks(effect: Effect, sensor: SensorModel) -> Iterator[Result]:
-    """Check an effect on a sensor; what cannot be tried after a first failure of the kind is left out."""
+    """Run all checks of an effect on a sensor; if one of the first two fails, the others are omitted."""
     trial = Trial(effect, sensor)
     for i, check in enumerate(CHECKS):
         try:
             found = check.find(trial)
-        except Exception as error:  # Whatever somebody's own code raises is the finding.
+        except Exception as error:  # Any exception of the author's code is the finding.
             found = f"it raises {type(error).__name__}: {error}"
         yield Result(check, found)
         if found is not None and i < 2:

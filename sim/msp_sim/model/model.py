@@ -1,7 +1,8 @@
-"""A reading model with effects: a sensor model file enters; readings, or their log-probabilities, leave.
+"""A reading model with effects, made from a sensor model file: it draws readings and gives their log probabilities.
 
-One object draws for the simulator and scores for the gap workflow, so an effect that was found flies as it was found.
-Contexts are columns by name, those of the CSV form; an effect rests where a context that it needs is not known.
+The simulator draws from the same object with which the gap workflow computes likelihoods, so an effect is simulated
+exactly as it was found. Contexts are columns by name, those of the CSV form. An effect does nothing on rows in which a
+column that it requires is unknown.
 """
 
 import difflib
@@ -19,31 +20,31 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
-from msp_sim.effects.curve import CURVE, MOST, curve
+from msp_sim.effects.curve import CURVE, MAX_VALUE, curve
 from msp_sim.effects.own import find_effect
 from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
 from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
 CHUNK = 1 << 16
-"""Rows that are handled at a time: what fits into a processor's cache."""
+"""Rows processed at a time, so that the arrays fit into a processor's cache. Affects speed only."""
 LARGEST_SHARE = 1.0 - 1e-12
-"""Of a component: its odds stay finite."""
+"""Largest share of a component, so that its odds stay finite."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect with the values of its parameters, and the sensor, run or target that it is of."""
+    """An effect with values of its parameters, and the sensor, run or target to which it applies."""
 
     effect: Effect
     values: Mapping[str, float]
     of: str | None = None
     shape: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]] | None = None
-    """Of a curve: channel, variables and knots."""
+    """For a curve: channel, variables and knots."""
 
     @property
     def stream(self) -> str:
-        """Name of its stream of chance."""
+        """Name of the term; it also selects its random stream."""
         if self.shape is not None:
             return f"{self.effect.name} of {self.shape[0]} over {' and '.join(self.shape[1])}"
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
@@ -51,7 +52,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Model:
-    """The base mixture of a sensor, and effects.
+    """The base mixture of a sensor with effects.
 
     Examples
     --------
@@ -69,12 +70,12 @@ class Model:
     def of(cls, sensor: SensorModel) -> "Model":
         """The model that a sensor model file describes.
 
-        Where it says that a canted sensor reads the slant range, that effect is among its effects.
+        If the file says that a canted sensor reads the slant range, that effect is added.
 
         Raises
         ------
         ConfigError
-            An entry of ``effects`` is not one of the catalogue, or its parameters are not.
+            An entry of ``effects`` is not in the catalogue, or its parameters are invalid.
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
         if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
@@ -82,13 +83,13 @@ class Model:
         return cls(sensor, tuple(effects))
 
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
-        """With one more effect of the catalogue; shapes that are left out are at their defaults."""
+        """A copy with one more effect of the catalogue; omitted shape parameters have their defaults."""
         return replace(self, effects=(*self.effects, make_term(name, of, values)))
 
     def adding_curve(
         self, channel: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]], values: Sequence[float]
     ) -> "Model":
-        """With a curve that no effect of the catalogue explains, by its values at the knots."""
+        """A copy with an unknown effect: a curve, given by its values at the knots."""
         return replace(self, effects=(*self.effects, make_curve_term(channel, variables, knots, values)))
 
     @cached_property
@@ -97,19 +98,19 @@ class Model:
         return ReadingModel.of(self.sensor)
 
     @property
-    def needs(self) -> frozenset[str]:
-        """Context columns that it reads."""
+    def columns(self) -> frozenset[str]:
+        """Context columns that the model uses."""
         return frozenset({TRUE_RANGE}).union(*(each.effect.columns for each in self.effects))
 
-    def sample(self, contexts: Mapping[str, Any], chance: np.random.Generator | RandomStreams) -> _Array:
+    def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> _Array:
         """Draw one reading for each context.
 
         Parameters
         ----------
         contexts
-            Columns of length n by name; ``true_range_cm`` is needed, NaN where nothing can be heard.
-        chance
-            A generator, or streams that go on where they were left.
+            Columns of length n by name; ``true_range_cm`` is required, NaN if there is no echo.
+        rng
+            A generator, or random streams, which continue from their present state.
 
         Returns
         -------
@@ -121,7 +122,7 @@ class Model:
         ValueError
             ``true_range_cm`` is missing, or columns differ in length.
         """
-        streams = chance if isinstance(chance, RandomStreams) else RandomStreams(chance)
+        streams = rng if isinstance(rng, RandomStreams) else RandomStreams(rng)
         return np.concatenate([rows.sample(streams) for _, rows in self.chunks(contexts)] or [np.zeros(0)])
 
     def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> _Array:
@@ -137,7 +138,7 @@ class Model:
         Returns
         -------
         ndarray, shape (n,)
-            log p; -inf for what cannot be read.
+            log p; -inf for impossible readings.
 
         Raises
         ------
@@ -153,11 +154,11 @@ class Model:
         return np.concatenate([rows.log_prob(reading[part]) for part, rows in self.chunks(contexts)] or [np.zeros(0)])
 
     def rows(self, contexts: Mapping[str, Any]) -> ModelRows:
-        """The distribution of the reading of each context, all at once; `chunks` for many of them."""
+        """The distribution of the reading for each context, all at once; use `chunks` for many contexts."""
         return self._rows(self._columns(contexts))
 
     def chunks(self, contexts: Mapping[str, Any]) -> Iterator[tuple[slice, ModelRows]]:
-        """The same in parts of `CHUNK` rows, with the place of each part."""
+        """The distributions in parts of `CHUNK` rows, each with its slice."""
         columns = self._columns(contexts)
         size = columns[TRUE_RANGE].size
         for start in range(0, size, CHUNK):
@@ -165,7 +166,7 @@ class Model:
             yield part, self._rows({name: column[part] for name, column in columns.items()})
 
     def _columns(self, contexts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        columns = {name: _column(name, contexts[name]) for name in self.needs if name in contexts}
+        columns = {name: _column(name, contexts[name]) for name in self.columns if name in contexts}
         if TRUE_RANGE not in columns:
             raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
         sizes = {name: column.size for name, column in columns.items()}
@@ -174,19 +175,19 @@ class Model:
         return columns
 
     def _rows(self, columns: Mapping[str, NDArray[Any]]) -> ModelRows:
-        """The base mixture for these columns, and on it what each effect changes."""
+        """The base mixture for these columns, changed by each effect."""
         scene = Scene(self.sensor, columns)
         return apply_terms(base_rows(self, scene), scene, self.effects)
 
 
 def base_rows(model: Model, scene: Scene) -> ModelRows:
-    """The base mixture in a scene, without effects."""
+    """The base mixture for a scene, without effects."""
     base = vars(model.base.rows(scene.range_cm))
     return ModelRows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)})
 
 
 def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> ModelRows:
-    """Rows with what each of these effects changes."""
+    """Rows changed by the contribution of each of these terms."""
     centre_cm, log_spread = rows.centre_cm, np.zeros(())
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
@@ -227,7 +228,7 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
 
 
 def applies(scene: Scene, each: Term) -> Any:
-    """Where an effect has the context that it needs: True or False for all rows, or an array."""
+    """Rows on which a term's required columns are known: True or False for all rows, or an array."""
     known: Any = True
     for column in each.effect.requires:
         here = scene.known(column)
@@ -247,7 +248,7 @@ def load_model(path: Path | str) -> Model:
     Raises
     ------
     ConfigError
-        The file cannot be read or says something impossible.
+        The file cannot be read, or a value is invalid.
     """
     sensor = load_sensor_model(path)
     try:
@@ -257,12 +258,12 @@ def load_model(path: Path | str) -> Model:
 
 
 def make_term(name: str, of: str | None, values: Mapping[str, float], place: str = "effect") -> Term:
-    """An effect of the catalogue with these values.
+    """Make a term from an effect of the catalogue and values.
 
     Raises
     ------
     ConfigError
-        There is none of this name, a parameter is missing, unknown or out of its bounds, or ``of`` is missing.
+        There is no such effect, a parameter is missing, unknown or out of its bounds, or ``of`` is missing.
     """
     effect = find_effect(name)
     if effect is None:
@@ -273,7 +274,9 @@ def make_term(name: str, of: str | None, values: Mapping[str, float], place: str
         )
     if (of is None) != (effect.per is None):
         expected = (
-            f"the name of the {effect.per} that {name} is of" if effect.per else f"nothing: {name} is of all readings"
+            f"the name of a {effect.per}, since {name} applies to one of them"
+            if effect.per
+            else f"nothing: {name} applies to all readings"
         )
         raise ConfigError(f"{place}.of: found {'nothing' if of is None else repr(of)}, expected {expected}")
     known = {parameter.name: parameter for parameter in effect.parameters}
@@ -296,29 +299,29 @@ def make_curve_term(
     values: Any,
     place: str = "curve",
 ) -> Term:
-    """A curve with its values.
+    """Make a term from a curve and its values.
 
     Raises
     ------
     ConfigError
-        No such channel, no knots that rise, or values that are not as many as the knots.
+        There is no such channel, knots do not increase, or there are not as many values as knots.
     """
-    if channel not in MOST:
-        raise ConfigError(f"{place}.channel: found {channel!r}, expected one of {', '.join(MOST)}")
+    if channel not in MAX_VALUE:
+        raise ConfigError(f"{place}.channel: found {channel!r}, expected one of {', '.join(MAX_VALUE)}")
     if not isinstance(variables, list | tuple) or not 1 <= len(variables) <= 2:
         raise ConfigError(f"{place}.variables: found {variables!r}, expected one or two context columns")
     if not isinstance(knots, list | tuple) or len(knots) != len(variables) or not all(map(_are_knots, knots)):
         raise ConfigError(
-            f"{place}.knots: found {knots!r}, expected for each variable two or more numbers that rise, or words"
+            f"{place}.knots: found {knots!r}, expected for each variable two or more increasing numbers, or words"
         )
     count = int(np.prod([len(each) for each in knots]))
     if (
         not isinstance(values, list | tuple)
         or len(values) != count
-        or not all(isinstance(each, int | float) and abs(each) <= MOST[channel] for each in values)
+        or not all(isinstance(each, int | float) and abs(each) <= MAX_VALUE[channel] for each in values)
     ):
         raise ConfigError(
-            f"{place}.values: found {values!r}, expected {count} numbers within +-{MOST[channel]:g}, one a knot"
+            f"{place}.values: found {values!r}, expected {count} numbers within +-{MAX_VALUE[channel]:g}, one per knot"
         )
     shape = (str(channel), tuple(str(each) for each in variables), tuple(tuple(each) for each in knots))
     effect = curve(channel, shape[1], shape[2])
@@ -362,8 +365,8 @@ def _entry(entry: Mapping[str, Any], place: str) -> Term:
     return make_term(str(entry.get("name")), entry.get("of"), values, place)
 
 
-def _where(known: Any, change: Any) -> Any:
-    return change if known is True else np.where(known, change, 0.0)
+def _where(known: Any, contribution: Any) -> Any:
+    return contribution if known is True else np.where(known, contribution, 0.0)
 
 
 def _column(name: str, values: Any) -> NDArray[Any]:

@@ -1,6 +1,6 @@
-"""The distribution of n readings with effects on it: the base mixture, more components, and faults of the code.
+"""The distribution of n readings with effects: the base mixture, additional components, and faults of the code.
 
-Centres, spreads and weights that effects have changed enter, with what they mix in; probabilities leave, and readings.
+Made from the centres, spreads and weights that the effects have changed; gives probabilities and draws readings.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ _Array = NDArray[np.float64]
 
 
 class AddedComponent(NamedTuple):
-    """One more component: its odds against the base mixture, and the name of its stream."""
+    """An additional component: its odds relative to the base mixture, and the name of its random stream."""
 
     odds: Any
     component: Component
@@ -28,7 +28,7 @@ class AddedComponent(NamedTuple):
 
 
 class AppliedFault(NamedTuple):
-    """A fault of the code: the share of readings that it befalls, and the name of its stream."""
+    """A fault of the code: the share of readings affected, and the name of its random stream."""
 
     share: Any
     fault: CodeFault
@@ -36,7 +36,7 @@ class AppliedFault(NamedTuple):
 
 
 class RunOffset(NamedTuple):
-    """An offset that the readings of a run share: its standard deviation [cm], the run of each row ("": none)."""
+    """An offset common to the readings of a run: its standard deviation [cm], and the run of each row ("": none)."""
 
     deviation_cm: float
     runs: NDArray[Any]
@@ -48,18 +48,18 @@ class ModelRows(MixtureRows):
     """Distribution of n readings.
 
     With q the base mixture of `ReadingModel`, o_j the odds and c_j the densities of the components added, and faults
-    f = 1 ... F, each of which befalls a share s_f of what the ones before leave::
+    f = 1 ... F, each of which affects a share s_f of what the previous ones give::
 
         q(k)    weights w_i exp(eta_i), divided by their sum
-        g(k)  = (q(k) + sum_j o_j c_j(k)) / (1 + sum_j o_j), of whose readings of M a share arrives as 255
+        g(k)  = (q(k) + sum_j o_j c_j(k)) / (1 + sum_j o_j), of whose readings of M a share is received as 255
         p_f(k) = (1 - s_f) p_(f-1)(k) + s_f (sum of p_(f-1)(i) over the codes i that f turns into k)
 
     Attributes
     ----------
     sigma_cm
-        Of the hits of all runs together, shape (n,).
+        Standard deviation of the hits of all runs together, shape (n,).
     added, faults, run_offsets
-        What effects add; faults in their order.
+        Contributions of the effects; faults in the order in which they are applied.
     """
 
     added: tuple[AddedComponent, ...] = ()
@@ -68,11 +68,11 @@ class ModelRows(MixtureRows):
 
     @property
     def between_cm2(self) -> Any:
-        """The part of the hits' variance that lies between runs [cm^2]."""
+        """Variance of the hits between runs [cm^2]."""
         return sum(np.where(runs != "", deviation_cm**2, 0.0) for deviation_cm, runs, _ in self.run_offsets)
 
     def wider(self, factor: Any) -> "ModelRows":
-        """With another spread within runs; what lies between runs stays as it is."""
+        """A copy with the spread within runs multiplied by a factor; that between runs is unchanged."""
         if not self.run_offsets:
             return replace(self, sigma_cm=self.sigma_cm * factor)
         between_cm2 = self.between_cm2
@@ -80,7 +80,7 @@ class ModelRows(MixtureRows):
         return replace(self, sigma_cm=np.sqrt(within_cm2 * factor**2 + between_cm2))
 
     def take(self, rows: Any) -> Self:
-        """Some of the rows."""
+        """A selection of the rows."""
         return replace(
             super().take(rows),
             added=tuple(AddedComponent(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
@@ -89,13 +89,13 @@ class ModelRows(MixtureRows):
         )
 
     def sample(self, streams: RandomStreams) -> _Array:
-        """One reading a row [cm]; each part draws from its own stream."""
+        """Draw one reading per row [cm]; each part uses its own random stream."""
         n = len(self)
         centre_cm, sigma_cm = self._with_run_offsets(streams)
         hits = Hits(centre_cm, sigma_cm, self.minimum_cm, self.maximum_cm)
         normal, kind, place = streams["hit"].standard_normal(n), streams["kind"].random(n), streams["place"].random(n)
         reading_cm = replace(self, centre_cm=centre_cm, sigma_cm=sigma_cm).draw(normal, kind, place)
-        # Of independent exponential waiting times, each with its part's rate, the first is each part's by its odds.
+        # Independent exponential waiting times with the parts' odds as rates: the first one selects the part.
         first = streams["race"].standard_exponential(n)
         for odds, component, stream in self.added:
             with np.errstate(divide="ignore"):
@@ -110,7 +110,7 @@ class ModelRows(MixtureRows):
         return reading_cm
 
     def _with_run_offsets(self, streams: RandomStreams) -> tuple[_Array, _Array]:
-        """Centres that have each run's own offset, and the spread without the offsets' share."""
+        """Centres including each run's own offset, and the spread within runs."""
         if not self.run_offsets:
             return self.centre_cm, self.sigma_cm
         centre_cm = self.centre_cm
@@ -121,17 +121,17 @@ class ModelRows(MixtureRows):
         return centre_cm, np.sqrt(np.maximum(self.sigma_cm**2 - self.between_cm2, 0.0))
 
     def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
-        """The same behind the faults of the code."""
+        """As the base class, after the faults of the code."""
         return self._after(self.faults, first, last, part)
 
     def _after(self, faults: Sequence[AppliedFault], first: _Array, last: _Array, part: Part) -> _Array:
         if not faults:
             return super().arrives(first, last, part)
         share, fault, _ = faults[-1]
-        befallen = sum(self._after(faults[:-1], *origin, part) for origin in fault.origins(first, last))
+        faulty = sum(self._after(faults[:-1], *origin, part) for origin in fault.origins(first, last))
         if np.ndim(share) == 0 and share == 1.0:
-            return np.asarray(befallen)
-        return np.asarray((1.0 - share) * self._after(faults[:-1], first, last, part) + share * befallen)
+            return np.asarray(faulty)
+        return np.asarray((1.0 - share) * self._after(faults[:-1], first, last, part) + share * faulty)
 
     def probability(self, first: _Array, last: _Array) -> _Array:
         """Probability g of the codes from first to last, within the limits, before saturation and faults, (1, n)."""
@@ -142,7 +142,7 @@ class ModelRows(MixtureRows):
         return self._mixed_in(super().slopes(first, last), first, last)
 
     def _mixed_in(self, parts: _Array, first: _Array, last: _Array) -> _Array:
-        """The mixture's probability, or this and its slopes, with those of the components."""
+        """Add the components to the mixture's probability, or to the probability and its slopes."""
         if not self.added:
             return parts
         hits, odds = Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm), 1.0
@@ -150,14 +150,14 @@ class ModelRows(MixtureRows):
             odds = odds + each
             with np.errstate(invalid="ignore"):
                 own = component.prob(first, last, hits, slopes=len(parts) > 1)
-            # Where it has no share, its parameters may be unknown.
+            # A component without a share may have unknown parameters.
             parts[: len(own)] += np.where(each > 0.0, each * own, 0.0)
         return np.asarray(parts / odds)
 
     def last_added(self, first: _Array, last: _Array) -> _Array:
-        """The last component alone, (1, n)."""
+        """Probability under the last component alone, (1, n)."""
         hits = Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm)
         with np.errstate(invalid="ignore"):
             found = self.added[-1].component.prob(first, last, hits)
-        # Where it has no share, its parameters may be unknown.
+        # A component without a share may have unknown parameters.
         return np.nan_to_num(found)

@@ -1,8 +1,8 @@
-"""Readings drawn one at a time, for an emulated sensor: the distribution and the draws of `Model.sample`.
+"""Draw readings one at a time, for emulated sensors: the same distribution and random numbers as `Model.sample`.
 
-A context enters as plain values, a reading leaves. Where effects shift, widen or reweigh the base mixture, no array is
-made; what adds components or faults takes the way of `Model.sample` with one row. Both take the same numbers from the
-same streams.
+A context enters as plain values, a reading leaves. If the effects only shift, widen or reweight the base mixture, no
+array is made, for speed; with additional components or faults `Model.sample` is called with one row. Both use the same
+random streams in the same order.
 """
 
 import math
@@ -20,14 +20,14 @@ from msp_sim.model.streams import RandomStreams
 
 
 class Sampler:
-    """Draws one model's readings, one after the other.
+    """Draws readings of one model, one after the other.
 
     Parameters
     ----------
     model
-        What is drawn from.
+        The model with its effects.
     rng
-        Source of chance.
+        Source of randomness.
 
     Examples
     --------
@@ -39,7 +39,7 @@ class Sampler:
 
     def __init__(self, model: Model, rng: np.random.Generator) -> None:
         self._model = model
-        self._needs = model.needs
+        self._columns = model.columns
         self._streams = RandomStreams(rng)
         self._plain = not any(
             {"component", "code"} & set(each.effect.channels) or "run" in each.effect.requires for each in model.effects
@@ -51,11 +51,11 @@ class Sampler:
         Parameters
         ----------
         context
-            Values by column; None, NaN or "" where unknown. A true range that is unknown cannot be heard.
+            Values by column; None, NaN or "" if unknown. An unknown true range means that there is no echo.
         """
         if self._plain:
             return self._draw(context)
-        columns = {name: _column(name, context.get(name)) for name in self._needs}
+        columns = {name: _column(name, context.get(name)) for name in self._columns}
         return int(self._model.sample(columns, self._streams)[0])
 
     def _draw(self, context: Mapping[str, Any]) -> int:
@@ -74,15 +74,15 @@ class Sampler:
                 short += change.log_odds_short or 0.0
                 missed += change.log_odds_missed or 0.0
                 random += change.log_odds_random or 0.0
-        heard_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
+        drawn_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
         kind, place = streams["kind"].random(), streams["place"].random()
         streams["race"].standard_exponential()
         saturated = streams["saturated"].random() < base.parameters.saturated_fraction
-        return self._reading_cm(heard_cm, centre_cm, kind, place, saturated, (hit, short, missed, random))
+        return self._reading_cm(drawn_cm, centre_cm, kind, place, saturated, (hit, short, missed, random))
 
     def _reading_cm(
         self,
-        heard_cm: float,
+        drawn_cm: float,
         centre_cm: float,
         kind: float,
         place: float,
@@ -96,14 +96,14 @@ class Sampler:
         if kind >= hit:
             if kind < hit + short:
                 rate_per_cm = self._model.base.parameters.short_rate_per_m / 100.0
-                heard_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
+                drawn_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
             elif kind < hit + short + missed or random == 0.0:
-                heard_cm = maximum_cm
+                drawn_cm = maximum_cm
             else:
-                heard_cm = float(Random.draw(place, minimum_cm, maximum_cm))
-        if not heard_cm < maximum_cm:
-            heard_cm = maximum_cm
-        reading_cm = max(round(heard_cm), minimum_cm)
+                drawn_cm = float(Random.draw(place, minimum_cm, maximum_cm))
+        if not drawn_cm < maximum_cm:
+            drawn_cm = maximum_cm
+        reading_cm = max(round(drawn_cm), minimum_cm)
         return SATURATED_CM if reading_cm == maximum_cm and saturated else reading_cm
 
 

@@ -1,4 +1,4 @@
-"""One stream of chance for each part of a model, so that adding an effect leaves what the others draw as it was."""
+"""A separate random stream for each part of a model, so that adding an effect does not change what the others draw."""
 
 from zlib import crc32
 
@@ -6,12 +6,12 @@ import numpy as np
 
 
 class RandomStreams:
-    """Generators by name, all from one.
+    """Random generators by name, all derived from one.
 
     Parameters
     ----------
     rng
-        Four numbers are drawn from it, however many streams are used.
+        Four numbers are drawn from it, for any number of streams.
 
     Examples
     --------
@@ -26,13 +26,13 @@ class RandomStreams:
         self._streams: dict[str, np.random.Generator] = {}
 
     def __getitem__(self, name: str) -> np.random.Generator:
-        """The stream of this name; it goes on where it was left."""
+        """The stream of this name; it continues from its present state."""
         if name not in self._streams:
             self._streams[name] = self._generator(name)
         return self._streams[name]
 
     def normal_of(self, name: str, key: str) -> float:
-        """One standard normal number that is the same each time for the same key."""
+        """A standard normal number that is always the same for the same key."""
         return float(self._generator(name, key).standard_normal())
 
     def _generator(self, *names: str) -> np.random.Generator:

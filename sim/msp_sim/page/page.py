@@ -1,7 +1,7 @@
-"""One self-contained HTML page from a template: pictures are inside it, and nothing is asked of a network.
+"""Make one self-contained HTML page from a template, with the pictures inside, so that it works offline.
 
-Pictures, omissions and tables enter, HTML leaves. A report has a template of its own that extends ``page.html`` of
-this package, which holds the head, the looks and the macros for what is on a page (``parts.html``).
+Pictures, notes on omitted pictures, and tables enter, HTML leaves. Each report has its own template, which extends this
+package's ``page.html`` (head and style) and uses the macros of ``parts.html``.
 """
 
 import base64
@@ -20,18 +20,18 @@ PAGE = "report.html"
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with the words that it needs.
+    """A picture with its title, caption and alternative text.
 
     Parameters
     ----------
     name
-        Of its file, without the ending; also its anchor in the page.
+        Name of its file without the suffix; also its anchor in the page.
     title
         What it shows, a few words.
     caption
         How to read it, and the numbers that it shows.
     alternative
-        What it shows, in a sentence, for who cannot see it.
+        What it shows, in a sentence, for readers who cannot see it.
     png
         The picture.
     """
@@ -44,13 +44,13 @@ class Picture:
 
     @cached_property
     def source(self) -> str:
-        """The picture as the address of an image that needs no file."""
+        """The picture as a data URL."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Omitted:
-    """A picture that the data do not allow, and why."""
+    """A picture that cannot be drawn from these data, and the reason."""
 
     name: str
     title: str
@@ -59,20 +59,20 @@ class Omitted:
 
 @dataclass(frozen=True)
 class PageTable:
-    """Rows of cells under a header; a cell that is a number is set to the right.
+    """A table of text cells under a header; columns of numbers are aligned to the right.
 
     Parameters
     ----------
     name
         Its anchor in the page.
     title, caption
-        What it shows, and what has to be said about it.
+        Title, and a remark below the table.
     header
         A word or two for each column, with units.
     rows
-        Cells, as many a row as the header has.
+        Rows of cells, each as long as the header.
     words
-        How many columns from the left hold words; the others hold numbers.
+        Number of columns from the left with words; the others have numbers.
     """
 
     name: str
@@ -84,21 +84,21 @@ class PageTable:
 
 
 def render(package: str, template: str, **values: Any) -> str:
-    """A page from a template in the folder ``templates`` of a package.
+    """Make a page from a template in the folder ``templates`` of a package.
 
     Parameters
     ----------
     package
-        Whose template it is, such as ``msp_lab.characterise.report``.
+        Package with the template, such as ``msp_lab.characterise.report``.
     template
         Its file name. It may extend ``page.html`` and import ``parts.html``.
     values
-        What the template names. A name that is missing is an error, not a blank.
+        Values of the names in the template; a missing one is an error.
 
     Returns
     -------
     str
-        HTML; what is not marked safe in the template is escaped.
+        HTML; everything not marked safe in the template is escaped.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("msp_sim.page")]),
@@ -111,26 +111,26 @@ def render(package: str, template: str, **values: Any) -> str:
 
 
 def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted]) -> Path:
-    """Write a page as `PAGE`, and a PNG a picture beside it; the page needs none of them.
+    """Write a page as `PAGE`, and each picture as a PNG next to it; the page works without these files.
 
     Parameters
     ----------
     folder
-        It is made if it is not there; files of these names are replaced.
+        Created if absent; files of the same names are replaced.
     html
-        The page.
+        Content of the page.
     pictures
-        On it; of what was left out there is no file.
+        Pictures on the page; omitted ones get no file.
 
     Returns
     -------
     Path
-        Of the page.
+        Path of the page.
 
     Raises
     ------
     ConfigError
-        The folder cannot be made or written to.
+        The folder cannot be created or written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,8 @@
-"""One look for all pictures: a figure on its own canvas, colours that a colour-blind reader tells apart, PNG.
+"""The common style of all pictures: figures on their own canvas, colours for colour-blind readers, PNG output.
 
-Nothing enters but sizes; figures and bytes leave. The colours are those of Okabe and Ito (2008, Color Universal
-Design): no two of them are told apart by red against green, and `SERIES` is in an order whose lightness differs too,
-for a print without colour. Series also differ by marker. No pyplot: there is no global figure to leak, and drawing
-needs no display.
+The colours are those of Okabe and Ito (2008, Color Universal Design), which can be distinguished without distinguishing
+red from green. The order of `SERIES` also alternates in lightness, for prints without colour, and series differ by
+marker. pyplot is not used: there is no global figure that could leak, and drawing needs no display.
 """
 
 import io
@@ -30,21 +29,21 @@ GREY = "#767676"
 PALE = "#d9d9d9"
 
 OURS = BLUE
-"""What was measured or fitted here."""
+"""Colour of what was measured or fitted."""
 
 REFERENCE = VERMILION
-"""What it is held against: the report's value, the truth, the expectation."""
+"""Colour of what it is compared with: the report's value, the truth, the expectation."""
 
 SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
-"""Colour and marker of the first, second ... of several things of equal rank."""
+"""Colour and marker of the first, second ... of several series of equal importance."""
 
 WIDTH_IN = 7.4
-"""Width of a picture: the text width of an A4 page, so that print does not shrink the letters [in]."""
+"""Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
 
 DPI = 150
 
 _LETTER_IN, _HANDLE_IN = 0.064, 0.6
-"""Width of a letter and of what stands before a label, in a legend [in]."""
+"""Approximate width of a letter, and of the symbol in front of a label, in a legend [in]; for its number of columns."""
 
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -85,13 +84,13 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the common look: figures, axes and texts that are made inside have it."""
+    """Use the common style for all figures, axes and texts made inside."""
     with matplotlib.rc_context(_STYLE):
         yield
 
 
 def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
-    """An empty figure on a canvas of its own, to be laid out when it is drawn.
+    """Make an empty figure on its own canvas.
 
     Parameters
     ----------
@@ -104,19 +103,19 @@ def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as PNG, the same bytes each time for the same drawing."""
+    """The figure as PNG; the same drawing always gives the same bytes."""
     file = io.BytesIO()
     for text in figure.findobj(Text):
-        # Names of targets and runs are no formulas; those of matplotlib come only when it draws the axes.
+        # A $ in a name of a target or run is not a formula. matplotlib's own formulas are added when it draws the axes.
         if "$" in text.get_text():
             text.set_parse_math(False)
-    # Level 4 is twice as fast as the default 6 and a few per cent larger. No date and no version inside.
+    # Level 4 is twice as fast as the default 6, and a few per cent larger. The file contains no date or version.
     figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 4})
     return file.getvalue()
 
 
 def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = INK) -> None:
-    """Write a few words inside an axes, at a share of its width and height, on a pale ground."""
+    """Write a few words inside an axes, at a fraction of its width and height, on a white background."""
     axes.text(
         x,
         y,
@@ -132,14 +131,14 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = 
 
 
 def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
-    """A legend under the axes, in as many columns as the width has room for.
+    """Add a legend below the axes, in as many columns as fit.
 
     Parameters
     ----------
     figure
-        With axes that have labelled artists.
+        Figure with labelled artists.
     handles
-        What to explain; None: what the first axes has, in its order.
+        Artists to list; None: those of the first axes.
     """
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
@@ -147,13 +146,13 @@ def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
     if not labels:
         return
     columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
-    # As few columns as the same number of lines needs.
+    # The smallest number of columns with the same number of lines.
     columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
     figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
 
 
 def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
-    """Whether the labels, filled in column by column, have room beside each other."""
+    """Whether the labels, arranged in this number of columns, fit into the width."""
     deep, extra = divmod(len(labels), columns)
     ends = list(itertools.accumulate(deep + (column < extra) for column in range(columns)))
     widest = [max(map(len, labels[start:end])) for start, end in zip([0, *ends], ends, strict=False)]
@@ -161,7 +160,7 @@ def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
 
 
 def edges_between(centres: list[float]) -> list[float]:
-    """Borders half way between sorted values, the outer ones as far out as their neighbours; for bars of equal rank.
+    """Bin edges half way between sorted values; the outer bins are symmetric.
 
     Examples
     --------
@@ -176,7 +175,7 @@ def edges_between(centres: list[float]) -> list[float]:
 
 
 def p_text(p_value: float) -> str:
-    """A p-value in words that a reader trusts: no zero, no needless digits.
+    """A p-value as text with two digits, never zero.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""What ``msp-sim sitl`` does: fly with an autopilot's own simulator, and write what came of it.
+"""The command ``msp-sim sitl``: fly with an autopilot's own simulator, and write the results.
 
-The command's options enter; lines on the terminal and files in the folder for results leave.
+Input are the command's options, output are lines on the terminal and files in the folder for results.
 """
 
 from contextlib import ExitStack
@@ -22,10 +22,10 @@ from msp_sim.sitl.sitl import Sitl, start_line, status_line
 from msp_sim.world.surfaces import GroundSection
 from msp_sim.world.world import AirSection, World
 
-SHOWN_EACH_S = 0.1
-"""Wall time between two looks at a flight [s]."""
-LOGGED_EACH_S = 5.0
-"""The same where nobody looks: the output goes into a file [s]."""
+REFRESH_S = 0.1
+"""Wall time between two updates of the status line on a terminal [s]."""
+LOG_PERIOD_S = 5.0
+"""Wall time between two status lines if the output is not a terminal [s]."""
 
 
 def fly_sitl(
@@ -78,7 +78,7 @@ def fly_sitl(
             report=lambda severity, text: out_to.print(f"{severity.name.lower()}: {text}", highlight=False),
         )
         status = opened.enter_context(out_to.status("")) if out_to.is_terminal else None
-        next_look_s = 0.0
+        next_status_s = 0.0
         source: str | None = None
         start: str | None = None
         while not stopped and (duration is None or simulation.now_s() < duration):
@@ -89,19 +89,19 @@ def fly_sitl(
             if start_line(simulation.vehicle) != start:
                 start = start_line(simulation.vehicle)
                 out_to.print(start, highlight=False, soft_wrap=True)
-            if simulation.now_s() < next_look_s:
+            if simulation.now_s() < next_status_s:
                 continue
             if status is not None:
-                next_look_s = simulation.now_s() + SHOWN_EACH_S
+                next_status_s = simulation.now_s() + REFRESH_S
                 status.update(status_line(simulation))
             else:
-                next_look_s = simulation.now_s() + LOGGED_EACH_S
+                next_status_s = simulation.now_s() + LOG_PERIOD_S
                 out_to.print(status_line(simulation), highlight=False, soft_wrap=True)
     flight = simulation.finish()
     summary = summarise(flight, airframe.vehicle, seed)
-    summary["poses"] = dict(simulation.vehicle.heard)
+    summary["poses"] = dict(simulation.vehicle.poses_received)
     show.print_table(out_to, summary)
-    poses = ", ".join(f"{count} poses in {name}" for name, count in simulation.vehicle.heard.items())
-    print(f"link: {airframe.link.url}; {poses or 'no pose was heard'}")
+    poses = ", ".join(f"{count} poses in {name}" for name, count in simulation.vehicle.poses_received.items())
+    print(f"link: {airframe.link.url}; {poses or 'no pose was received'}")
     if out is not None:
         write_results(out, summary, flight, f"{airframe.vehicle} on its autopilot's simulator, seed {seed}")

@@ -1,16 +1,16 @@
-"""A flight in a real autopilot's simulator: the pose comes over the link, the emulated sensors see the ground below it.
+"""A flight with an autopilot's own simulator: the pose comes over the link, and emulated sensors measure from there.
 
-Messages of the autopilot enter `HeardVehicle`, poses leave; `Sitl` puts emulated sensors around them and lets the real
-bridge answer on the same link, so that the autopilot flies on what the bridge tells it.
+`AutopilotVehicle` turns messages of the autopilot into poses. `Sitl` adds emulated sensors and the real bridge, which
+sends its distances over the same link to the autopilot.
 
-Two kinds of message say where the vehicle is. The simulator's own truth: SIM_STATE (ArduPilot, libraries/SITL/SITL.cpp)
-or HIL_STATE_QUATERNION (PX4's SIH, modules/mavlink/streams/HIL_STATE_QUATERNION.hpp). Or the autopilot's estimate:
-ATTITUDE with LOCAL_POSITION_NED. Truth is taken where it comes, and once it has come the estimate is not: sensors that
-see the estimate confirm its errors to the estimator that made them.
+Two kinds of message contain a pose. The simulator's truth: SIM_STATE (ArduPilot, libraries/SITL/SITL.cpp) or
+HIL_STATE_QUATERNION (PX4's SIH, modules/mavlink/streams/HIL_STATE_QUATERNION.hpp). And the autopilot's estimate:
+ATTITUDE with LOCAL_POSITION_NED. The truth is used if it is sent, and once it has been received the estimate is
+ignored: sensors simulated from the estimate would confirm its errors to the estimator.
 
-All of these count heights from a place of their own. So the vehicle is taken to stand on the ground whenever the
-autopilot reports that it is disarmed: each such HEARTBEAT sets the height of the last pose to that of a landed vehicle.
-An autopilot that has never been received disarmed may be in flight at any height: until it has, no sensor answers.
+All of these messages count heights from an origin of their own. Therefore the vehicle is assumed to stand on the ground
+whenever the autopilot reports that it is disarmed: each such HEARTBEAT sets the height of the last pose to that of a
+landed vehicle. Before the first one the vehicle may be in flight at any height, and no sensor answers.
 """
 
 import math
@@ -38,43 +38,43 @@ from msp_sim.world.vehicle import EulerAngles, Pose
 from msp_sim.world.world import World
 
 POSE_STALE_S = 1.0
-"""A pose that is older than this says nothing about where the vehicle is [s]."""
+"""Age at which a pose is no longer used [s]. A larger value lets sensors answer from a position that is only
+extrapolated."""
 POSE_RATE_HZ = 25.0
-"""Asked of the autopilot: at 5 m/s the vehicle moves 0.2 m between two poses, nearly all of which its speed tells."""
+"""Requested rate of poses: at 5 m/s the vehicle moves 0.2 m between two, nearly all of which its velocity predicts."""
 TRUTH: Mapping[Autopilot, str] = {"ardupilot": "SIM_STATE", "px4": "HIL_STATE_QUATERNION"}
-"""The message with the simulator's truth. Each autopilot is asked for its own only: ArduPilot shows its pilot a text at
-every request for one that it does not have."""
+"""The message with the simulator's truth. Only the autopilot's own one is requested: ArduPilot sends its pilot a text
+at every request for an unknown message."""
 ESTIMATE = ("ATTITUDE", "LOCAL_POSITION_NED")
 EARTH_RADIUS_M = 6_371_000.0
 
 
-class HeardVehicle:
-    """Where the vehicle is, by its autopilot.
+class AutopilotVehicle:
+    """The vehicle's pose according to its autopilot.
 
     Parameters
     ----------
     elevation_m
         Height of the surface at a north and east [m] over the world's origin [m].
     clearance_m
-        How high the body frame's origin stands over the surface when the vehicle has landed [m]. It is never taken to
-        be lower than this.
+        Height of the body frame's origin above the surface when the vehicle has landed [m]; it is never lower.
     start_m
-        North and east of the place where the first pose is heard [m].
+        North and east of the vehicle at the first pose [m].
 
     Attributes
     ----------
     armed : bool or None
-        As the last HEARTBEAT says; None before the first.
+        State in the last HEARTBEAT; None before the first.
     height_known : bool
-        Whether it has been received disarmed, and so on the ground, since the start.
+        Whether a HEARTBEAT has been received that says it is disarmed, and so on the ground.
     source : str or None
-        The message that the last pose came in; LOCAL_POSITION_NED stands for the estimate.
-    heard : Counter
-        Poses by that message.
+        Message type of the last pose; LOCAL_POSITION_NED stands for the estimate.
+    poses_received : Counter
+        Number of poses by message type.
 
     Examples
     --------
-    >>> vehicle = HeardVehicle(lambda north_m, east_m: 0.0, 0.25)
+    >>> vehicle = AutopilotVehicle(lambda north_m, east_m: 0.0, 0.25)
     >>> vehicle.pose(0.0).position_ned_m
     (0.0, 0.0, -0.25)
     """
@@ -88,7 +88,7 @@ class HeardVehicle:
         self.armed: bool | None = None
         self.height_known = False
         self.source: str | None = None
-        self.heard: Counter[str] = Counter()
+        self.poses_received: Counter[str] = Counter()
         self._elevation_m = elevation_m
         self._clearance_m = clearance_m
         self._last = Pose(0.0, (*start_m, self._landed_down_m(*start_m)), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0))
@@ -96,8 +96,8 @@ class HeardVehicle:
         self._cos_latitude: float | None = None
         self._angles: tuple[float, EulerAngles] | None = None
 
-    def hear(self, now_s: float, message: Any) -> None:
-        """Update with a message of the autopilot that came at ``now_s`` and is a HEARTBEAT or a pose; ignore others."""
+    def on_message(self, now_s: float, message: Any) -> None:
+        """Update with a message of the autopilot received at ``now_s``: a HEARTBEAT or a pose; others are ignored."""
         kind = message.get_type()
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -107,23 +107,24 @@ class HeardVehicle:
         elif kind == "SIM_STATE":
             place = self._global_place(message.lat_int, message.lon_int, message.alt)
             velocity = (message.vn, message.ve, message.vd)
-            self._take(kind, now_s, place, EulerAngles(message.roll, message.pitch, message.yaw), velocity)
+            self._set_pose(kind, now_s, place, EulerAngles(message.roll, message.pitch, message.yaw), velocity)
         elif kind == "HIL_STATE_QUATERNION":
-            # PX4 sends zeros until its simulator has found its place.
+            # PX4 sends zeros until its simulator knows its position.
             if message.lat or message.lon:
                 place = self._global_place(message.lat, message.lon, message.alt / 1e3)
                 velocity = (message.vx / 100, message.vy / 100, message.vz / 100)
-                self._take(kind, now_s, place, euler_angles(*message.attitude_quaternion), velocity)
+                self._set_pose(kind, now_s, place, euler_angles(*message.attitude_quaternion), velocity)
         elif kind == "ATTITUDE":
             self._angles = now_s, EulerAngles(message.roll, message.pitch, message.yaw)
         elif kind == "LOCAL_POSITION_NED" and self.source not in TRUTH.values() and self._angles is not None:
             angles_s, angles = self._angles
             if now_s - angles_s <= POSE_STALE_S:
                 place = (message.x, message.y, message.z)
-                self._take(kind, now_s, place, angles, (message.vx, message.vy, message.vz))
+                self._set_pose(kind, now_s, place, angles, (message.vx, message.vy, message.vz))
 
     def pose(self, time_s: float) -> Pose:
-        """The vehicle at ``time_s``, moved on at its last speed; on the ground at the start before the first pose."""
+        """Pose at ``time_s``, extrapolated with the last velocity; before the first pose at the start, on the
+        ground."""
         last = self._last
         elapsed_s = time_s - last.time_s
         north_m, east_m, down_m = (
@@ -134,7 +135,7 @@ class HeardVehicle:
         return last._replace(time_s=time_s, position_ned_m=(north_m, east_m, down_m))
 
     def is_known(self, time_s: float) -> bool:
-        """Whether it is known where the vehicle is: disarmed and not yet located, or located within `POSE_STALE_S`."""
+        """Whether the pose is known: disarmed without any pose yet, or with a pose within `POSE_STALE_S`."""
         age_s = self.age_s(time_s)
         return self.height_known and (not self.armed if age_s is None else age_s <= POSE_STALE_S)
 
@@ -143,9 +144,9 @@ class HeardVehicle:
         return None if self.source is None else time_s - self._last.time_s
 
     def _global_place(self, latitude_1e7: int, longitude_1e7: int, altitude_m: float) -> Vector:
-        """North, east and down of 0 N 0 E at sea level, as far as the neighbourhood of the first place is flat [m].
+        """North, east and down from 0 N 0 E at sea level, for a flat earth around the first position [m].
 
-        ArduPilot before 4.1 leaves the integers 0: it then flies above its starting place only.
+        ArduPilot before 4.1 leaves the integers 0; the vehicle then stays above its start.
         """
         latitude_rad, longitude_rad = math.radians(latitude_1e7 / 1e7), math.radians(longitude_1e7 / 1e7)
         if self._cos_latitude is None:
@@ -153,27 +154,27 @@ class HeardVehicle:
         return EARTH_RADIUS_M * latitude_rad, EARTH_RADIUS_M * longitude_rad * self._cos_latitude, -altitude_m
 
     def _landed_down_m(self, north_m: float, east_m: float) -> float:
-        """Down coordinate of the landed vehicle at a place [m]."""
+        """Down coordinate of the landed vehicle at a position [m]."""
         return -self._elevation_m(north_m, east_m) - self._clearance_m
 
     def _land(self) -> None:
-        """Move the origin of heights so that the vehicle stands on the ground at its last pose."""
+        """Shift the origin of heights so that the vehicle stands on the ground at its last pose."""
         north_m, east_m, down_m = self._last.position_ned_m
         landed_m = self._landed_down_m(north_m, east_m)
         self._last = self._last._replace(position_ned_m=(north_m, east_m, landed_m))
         origin = self._origin_m
         self._origin_m = (origin[0], origin[1], origin[2] + down_m - landed_m)
 
-    def _take(self, source: str, now_s: float, place: Vector, angles: EulerAngles, velocity: Vector) -> None:
+    def _set_pose(self, source: str, now_s: float, place: Vector, angles: EulerAngles, velocity: Vector) -> None:
         if source != self.source:
-            # Another message counts from another place: the vehicle has not moved.
+            # Another message type has another origin; the vehicle itself has not moved.
             here = self.pose(now_s).position_ned_m
             self._origin_m = (place[0] - here[0], place[1] - here[1], place[2] - here[2])
             self.source = source
         origin = self._origin_m
         position = (place[0] - origin[0], place[1] - origin[1], place[2] - origin[2])
         self._last = Pose(now_s, position, *angles, velocity)
-        self.heard[source] += 1
+        self.poses_received[source] += 1
 
 
 def euler_angles(w: float, x: float, y: float, z: float) -> EulerAngles:
@@ -193,40 +194,40 @@ def euler_angles(w: float, x: float, y: float, z: float) -> EulerAngles:
 
 
 def landed_clearance_m(airframe: Airframe) -> float:
-    """The clearance with which the lowest sensor stands its shortest reading above the ground [m]."""
+    """The clearance at which the lowest sensor is at its minimum range above the ground [m]."""
     return max(sensor.position_m[2] + sensor.sensor_model.minimum_cm / 100 for sensor in airframe.sensors)
 
 
 class Sitl:
-    """The real bridge on emulated sensors below a vehicle that its autopilot simulates.
+    """The real bridge with emulated sensors on a vehicle that its autopilot simulates.
 
-    While it is not known where the vehicle is, no sensor answers: a distance would be made up.
+    While the pose is unknown no sensor answers, because a distance would be invented.
 
     Parameters
     ----------
     airframe
         The vehicle.
     clock
-        In real time, as the autopilot's.
+        The system's clock: the autopilot's simulator runs in real time.
     transport
         The link to the autopilot.
     world
-        What is there.
+        Ground, objects and air.
     seed
-        Of all chance.
+        Random seed.
     model
-        What the sensors read by, for all of them; None: each sensor's own model file.
+        Sensor model for all sensors; None: each sensor's own model file.
     clearance_m
-        How high the vehicle's reference point stands above the ground when landed [m]; None: so high that the lowest
-        sensor reads its minimum.
+        Height of the vehicle's reference point above the ground when landed [m]; None: such that the lowest sensor
+        reads its minimum.
     start_m
-        North and east of the place in the world where the first pose is heard [m].
+        North and east of the vehicle in the world at the first pose [m].
     faults
-        What goes wrong with the sensors, by sensor; times count from the beginning.
+        Faults by sensor; times count from the start.
     recorder
-        Keeps every stage of every reading and the truth.
+        Records every stage of every reading, and the truth.
     report
-        Called with (severity, text) at every change of health.
+        Called with (severity, text) for every health message.
     """
 
     def __init__(
@@ -250,7 +251,7 @@ class Sitl:
         self._start_s = clock.now()
         self._world = world
         self._report = report
-        self.vehicle = HeardVehicle(world.elevation_m, clearance_m, start_m)
+        self.vehicle = AutopilotVehicle(world.elevation_m, clearance_m, start_m)
         models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
         self._log = FlightLog(airframe, models, world, self.vehicle.pose, self._start_s, recorder)
         self.flight = self._log.flight
@@ -261,7 +262,7 @@ class Sitl:
             self._known_pose,
             self.now_s,
             SeedSequence(seed),
-            self._log.keep_truth,
+            self._log.record_truth,
             faults or {},
         )
         self._bridge = Bridge(
@@ -270,33 +271,33 @@ class Sitl:
             clock,
             transport,
             recorder=recorder,
-            report=self._note,
-            hear=lambda now_s, message: self.vehicle.hear(now_s - self._start_s, message),
+            report=self._on_health,
+            hear=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             thermometer=LoopReader(self._thermometer),
         )
 
     def now_s(self) -> float:
-        """Time since the beginning [s]."""
+        """Time since the start [s]."""
         return self._clock.now() - self._start_s
 
     def height_m(self) -> float:
-        """Vertical distance from the vehicle's reference point to what is below it now [m]."""
+        """Present vertical distance from the vehicle's reference point to the surface below [m]."""
         return self._world.height_m(self.vehicle.pose(self.now_s()))
 
-    def autopilot_heard(self) -> bool:
-        """True while heartbeats of an autopilot come."""
+    def is_autopilot_connected(self) -> bool:
+        """Whether heartbeats of an autopilot are being received."""
         return self._bridge.link.autopilot_heard
 
     def step(self) -> list[Step]:
-        """One step of the bridge."""
+        """Run one step of the bridge and record it."""
         steps = self._bridge.step()
         for step in steps:
-            self._log.take(step)
+            self._log.record_step(step)
         return steps
 
     def finish(self) -> FlightResult:
-        """What the flight left behind."""
+        """Complete the result of the flight and return it."""
         self._log.finish(self.now_s(), self._bridge)
         return self.flight
 
@@ -306,18 +307,18 @@ class Sitl:
         return self.vehicle.pose(time_s)
 
     def _thermometer(self, source: FileSource) -> float:
-        """The air about the vehicle, in place of this computer's own files."""
+        """Air temperature at the vehicle, instead of this computer's own files."""
         height_m = -self.vehicle.pose(self.now_s()).position_ned_m[2]
         return self._world.air_temperature_c(height_m) / source.scale
 
-    def _note(self, severity: Severity, text: str) -> None:
-        self._log.note(self.now_s(), severity, text)
+    def _on_health(self, severity: Severity, text: str) -> None:
+        self._log.record_text(self.now_s(), severity, text)
         if self._report is not None:
             self._report(severity, text)
 
 
-def start_line(vehicle: HeardVehicle) -> str | None:
-    """What is known of the vehicle's height, in one line; None before the first HEARTBEAT."""
+def start_line(vehicle: AutopilotVehicle) -> str | None:
+    """Whether the vehicle's height is known, in one line; None before the first HEARTBEAT."""
     if vehicle.height_known:
         return "the autopilot is disarmed: the vehicle stands on the ground"
     if vehicle.armed:
@@ -326,11 +327,11 @@ def start_line(vehicle: HeardVehicle) -> str | None:
 
 
 def status_line(sitl: Sitl) -> str:
-    """What happens now, in one line: time, pose and its source, height, fused distance, every sensor's last answer."""
+    """The present state in one line: time, source of the pose, height, fused distance, each sensor's last answer."""
     now_s = sitl.now_s()
     age_s = sitl.vehicle.age_s(now_s)
     if age_s is None:
-        pose = "no pose yet" if sitl.autopilot_heard() else "no autopilot yet"
+        pose = "no pose yet" if sitl.is_autopilot_connected() else "no autopilot yet"
     elif not sitl.vehicle.height_known:
         pose = f"{sitl.vehicle.source}, height unknown until disarmed"
     elif not sitl.vehicle.is_known(now_s):
@@ -339,9 +340,9 @@ def status_line(sitl: Sitl) -> str:
         pose = f"{sitl.vehicle.source}, height {sitl.height_m():.2f} m"
     fused = sitl.flight.fused
     is_new = bool(fused.time_s) and now_s - fused.time_s[-1] < POSE_STALE_S
-    said = [f"fused {fused.filtered_m[-1]:.2f} m" if is_new else "fused -"]
+    answers = [f"fused {fused.filtered_m[-1]:.2f} m" if is_new else "fused -"]
     for name, track in sitl.flight.tracks.items():
         if track.time_s:
             filtered_m = track.filtered_m[-1]
-            said.append(f"{name} {track.why[-1] if filtered_m is None else f'{filtered_m:.2f}'}")
-    return f"{now_s:6.1f} s  {pose}  {', '.join(said)}"
+            answers.append(f"{name} {track.why[-1] if filtered_m is None else f'{filtered_m:.2f}'}")
+    return f"{now_s:6.1f} s  {pose}  {', '.join(answers)}"

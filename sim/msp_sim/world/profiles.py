@@ -1,9 +1,9 @@
-"""How a simulated vehicle moves: height and horizontal track as functions of time.
+"""Motion of a simulated vehicle: height and horizontal track as functions of time.
 
-A scenario's lists of segments enter; `Course` objects leave, each the motion along one axis. Where a vehicle would be
-smooth, speed changes along a smooth step with bounded acceleration. The kinds `step`, `ramp` and
-`random` are those of a bench (the report's Table 5.3) and are as sharp as they look. Heights are over the place where
-the vehicle stood at the start, up positive [m].
+A scenario's lists of segments enter; `Course` objects leave, each the motion along one axis. Segments of a real vehicle
+change speed along a smooth step with bounded acceleration. The kinds `step`, `ramp` and `random` are those of a bench
+(the report's Table 5.3) and change abruptly. Heights are relative to the vehicle's position at the start, up positive
+[m].
 """
 
 import math
@@ -16,16 +16,17 @@ from pydantic import Field
 
 from msp_range.yaml_file import Section
 
-STEEPEST = 1.5
-"""Largest slope of the smooth step 3 u^2 - 2 u^3."""
+MAX_STEP_SLOPE = 1.5
+"""Largest slope of the smooth step 3 u^2 - 2 u^3, so the ratio of largest to mean acceleration."""
 TERRAIN_STEP_S = 0.05
-"""Time between two decisions of the terrain follower [s]."""
+"""Control period of the terrain follower [s]; smaller follows more smoothly and costs time."""
 TERRAIN_GAIN_HZ = 1.0
-"""Speed that the terrain follower wants per metre that it is off, near its goal [1/s]."""
+"""Speed per metre of height error, near the goal [1/s]: typical for an altitude controller."""
 RANDOM_RATE_HZ = 10.0
-"""Samples of the report's random range come at this rate (5.3.1)."""
-SAMPLES_OF_A_STRETCH = (5, 19)
-"""Fewest and most samples in one stretch of the random profile."""
+"""Sample rate of the report's random range (5.3.1)."""
+SAMPLES_PER_SECTION = (5, 19)
+"""Smallest and largest number of samples in a section of the random profile; chosen to look like the report's
+figures."""
 
 Positive = Annotated[float, Field(gt=0)]
 Motion = tuple[float, float, float]
@@ -33,17 +34,17 @@ Motion = tuple[float, float, float]
 
 
 class Course:
-    """Motion along one axis, put together from pieces in order of time; after the last piece it rests.
+    """Motion along one axis, made of consecutive pieces; at rest after the last one.
 
     Parameters
     ----------
     position_m
-        Where it starts, at rest [m].
+        Start position, at rest [m].
 
     Attributes
     ----------
     end_s, end_m, end_m_s
-        Time, position and speed at the end of the pieces so far [s, m, m/s].
+        Time, position and speed at the end of the present pieces [s, m, m/s].
     """
 
     def __init__(self, position_m: float) -> None:
@@ -85,11 +86,11 @@ class Course:
         self.change_speed(0.0, duration_s)
 
     def set(self, position_m: float, speed_m_s: float = 0.0) -> None:
-        """Be at another place, or at another speed, at once."""
+        """Jump to another position and speed."""
         self.end_m, self.end_m_s = position_m, speed_m_s
 
     def swing(self, by_m: float, period_s: float, cycles: int) -> None:
-        """Go to and fro between here and ``by_m`` further, s = s0 + by (1 - cos(2 pi t / T)) / 2, from rest to rest."""
+        """Oscillate between here and here + ``by_m``, s = s0 + by (1 - cos(2 pi t / T)) / 2, from rest to rest."""
         from_m, rate = self.end_m, 2 * math.pi / period_s
 
         def piece(t: float) -> Motion:
@@ -99,21 +100,21 @@ class Course:
         self._append(piece, period_s * cycles, (from_m, 0.0, 0.0))
 
     def move_to(self, to_m: float, speed_m_s: float, acceleration_m_s2: float) -> None:
-        """Go from rest here to rest at ``to_m``, never faster than given; a short way never reaches that speed."""
-        way_m = abs(to_m - self.end_m)
-        # Speeding up and slowing down each take STEEPEST v / a at the mean speed v / 2.
-        reached_m_s = min(speed_m_s, math.sqrt(way_m * acceleration_m_s2 / STEEPEST))
-        if reached_m_s > 0:
-            signed_m_s = math.copysign(reached_m_s, to_m - self.end_m)
-            speeding_s = STEEPEST * reached_m_s / acceleration_m_s2
-            self.change_speed(signed_m_s, speeding_s)
-            self.coast(max(way_m - reached_m_s * speeding_s, 0.0) / reached_m_s)
-            self.change_speed(-signed_m_s, speeding_s)
+        """Move from rest to rest at ``to_m`` with limited speed; over a short distance that speed is not reached."""
+        distance_m = abs(to_m - self.end_m)
+        # Accelerating and braking each take MAX_STEP_SLOPE v / a at the mean speed v / 2.
+        top_speed_m_s = min(speed_m_s, math.sqrt(distance_m * acceleration_m_s2 / MAX_STEP_SLOPE))
+        if top_speed_m_s > 0:
+            signed_m_s = math.copysign(top_speed_m_s, to_m - self.end_m)
+            acceleration_s = MAX_STEP_SLOPE * top_speed_m_s / acceleration_m_s2
+            self.change_speed(signed_m_s, acceleration_s)
+            self.coast(max(distance_m - top_speed_m_s * acceleration_s, 0.0) / top_speed_m_s)
+            self.change_speed(-signed_m_s, acceleration_s)
         self.set(to_m)
 
     def stop(self, acceleration_m_s2: float) -> None:
         """Come to rest."""
-        self.change_speed(-self.end_m_s, STEEPEST * abs(self.end_m_s) / acceleration_m_s2)
+        self.change_speed(-self.end_m_s, MAX_STEP_SLOPE * abs(self.end_m_s) / acceleration_m_s2)
         self.set(self.end_m)
 
     def _append(self, piece: Callable[[float], Motion], duration_s: float, end: Motion) -> None:
@@ -124,11 +125,11 @@ class Course:
 
 
 class HoldSegment(Section):
-    """Stay at the present height."""
+    """Keep the present height."""
 
     kind: Literal["hold"]
     duration_s: Positive
-    """how long [s]"""
+    """duration [s]"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``."""
@@ -136,11 +137,11 @@ class HoldSegment(Section):
 
 
 class ClimbSegment(Section):
-    """Take off, climb or descend to a height at a speed, and stop there."""
+    """Take off, climb or descend to a height, and stop there."""
 
     kind: Literal["climb"]
     to_m: float
-    """height over the starting place [m]"""
+    """height above the starting point [m]"""
     speed_m_s: Positive = 1.0
     """largest vertical speed, up or down [m/s]"""
     acceleration_m_s2: Positive = 1.0
@@ -152,7 +153,7 @@ class ClimbSegment(Section):
 
 
 class LandSegment(Section):
-    """Descend to the surface below and stay on it."""
+    """Descend to the surface below, and stay on it."""
 
     kind: Literal["land"]
     speed_m_s: Positive = 0.5
@@ -161,16 +162,16 @@ class LandSegment(Section):
     """largest vertical acceleration [m/s^2]"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
-        """Append this segment to ``height``; the surface is the one below at its beginning."""
+        """Append this segment to ``height``; the surface is that below the vehicle when the segment starts."""
         height.move_to(surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
 
 
 class StepSegment(Section):
-    """Be at another height at once, as when a bench's target is exchanged."""
+    """Jump to another height, as when the target of a bench is replaced."""
 
     kind: Literal["step"]
     to_m: float
-    """height over the starting place [m]"""
+    """height above the starting point [m]"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``; it takes no time."""
@@ -178,13 +179,13 @@ class StepSegment(Section):
 
 
 class RampSegment(Section):
-    """Change height at constant speed, with sharp corners."""
+    """Change height at constant speed, with abrupt start and end."""
 
     kind: Literal["ramp"]
     to_m: float
-    """height over the starting place at the end [m]"""
+    """height above the starting point at the end [m]"""
     duration_s: Positive
-    """how long it takes [s]"""
+    """duration [s]"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``."""
@@ -192,15 +193,15 @@ class RampSegment(Section):
 
 
 class SinusoidSegment(Section):
-    """Swing between the present height and another one, from rest to rest."""
+    """Oscillate between the present height and another one, from rest to rest."""
 
     kind: Literal["sinusoid"]
     swing_m: float
-    """from the present height to the other end of the swing, up positive: twice the amplitude [m]"""
+    """distance from the present height to the other turning point, up positive: twice the amplitude [m]"""
     period_s: Positive
-    """time of one cycle [s]"""
+    """period [s]"""
     cycles: Annotated[int, Field(ge=1, le=100_000)]
-    """how many whole cycles"""
+    """number of whole cycles"""
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``."""
@@ -208,13 +209,13 @@ class SinusoidSegment(Section):
 
 
 class TerrainSegment(Section):
-    """Keep a height above the surface below, as fast as the vehicle can."""
+    """Keep a height above the surface below, within the vehicle's limits."""
 
     kind: Literal["terrain"]
     height_m: Positive
     """height to keep above the surface below [m]"""
     duration_s: Positive
-    """how long [s]; a moment more where it still moves at the end, until it has come to rest"""
+    """duration [s]; if the vehicle still moves at the end, until it has stopped"""
     speed_m_s: Positive = 1.5
     """largest vertical speed [m/s]"""
     acceleration_m_s2: Positive = 2.0
@@ -223,10 +224,10 @@ class TerrainSegment(Section):
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``.
 
-        The wanted speed is proportional to the error near the goal, and further off the one from which half the
-        acceleration still stops in time, v = sqrt(a |error|).
+        Near the goal the speed is proportional to the error; further away it is that from which half of the
+        acceleration is enough to stop in time, v = sqrt(a |error|).
         """
-        most_change_m_s = self.acceleration_m_s2 * TERRAIN_STEP_S / STEEPEST
+        most_change_m_s = self.acceleration_m_s2 * TERRAIN_STEP_S / MAX_STEP_SLOPE
         for _ in range(round(self.duration_s / TERRAIN_STEP_S)):
             error_m = surface_m(height.end_s) + self.height_m - height.end_m
             near_m_s, far_m_s = TERRAIN_GAIN_HZ * abs(error_m), math.sqrt(self.acceleration_m_s2 * abs(error_m))
@@ -237,16 +238,16 @@ class TerrainSegment(Section):
 
 
 class RandomSegment(Section):
-    """The report's random range (5.3): sharp changes, slopes and few steady parts.
+    """The report's random range (5.3): jumps, slopes and short constant sections.
 
-    Stretches of 5 to 19 samples at 10 Hz; half of them are constant at a new level, half a ramp from the last value
-    to a new level. Levels are uniform between ``low_m`` and ``high_m``. The report shows pictures and no recipe; this
-    is one that gives what they show.
+    Sections of 5 to 19 samples at 10 Hz; half of them are constant at a new level, half a ramp from the last value to a
+    new level. Levels are uniform between ``low_m`` and ``high_m``. The report has only figures of it; this rule
+    reproduces their look.
     """
 
     kind: Literal["random"]
     duration_s: Positive
-    """how long [s]"""
+    """duration [s]"""
     low_m: float = 2.3
     """lowest level [m]"""
     high_m: float = 3.6
@@ -254,15 +255,15 @@ class RandomSegment(Section):
 
     def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
         """Append this segment to ``height``."""
-        fewest, most = SAMPLES_OF_A_STRETCH
+        fewest, most = SAMPLES_PER_SECTION
         end_s = height.end_s + self.duration_s
         while height.end_s < end_s - 1e-9:
-            stretch_s = int(generator.integers(fewest, most, endpoint=True)) / RANDOM_RATE_HZ
+            section_s = int(generator.integers(fewest, most, endpoint=True)) / RANDOM_RATE_HZ
             is_ramp = generator.random() < 0.5
             level_m = float(generator.uniform(self.low_m, self.high_m))
-            flown_s = min(stretch_s, end_s - height.end_s)
+            flown_s = min(section_s, end_s - height.end_s)
             if is_ramp:
-                _ramp(height, height.end_m + (level_m - height.end_m) * flown_s / stretch_s, flown_s)
+                _ramp(height, height.end_m + (level_m - height.end_m) * flown_s / section_s, flown_s)
             else:
                 height.set(level_m)
                 height.coast(flown_s)
@@ -288,17 +289,17 @@ def _ramp(height: Course, to_m: float, duration_s: float) -> None:
 
 
 def altitude(segments: Sequence[Segment], surface_m: Callable[[float], float], generator: Generator) -> Course:
-    """Height over the starting place as a function of time.
+    """Height above the starting point as a function of time.
 
     Parameters
     ----------
     segments
-        What is flown, in order.
+        Segments in order.
     surface_m
-        Height of the surface below the vehicle at a time [s], over the starting place [m]; asked for by landing and
+        Height of the surface below the vehicle at a time [s], relative to the starting point [m]; used by landing and
         terrain following only.
     generator
-        Draws the random levels.
+        Draws random levels.
     """
     height = Course(0.0)
     for segment in segments:
@@ -307,34 +308,34 @@ def altitude(segments: Sequence[Segment], surface_m: Callable[[float], float], g
 
 
 class Leg(Section):
-    """A part of the horizontal track at one speed and heading."""
+    """A part of the horizontal track with constant speed and heading."""
 
     duration_s: Positive
-    """how long [s], with the change of speed from the leg before at its beginning"""
+    """duration [s], including the change of speed at its start"""
     speed_m_s: Annotated[float, Field(ge=0)] = 0.0
-    """speed over ground [m/s]; 0 waits"""
+    """speed over ground [m/s]; 0: wait"""
     heading_deg: float = 0.0
-    """where it goes, from north to east [deg]"""
+    """direction of motion, from north to east [deg]"""
 
 
 class TrackSection(Section):
-    """Where the vehicle goes over the ground; after the last leg it comes to rest."""
+    """Horizontal motion; after the last leg the vehicle stops."""
 
     start_m: tuple[float, float] = (0.0, 0.0)
-    """where it stands at the start, north and east [m]"""
+    """north and east coordinates at the start [m]"""
     acceleration_m_s2: Positive = 1.0
     """largest horizontal acceleration [m/s^2]"""
     legs: tuple[Leg, ...] = ()
-    """in order, from the start of the scenario"""
+    """legs in order, from the start of the scenario"""
 
     def courses(self) -> tuple[Course, Course]:
-        """North and east as functions of time."""
+        """North and east coordinates as functions of time."""
         north, east = Course(self.start_m[0]), Course(self.start_m[1])
         for leg in (*self.legs, None):
             speed_m_s, heading_rad = (leg.speed_m_s, math.radians(leg.heading_deg)) if leg else (0.0, 0.0)
             by_north_m_s = speed_m_s * math.cos(heading_rad) - north.end_m_s
             by_east_m_s = speed_m_s * math.sin(heading_rad) - east.end_m_s
-            change_s = STEEPEST * math.hypot(by_north_m_s, by_east_m_s) / self.acceleration_m_s2
+            change_s = MAX_STEP_SLOPE * math.hypot(by_north_m_s, by_east_m_s) / self.acceleration_m_s2
             if leg and change_s > leg.duration_s:
                 by_north_m_s *= leg.duration_s / change_s
                 by_east_m_s *= leg.duration_s / change_s

@@ -1,13 +1,12 @@
-"""The ground and the objects on it, and which of them a beam hears.
+"""The ground and the objects on it, and the echoes that they return.
 
-`GroundSection`, a scenario's section, enters; `Terrain` and `Block` leave, which list the echoes of a ping and what a ray
-meets. The ground is a plane with a slope and with steps along one heading; upright boxes stand on it. World frame NED,
-its origin on the ground; heights are over the origin, up positive.
+A scenario's `GroundSection` enters; `Terrain` and `Block` leave, which list the echoes of a ping and find where a ray
+ends. The ground is a plane with a slope and with steps along one heading; upright boxes stand on it. World frame NED
+with its origin on the ground; heights are above the origin, up positive.
 
-What a sensor hears of a smooth face is the echo from the foot of the perpendicular, as from a mirror, where that foot
-lies within the breakaway angle of the beam (the report's 4.3.3 measured that angle against a wall). The edge of a step
-or of a box answers from its nearest point within the beam. Corners that reflect back whatever comes, shadows behind
-objects and echoes by way of a second surface are left out.
+A smooth face returns an echo like a mirror, from the foot of the perpendicular, if that lies within the breakaway angle
+of the beam (report 4.3.3 measured this angle against a wall). The edge of a step or box returns an echo from its
+nearest point within the beam. Not modelled: corner reflectors, shadows behind objects, echoes via a second surface.
 """
 
 import math
@@ -21,73 +20,73 @@ from msp_range.yaml_file import Section
 from msp_sim.world.profiles import Positive
 
 EDGE_REACH_M = 50.0
-"""How far to either side the edge of a step is looked at; it has no ends [m]."""
+"""Half length of a step's edge [m], which stands for an infinite one: far beyond any beam."""
 TOUCH_M = 1e-6
-"""A point that is no deeper in a surface than this stands on it [m]."""
-MOST_STEPS = 50
-"""An edge that touches the beam's limit is followed along it for so many steps."""
+"""Depth below a surface at which a point still counts as on it [m]: rounding errors."""
+MAX_ITERATIONS = 50
+"""Largest number of iterations in which the point where an edge enters the beam is found; a few are typical."""
 WAVES = 24
-"""Waves that make up a rough surface."""
+"""Number of sine waves of which a rough surface is the sum; more cost time and make it more Gaussian."""
 GOLDEN_ANGLE_RAD = math.pi * (3 - math.sqrt(5))
 PARALLEL = 1e-12
-"""Below this a quadratic is taken for linear."""
+"""Leading coefficient below which a quadratic equation is solved as a linear one."""
 
 HalfAngle = Callable[[float], float]
-"""Largest angle off the boresight [rad] from which an echo at a range [m] is heard; does not grow with range."""
+"""Half angle of the beam [rad] at a range [m]; does not grow with range."""
 
 
 class GroundStep(Section):
     """A line across the ground where its height, its surface or both change."""
 
     at_m: float
-    """where, as a distance from the origin along `steps_heading_deg` [m]"""
+    """distance from the origin along `steps_heading_deg` [m]"""
     rise_m: float = 0.0
-    """how much higher the ground is beyond it; negative where it is lower [m]"""
+    """how much higher the ground is beyond it; negative: lower [m]"""
     surface: str | None = None
-    """name of the surface beyond it; as before it where absent"""
+    """name of the surface beyond it; default: the same as before"""
 
 
 class Box(Section):
     """An upright object with a level top: a crate, a wall, a table."""
 
     surface: str = "box"
-    """name of what it is or is made of"""
+    """name of the object or its material"""
     centre_m: tuple[float, float]
-    """north and east of its middle [m]"""
+    """north and east coordinates of its centre [m]"""
     size_m: tuple[Positive, Positive]
-    """along its heading and across [m]"""
+    """length along its heading, and width [m]"""
     height_m: Positive
-    """of its top over the ground at its middle [m]"""
+    """height of its top above the ground at its centre [m]"""
     heading_deg: float = 0.0
-    """how it is turned, from north to east [deg]"""
+    """heading of its length, from north to east [deg]"""
 
 
 class Roughness(Section):
-    """Tufts and hollows of a surface, which stay where they are."""
+    """Roughness of a surface, constant in time."""
 
     rms_m: Annotated[float, Field(gt=0, le=0.2)]
-    """root mean square of their heights over the mean surface, which is what heights above ground count from [m]"""
+    """root mean square of the height relative to the mean surface, from which heights above ground are counted [m]"""
     length_m: Annotated[float, Field(gt=0, le=10)] = 0.3
-    """typical distance from one tuft to the next [m]"""
+    """typical distance between two bumps [m]"""
 
 
 class GroundSection(Section):
-    """What lies and stands below."""
+    """The ground and the objects on it."""
 
     surface: str = "grass"
     """name of the surface before the first step"""
     rough: dict[str, Roughness] = Field(default_factory=dict)
-    """how rough surfaces are, by name; the others, and the tops of boxes, are smooth"""
+    """roughness of surfaces by name; the others, and the tops of boxes, are smooth"""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
-    """how steeply the ground rises [deg]"""
+    """slope of the ground [deg]"""
     uphill_deg: float = 0.0
-    """heading in which it rises, from north to east [deg]"""
+    """heading in which the ground rises, from north to east [deg]"""
     steps_heading_deg: float = 0.0
-    """heading along which the steps' distances are counted, from north to east [deg]"""
+    """heading along which the distances of steps are measured, from north to east [deg]"""
     steps: tuple[GroundStep, ...] = ()
-    """in order of distance"""
+    """steps in order of distance"""
     boxes: tuple[Box, ...] = ()
-    """in any order; they should not overlap"""
+    """boxes in any order; they should not overlap"""
 
     @model_validator(mode="after")
     def _steps_in_order(self) -> "GroundSection":
@@ -98,7 +97,7 @@ class GroundSection(Section):
 
 
 class Echo(NamedTuple):
-    """What answers a ping, or what a ray meets.
+    """An echo of a ping, or the point where a ray ends.
 
     Attributes
     ----------
@@ -126,7 +125,7 @@ _Found = tuple[float, Vector, float]
 
 
 def face_echo(range_m: float, into: Vector, axis: Vector, half_angle_rad: HalfAngle) -> _Found | None:
-    """The echo of a smooth face whose perpendicular foot is ``range_m`` away along ``into``; None where unheard."""
+    """Echo of a smooth face whose perpendicular foot is ``range_m`` away along ``into``; None outside the beam."""
     cos_incidence = dot(axis, into)
     if cos_incidence <= 0 or cos_incidence < math.cos(half_angle_rad(range_m)):
         return None
@@ -136,7 +135,7 @@ def face_echo(range_m: float, into: Vector, axis: Vector, half_angle_rad: HalfAn
 def edge_echo(
     point: Vector, along: Vector, low_m: float, high_m: float, axis: Vector, half_angle_rad: HalfAngle
 ) -> _Found | None:
-    """The echo of a straight edge from its nearest point within the beam; None where it is outside.
+    """Echo of a straight edge from its nearest point within the beam; None if it is outside.
 
     The edge is p + t d for low <= t <= high, p relative to the sensor and d a unit vector. It is within the cone of
     half angle a about the unit vector b where (b . p + t b . d)^2 >= cos(a)^2 |p + t d|^2, which is quadratic in t.
@@ -146,11 +145,11 @@ def edge_echo(
     t = nearest_t
     range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
     cos_half = math.cos(half_angle_rad(range_m))
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_ITERATIONS):
         if on_axis + t * axis_along >= (range_m - TOUCH_M) * cos_half:
             break
-        # Outside the beam that is this wide. Its end nearest to here is further away, where the beam may be narrower
-        # still: the ends move one way only, until one is inside or there is none.
+        # The point is outside the beam at this range. The nearest point inside a cone of this angle is further away,
+        # where the beam may be narrower. So the points only move outwards, until one is inside or there is none.
         ends = _cone_ends(on_axis, axis_along, square, across, cos_half)
         inside = [end for end in ends if low_m <= end <= high_m and on_axis + end * axis_along > 0]
         if not inside:
@@ -169,7 +168,7 @@ def edge_echo(
 
 
 def _cone_ends(on_axis: float, axis_along: float, square: float, across: float, cos_half: float) -> tuple[float, ...]:
-    """Where a line crosses a cone's surface; see `edge_echo`."""
+    """Parameters t at which a line crosses a cone's surface; see `edge_echo`."""
     k = cos_half * cos_half
     a = axis_along * axis_along - k
     b = on_axis * axis_along - k * across
@@ -183,29 +182,29 @@ def _cone_ends(on_axis: float, axis_along: float, square: float, across: float, 
     return ((-b - root) / a, (-b + root) / a)
 
 
-class Tufts:
-    """Heights of a rough surface over its mean: a sum of waves of all directions, the same whenever it is asked.
+class RoughSurface:
+    """Height of a rough surface relative to its mean: a sum of waves of all directions, constant in time.
 
-    Directions and phases are spread evenly (golden angle), not drawn: the roughness is part of the scenario.
+    Directions and phases are evenly distributed (golden angle), not random: the roughness is part of the scenario.
     """
 
     def __init__(self, roughness: Roughness) -> None:
         self._scale_m = roughness.rms_m * math.sqrt(2 / WAVES)
         self._waves = []
         for i in range(WAVES):
-            # From 0.7 to 1.4 waves in a length.
+            # 0.7 to 1.4 waves per length.
             number = 2 * math.pi / roughness.length_m * 0.7 * 2 ** (i % 5 / 4)
             angle = i * GOLDEN_ANGLE_RAD
             self._waves.append((number * math.cos(angle), number * math.sin(angle), i * i * GOLDEN_ANGLE_RAD))
 
     def height_m(self, north_m: float, east_m: float) -> float:
-        """Over the mean surface [m]."""
+        """Height relative to the mean surface [m]."""
         return self._scale_m * sum([math.cos(kn * north_m + ke * east_m + phase) for kn, ke, phase in self._waves])
 
 
 class _Wall(NamedTuple):
-    """The upright face of a step: its distance along the steps' heading, and the rises at its foot and its lip [m].
-    ``up`` is 1 where the ground is higher beyond it, -1 where it is lower; the surface is that of the higher side."""
+    """The upright face of a step: its distance along the steps' heading, and the heights of its foot and edge [m].
+    ``up`` is 1 if the ground is higher beyond it, -1 if lower; the surface is that of the higher side."""
 
     at_m: float
     low_m: float
@@ -233,7 +232,7 @@ class Terrain:
         grade_across = self._grade_e * self._heading_n - self._grade_n * self._heading_e
         length = math.hypot(1.0, grade_across)
         self._lip = (-self._heading_e / length, self._heading_n / length, -grade_across / length)
-        self._tufts = {name: Tufts(roughness) for name, roughness in ground.rough.items()}
+        self._rough = {name: RoughSurface(roughness) for name, roughness in ground.rough.items()}
         starts_m = [-math.inf, *(step.at_m for step in ground.steps)]
         rises_m, surfaces = [0.0], [ground.surface]
         self._walls = []
@@ -249,7 +248,7 @@ class Terrain:
         self._strips = list(zip(starts_m, [*starts_m[1:], math.inf], rises_m, surfaces, strict=True))
 
     def elevation_m(self, north_m: float, east_m: float) -> float:
-        """Height of the ground over the origin [m]."""
+        """Height of the ground above the origin [m]."""
         x = self._along_m(north_m, east_m)
         rise_m = 0.0
         for start_m, _, strip_rise_m, _ in self._strips:
@@ -259,16 +258,16 @@ class Terrain:
         return self._plane_m(north_m, east_m) + rise_m
 
     def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Iterator[Echo]:
-        """Whatever of the ground is heard from ``sensor`` [m, NED] looking along ``axis``, in no order."""
+        """Echoes of the ground for a sensor at ``sensor`` [m, NED] with boresight ``axis``, in no particular order."""
         x = self._along_m(sensor[0], sensor[1])
         base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
         into_along = self._grade_along * self._cos_slope
         for start_m, end_m, rise_m, surface in self._strips:
             range_m = (base_m - rise_m) * self._cos_slope
             if start_m <= x + range_m * into_along < end_m:
-                if surface in self._tufts:
+                if surface in self._rough:
                     foot = sensor[0] + range_m * self._into[0], sensor[1] + range_m * self._into[1]
-                    range_m -= self._tufts[surface].height_m(*foot) * self._cos_slope
+                    range_m -= self._rough[surface].height_m(*foot) * self._cos_slope
                 flat = face_echo(max(range_m, 0.0), self._into, axis, half_angle_rad)
                 if flat:
                     yield Echo(*flat, surface, None)
@@ -288,11 +287,11 @@ class Terrain:
                     yield Echo(*edge, surface, None)
 
     def ray(self, sensor: Vector, axis: Vector) -> Echo | None:
-        """Where a ray first meets the ground; its range is the perpendicular to the plane that it meets."""
+        """First point where a ray meets the ground; its range is the perpendicular distance to that plane."""
         x = self._along_m(sensor[0], sensor[1])
         base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
         ahead = self._along_m(axis[0], axis[1])
-        # Height over the planes that a metre of the ray loses.
+        # Loss of height above the planes per metre of the ray.
         sinks = axis[2] + self._plane_m(axis[0], axis[1])
         found = []
         if sinks > 0:
@@ -319,7 +318,7 @@ class Terrain:
 
 
 class Block:
-    """A `Box` on the ground. Its own frame: x along its heading, y across, z down, origin in the middle of its top."""
+    """A `Box` on the ground. Its own frame: x along its heading, y across, z down, origin at the centre of its top."""
 
     def __init__(self, box: Box, terrain: Terrain) -> None:
         self._terrain = terrain
@@ -336,14 +335,14 @@ class Block:
         self._radius_m = math.hypot(self._half_x, self._half_y, self._half_height_m)
 
     def covers(self, north_m: float, east_m: float) -> bool:
-        """Whether this place on the ground is below it."""
+        """Whether this position on the ground is covered by the box."""
         north_m, east_m = north_m - self._north_m, east_m - self._east_m
         along_m, across_m = self._cos * north_m + self._sin * east_m, self._cos * east_m - self._sin * north_m
         return -self._half_x <= along_m <= self._half_x and -self._half_y <= across_m <= self._half_y
 
     def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Iterator[Echo]:
-        """Whatever of it is heard from ``sensor`` [m, NED] looking along ``axis``, in no order."""
-        if not self._may_be_heard(sensor, axis, half_angle_rad):
+        """Echoes of the box for a sensor at ``sensor`` [m, NED] with boresight ``axis``, in no particular order."""
+        if not self._may_return_echo(sensor, axis, half_angle_rad):
             return
         half_x, half_y = self._half_x, self._half_y
         x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
@@ -356,7 +355,7 @@ class Block:
                 yield self._echo(top)
                 return
         if above_m < 0 and beside_x != beside_y:
-            # Level with its side and in front of it.
+            # In front of one of its sides, below its top.
             range_m = abs(x) - half_x if beside_x else abs(y) - half_y
             into = (-math.copysign(1.0, x), 0.0, 0.0) if beside_x else (0.0, -math.copysign(1.0, y), 0.0)
             foot = self._place(x + range_m * into[0], y + range_m * into[1])
@@ -369,7 +368,7 @@ class Block:
                 yield self._echo(point)
 
     def ray(self, sensor: Vector, axis: Vector) -> Echo | None:
-        """Where a ray enters it from outside; it is taken to reach down without end."""
+        """Point where a ray enters the box from outside; the box is treated as extending down without limit."""
         x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
         own_axis = (*self._turn(axis[0], axis[1]), axis[2])
         enters_m, leaves_m, side = -math.inf, math.inf, 0
@@ -395,8 +394,8 @@ class Block:
         into = (sign if side == 0 else 0.0, sign if side == 1 else 0.0, sign if side == 2 else 0.0)
         return self._echo((slant_m * abs(own_axis[side]), into, slant_m))
 
-    def _may_be_heard(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> bool:
-        """False where the sphere around it lies outside the beam; quick."""
+    def _may_return_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> bool:
+        """Quick test: False if the sphere around the box lies outside the beam."""
         middle_down_m = self._half_height_m - self.top_m
         to_middle = (self._north_m - sensor[0], self._east_m - sensor[1], middle_down_m - sensor[2])
         distance_m = math.sqrt(dot(to_middle, to_middle))
@@ -406,7 +405,7 @@ class Block:
         return angle_rad <= half_angle_rad(distance_m - self._radius_m) + math.asin(self._radius_m / distance_m)
 
     def _edges(self, x: float, y: float, above_m: float) -> Iterator[tuple[Vector, Vector, float, float]]:
-        """The edges to be seen from (x, y) and this height over its top, as `edge_echo` takes them."""
+        """Edges visible from (x, y) at this height above its top, as arguments for `edge_echo`."""
         half_x, half_y = self._half_x, self._half_y
         for sign in (-1.0, 1.0):
             if above_m > 0 or sign * x > half_x:
@@ -421,11 +420,11 @@ class Block:
                     yield (corner_x - x, corner_y - y, above_m), (0.0, 0.0, 1.0), 0.0, down_m
 
     def _turn(self, north: float, east: float) -> tuple[float, float]:
-        """Into its own frame."""
+        """Rotate a vector into the box's frame."""
         return self._cos * north + self._sin * east, self._cos * east - self._sin * north
 
     def _place(self, x: float, y: float) -> tuple[float, float]:
-        """North and east of a point in its own frame [m]."""
+        """North and east coordinates of a point in the box's frame [m]."""
         return self._north_m + self._cos * x - self._sin * y, self._east_m + self._sin * x + self._cos * y
 
     def _echo(self, found: _Found) -> Echo:

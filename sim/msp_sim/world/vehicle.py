@@ -1,7 +1,7 @@
-"""Where the simulated vehicle is, how it is turned and how fast it moves.
+"""Position, attitude and velocity of the simulated vehicle.
 
-A scenario's flight enters, a `Pose` for each time asked leaves. Plain floats, as it is asked about for every ping.
-World frame NED with its origin on the ground, body frame FRD.
+A scenario's `FlightSection` enters, a `Pose` for any time leaves. It computes with plain floats for speed, because it
+is called for every ping. World frame NED with its origin on the ground, body frame FRD.
 """
 
 import math
@@ -17,28 +17,28 @@ from msp_sim.world.profiles import Positive, Segment, TrackSection, altitude
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.5
-"""At which the thrust carries the weight: a usual layout."""
+"""Throttle at which the thrust equals the weight; typical."""
 IDLE_THROTTLE = 0.1
-"""Of a vehicle that stands with its rotors turning, assumed."""
-SWAYS_FULLY_AT_M = 0.5
-"""Height above the surface from which on the whole sway shows; a vehicle that stands does not sway [m]."""
+"""Throttle of a vehicle on the ground with its rotors turning; assumed."""
+FULL_SWAY_HEIGHT_M = 0.5
+"""Height above the surface from which the vehicle sways fully [m]; on the ground it does not sway."""
 
 
 class Pose(NamedTuple):
-    """The vehicle at one time.
+    """Position, attitude and velocity of the vehicle at one time.
 
     Attributes
     ----------
     time_s
         Time [s].
     position_ned_m
-        Of the body frame's origin, north, east and down [m].
+        Body frame's origin, north, east and down [m].
     roll_rad, pitch_rad, yaw_rad
         Euler angles, intrinsic z-y'-x'' as in `msp_range.geometry` [rad].
     velocity_ned_m_s
-        North, east and down [m/s].
+        Velocity north, east and down [m/s].
     throttle
-        0 to 1; None where it is not known.
+        0 to 1; None if unknown.
     """
 
     time_s: float
@@ -51,18 +51,18 @@ class Pose(NamedTuple):
 
 
 class Sway(Section):
-    """Small irregular swings in roll and pitch while the vehicle flies."""
+    """Small irregular oscillation of roll and pitch in flight."""
 
     roll_rms_deg: Annotated[float, Field(ge=0)] = 1.0
-    """root mean square of the roll [deg]; it never exceeds 2.5 times this"""
+    """root mean square of the roll [deg]; at most 2.5 times this"""
     pitch_rms_deg: Annotated[float, Field(ge=0)] = 1.0
-    """root mean square of the pitch [deg]; it never exceeds 2.5 times this"""
+    """root mean square of the pitch [deg]; at most 2.5 times this"""
     period_s: Positive = 2.0
-    """typical time of one swing [s]"""
+    """typical period [s]"""
 
 
 class AttitudeSection(Section):
-    """How the vehicle is turned."""
+    """The vehicle's attitude."""
 
     roll_deg: float = 0.0
     """mean roll, right side down positive [deg]"""
@@ -71,9 +71,9 @@ class AttitudeSection(Section):
     yaw_deg: float = 0.0
     """heading of the nose, from north to east [deg]; constant"""
     sway: Sway | None = None
-    """swings about the mean; none where it is absent"""
+    """oscillation about the mean; default: none"""
     tilt_with_acceleration: bool = True
-    """lean into horizontal acceleration as a multicopter must"""
+    """tilt with horizontal acceleration, as a multicopter does"""
 
 
 class EulerAngles(NamedTuple):
@@ -85,10 +85,9 @@ class EulerAngles(NamedTuple):
 
 
 class AttitudeModel:
-    """The vehicle's Euler angles as a function of time and of what it does.
+    """The vehicle's Euler angles as a function of time and acceleration.
 
-    Sway is a sum of three sinusoids in roll and in pitch, whose periods and phases ``generator`` draws: irregular,
-    smooth, and the same whenever it is asked.
+    Sway is a sum of three sinusoids each in roll and pitch, whose periods and phases ``generator`` draws once.
     """
 
     def __init__(self, section: AttitudeSection, generator: Generator) -> None:
@@ -100,10 +99,10 @@ class AttitudeModel:
         self._pitch_swings = _swings(sway.pitch_rms_deg, sway.period_s, generator)
 
     def at(self, time_s: float, north_m_s2: float, east_m_s2: float, sways: float) -> tuple[float, float, float]:
-        """Roll, pitch and yaw [rad] at ``time_s`` under a horizontal acceleration.
+        """Roll, pitch and yaw [rad] at ``time_s`` with a horizontal acceleration.
 
-        Thrust along the body's up axis gives the acceleration and carries the weight where tan(-pitch) = a_forward / g
-        and tan(roll) = a_right cos(pitch) / g.
+        Thrust along the body's up axis balances weight and acceleration if tan(-pitch) = a_forward / g and tan(roll) =
+        a_right cos(pitch) / g.
 
         Parameters
         ----------
@@ -112,7 +111,7 @@ class AttitudeModel:
         north_m_s2, east_m_s2
             Horizontal acceleration [m/s^2].
         sways
-            Share of the sway that shows, 0 (it stands) to 1.
+            Factor on the sway, 0 (on the ground) to 1.
         """
         roll_rad, pitch_rad, yaw_rad = self._mean
         if sways:
@@ -128,7 +127,7 @@ class AttitudeModel:
 
 
 def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
-    """Thrust over weight, in units of the throttle at which the vehicle hovers; drag is left out."""
+    """Throttle for a given acceleration: thrust over weight times the hover throttle; drag is neglected."""
     thrust_m_s2 = math.hypot(north_m_s2, east_m_s2, GRAVITY_M_S2 + up_m_s2)
     return min(HOVER_THROTTLE * thrust_m_s2 / GRAVITY_M_S2, 1.0)
 
@@ -156,34 +155,34 @@ def _swing_at(swings: tuple[_Swing, _Swing, _Swing], time_s: float) -> float:
 
 
 class FlightSection(Section):
-    """What the vehicle does."""
+    """The vehicle's motion."""
 
     standing_height_m: Annotated[float, Field(ge=0)] = 0.25
-    """height of the body frame's origin above the surface that the vehicle stands on [m]"""
+    """height of the body frame's origin above the surface when the vehicle stands on it [m]"""
     altitude: Annotated[tuple[Segment, ...], Field(min_length=1)]
-    """heights over the starting place, segment by segment; the vehicle stays where the last one ends"""
+    """heights above the starting point, segment by segment; the vehicle stays where the last one ends"""
     track: TrackSection = TrackSection()
-    """where it goes over the ground"""
+    """horizontal motion"""
     attitude: AttitudeSection = AttitudeSection()
-    """how it is turned"""
+    """attitude"""
 
 
 class Vehicle:
-    """A vehicle that flies what a scenario says.
+    """A vehicle that flies according to a scenario.
 
     Parameters
     ----------
     flight
-        The scenario's section.
+        The scenario's section ``flight``.
     elevation_m
-        Height of the surface at a north and east [m] over the world's origin [m], objects included.
+        Height of the surface above the world's origin [m] at a north and east [m], objects included.
     generator
-        Draws the random heights and the sway.
+        Draws random heights and the sway.
 
     Attributes
     ----------
     duration_s : float
-        When the last segment of the altitude profile ends [s].
+        End of the last segment of the altitude profile [s].
     """
 
     def __init__(
@@ -200,8 +199,8 @@ class Vehicle:
         self._newest = self._pose(0.0)
 
     def pose(self, time_s: float) -> Pose:
-        """The vehicle at ``time_s``; before 0 and after the end it rests."""
-        # A ping, its truth and the autopilot's messages ask about the same time.
+        """Pose at ``time_s``; before 0 and after the end the vehicle is at rest."""
+        # A ping, its truth and the autopilot's messages often ask for the same time.
         if time_s != self._newest.time_s:
             self._newest = self._pose(time_s)
         return self._newest
@@ -212,7 +211,7 @@ class Vehicle:
         height_m, climb_m_s, climb_m_s2 = self._height.at(time_s)
         elevation_m = self._start_elevation_m + height_m
         above_surface_m = elevation_m - self._elevation_m(north_m, east_m)
-        sways = min(max(above_surface_m / SWAYS_FULLY_AT_M, 0.0), 1.0)
+        sways = min(max(above_surface_m / FULL_SWAY_HEIGHT_M, 0.0), 1.0)
         roll_rad, pitch_rad, yaw_rad = self._attitude.at(time_s, north_m_s2, east_m_s2, sways)
         return Pose(
             time_s,
@@ -225,10 +224,10 @@ class Vehicle:
         )
 
     def clearance_m(self, time_s: float) -> float:
-        """How far the vehicle's feet are above the surface below [m]; negative where they are in it."""
+        """Height of the vehicle's feet above the surface below [m]; negative: below it."""
         north_m, east_m, down_m = self.pose(time_s).position_ned_m
         return -down_m - self._standing_height_m - self._elevation_m(north_m, east_m)
 
     def _surface_m(self, time_s: float) -> float:
-        """Height of the surface below the vehicle over its starting place [m]."""
+        """Height of the surface below the vehicle relative to its starting point [m]."""
         return self._elevation_m(self._north.at(time_s)[0], self._east.at(time_s)[0]) - self._start_elevation_m

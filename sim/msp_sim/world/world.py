@@ -1,8 +1,8 @@
-"""What a sensor's ping meets: the ground, the objects on it, and the air between.
+"""The simulated world: the ground, the objects on it, and the air.
 
-A pose and a beam enter, the truth of one ping leaves: `World.ping`. World frame NED with its origin on the ground;
-heights are over the origin, up positive. What is heard of a surface is told in `msp_sim.world.surfaces`; of several
-echoes the nearest counts.
+`World.ping` gets a pose and a beam and gives the truth of one ping. World frame NED with its origin on the ground;
+heights are above the origin, up positive. `msp_sim.world.surfaces` says which echoes a surface returns; the nearest of
+them counts.
 """
 
 import math
@@ -20,11 +20,11 @@ class WarmLayer(Section):
     """A layer of warmer air, as over hot asphalt."""
 
     bottom_m: float
-    """height over the origin where it begins [m]"""
+    """height of its lower boundary above the origin [m]"""
     top_m: float
-    """height over the origin where it ends [m]"""
+    """height of its upper boundary above the origin [m]"""
     warmer_by_c: float
-    """how much warmer it is than the air would be without it; negative where it is colder [K]"""
+    """how much warmer the air in it is; negative: colder [K]"""
 
     @model_validator(mode="after")
     def _upright(self) -> "WarmLayer":
@@ -34,19 +34,19 @@ class WarmLayer(Section):
 
 
 class AirSection(Section):
-    """Air temperature over height."""
+    """Air temperature as a function of height."""
 
     ground_c: Annotated[float, Field(ge=-40, le=60)] = 20.0
-    """at the height of the origin [deg C]"""
+    """temperature at the height of the origin [deg C]"""
     lapse_c_per_m: float = 0.0065
-    """how much it falls per metre of height [K/m]; the standard atmosphere's"""
+    """decrease with height [K/m]; default: standard atmosphere"""
     warm_layer: WarmLayer | None = None
-    """comes on top; none where it is absent"""
+    """a layer of warmer air; default: none"""
 
     def mean_c(self, from_m: float, to_m: float) -> float:
-        """Mean over the straight path between two heights [deg C].
+        """Mean temperature along the straight path between two heights [deg C].
 
-        The speed of sound is so nearly linear in temperature that the mean is what the echo's delay shows.
+        The speed of sound is nearly linear in temperature, so this mean gives the delay of the echo.
         """
         mean_c = self.ground_c - self.lapse_c_per_m * (from_m + to_m) / 2
         layer = self.warm_layer
@@ -61,17 +61,17 @@ class AirSection(Section):
 
 
 class MountedBeam(NamedTuple):
-    """A sensor's place on the vehicle and what it can hear.
+    """A sensor's position on the vehicle, its direction and its beam.
 
     Attributes
     ----------
     position_m
-        Where it is mounted, body FRD [m].
+        Position, body FRD [m].
     boresight
-        Unit vector along which it looks, body FRD.
+        Unit vector of its axis, body FRD.
     half_angle_rad
-        Largest angle off the boresight from which an echo at a range [m] is heard [rad]; does not grow with range.
-        None: a ray of light, which comes back from whatever the boresight meets.
+        Half angle of the beam [rad] as a function of range [m]; does not grow with range. None: a ray of light, which
+        returns from the first surface that the boresight meets.
     """
 
     position_m: Vector
@@ -80,26 +80,25 @@ class MountedBeam(NamedTuple):
 
 
 class Ping(NamedTuple):
-    """The truth of one ping, in the names and units of the columns of measured data.
+    """The truth of one ping, with the names and units of the CSV columns.
 
-    Where nothing is heard, ranges, incidence and target are those of the surface that the boresight meets, and None
-    where it meets none.
+    Without an echo, ranges, incidence and target are those of the surface that the boresight meets, or None if there is
+    none.
 
     Attributes
     ----------
     heard
-        Whether an echo comes back from within the beam.
+        Whether an echo returns from within the beam.
     true_range_cm
-        Perpendicular distance to the surface; distance to the nearest point where an edge is heard [cm].
+        Perpendicular distance to the surface; for an edge the distance to its nearest point [cm].
     slant_range_cm
         Distance along the boresight to that surface's plane; the same as ``true_range_cm`` for an edge [cm].
     incidence_deg
-        Angle between the boresight and the line of ``true_range_cm``, which for a surface is its normal; without a
-        sign, 0 to 90 [deg].
+        Angle between the boresight and the direction of ``true_range_cm`` (a surface's normal), 0 to 90 [deg].
     range_rate_cm_s
-        How fast ``true_range_cm`` grows with the vehicle's velocity; what its turning adds is left out [cm/s].
+        Rate of ``true_range_cm`` due to the vehicle's velocity; its rotation is neglected [cm/s].
     air_temperature_c
-        Mean along the path; at the sensor where there is no path [deg C].
+        Mean along the path; at the sensor if there is no surface [deg C].
     target
         Name of the surface.
     target_size_cm
@@ -134,7 +133,7 @@ class World:
         self._air = air
 
     def elevation_m(self, north_m: float, east_m: float) -> float:
-        """Height of the surface over the origin, objects included [m]."""
+        """Height of the surface above the origin, objects included [m]."""
         elevation_m = self._terrain.elevation_m(north_m, east_m)
         for block in self._blocks:
             if block.top_m > elevation_m and block.covers(north_m, east_m):
@@ -142,11 +141,11 @@ class World:
         return elevation_m
 
     def air_temperature_c(self, height_m: float) -> float:
-        """Air temperature at a height over the origin [deg C]."""
+        """Air temperature at a height above the origin [deg C]."""
         return self._air.mean_c(height_m, height_m)
 
     def ping(self, pose: Pose, beam: MountedBeam) -> Ping:
-        """What is true about a ping that a sensor sends from this pose."""
+        """The truth of a ping that a sensor sends from this pose."""
         rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         north_m, east_m, down_m = pose.position_ned_m
         ahead_m, right_m, below_m = _rotate(rotation, beam.position_m)
@@ -171,12 +170,13 @@ class World:
         )
 
     def height_m(self, pose: Pose) -> float:
-        """Height of the body frame's origin over what is below, objects included, straight down [m]."""
+        """Vertical distance from the body frame's origin to the surface below, objects included [m]."""
         north_m, east_m, down_m = pose.position_ned_m
         return -down_m - self.elevation_m(north_m, east_m)
 
     def down_axis_m(self, pose: Pose) -> float | None:
-        """The same along the body's down axis, as an autopilot expects it [m]; None where that meets nothing."""
+        """Distance to the surface along the body's down axis, as an autopilot expects it [m]; None if it meets
+        nothing."""
         north, east, down = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         below = self._ray(pose.position_ned_m, (north[2], east[2], down[2]))
         return below.slant_m if below else None
@@ -193,7 +193,7 @@ class World:
         return nearest
 
     def _is_covered(self, sensor: Vector, echo: Echo) -> bool:
-        """Whether the place on the ground that an echo would come from is below a block."""
+        """Whether a block covers the point on the ground from which an echo would come."""
         if not self._blocks:
             return False
         north_m = sensor[0] + echo.range_m * echo.direction[0]
@@ -210,5 +210,5 @@ class World:
 
 
 def _rotate(rotation: Matrix, vector: Vector) -> Vector:
-    """From the body frame to the world's."""
+    """Rotate a vector from the body frame into the world frame."""
     return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 
-def _act(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     return Contribution(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)
 
 
@@ -15,8 +15,8 @@ SUPPLY_SAG = Effect(
     physics="z (1 - sag throttle): a slower clock counts fewer ticks in the same time of flight",
     source="an example; RC oscillators change by some percent per volt",
     parameters=(Parameter("sag_pct", "%", "how much slower the clock is at full throttle", -20.0, 20.0),),
-    needs=("throttle", "true_range_cm"),
+    requires=("throttle", "true_range_cm"),
     channels=("bias",),
     experiment="the vehicle tied down, throttle in steps, at two ranges",
-    act=_act,
+    apply=_apply,
 )
