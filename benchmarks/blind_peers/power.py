@@ -76,8 +76,8 @@ def found(out: Path) -> dict[str, dict[float, list[bool]]]:
             dropped = {match[1] for message in gap["messages"] if (match := DROPPED.match(message))}
             said[SAID][known].append(proved)
             said[CHOSEN][known].append(proved or bool(dropped - {CALIBRATION}))
-            if gap.get("global_p_value") is not None:
-                said[SCREEN][known].append(gap["global_p_value"] < ALPHA)
+            if gap.get("p_value") is not None:
+                said[SCREEN][known].append(gap["p_value"] < ALPHA)
         if peers.exists():
             for name, each in json.loads(peers.read_text(encoding="utf-8")).items():
                 if "p_value" in each:

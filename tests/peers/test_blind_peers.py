@@ -256,7 +256,7 @@ def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path):
             (tmp_path / "answers").mkdir(exist_ok=True)
             hidden = [{"standard_errors": 1.04 * size * unit}] if size else []
             (tmp_path / "answers" / f"{number:04d}.json").write_text(json.dumps({"hidden": hidden}))
-            gap = {"effects": [{}] if size >= 0.1 else [], "unknown": [], "global_p_value": 0.01 if size else 0.5}
+            gap = {"effects": [{}] if size >= 0.1 else [], "unknown": [], "p_value": 0.01 if size else 0.5}
             gap["messages"] = [f"{'latency' if size else 'heavy_tails'} was tried and dropped: as one does."]
             (table / "gap" / "gap.json").write_text(json.dumps(gap))
             peers = {"KS by slice": {"p_value": 0.01 if k < found_by_ks else 0.5, "seconds": 1.0}}

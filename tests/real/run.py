@@ -111,7 +111,7 @@ def found_in(gap: Mapping[str, Any]) -> tuple[frozenset[str], ...]:
     found = []
     for effect in gap.get("effects", ()):
         if effect["verdict"] in KEPT:
-            found.append(frozenset({effect["name"], *(each["name"] for each in effect.get("rivals", ()))}))
+            found.append(frozenset({effect["name"], *(each["name"] for each in effect.get("alternatives", ()))}))
     for unknown in gap.get("unknown", ()):
         found.append(frozenset(f"unknown {unknown['channel']} of {name}" for name in unknown["variables"]))
     found += [frozenset({f"calibration {each['name']}"}) for each in gap.get("calibration", ())]

@@ -48,8 +48,8 @@ def test_names_that_cannot_be_told_apart_are_right_if_one_is() -> None:
     ]
     gap: dict[str, Any] = {
         "effects": [
-            {"name": "thermometer_offset", "verdict": "indistinguishable", "rivals": [{"name": "range_scale"}]},
-            {"name": "stale", "verdict": "named", "rivals": []},
+            {"name": "thermometer_offset", "verdict": "indistinguishable", "alternatives": [{"name": "range_scale"}]},
+            {"name": "stale", "verdict": "named", "alternatives": []},
             {"name": "multipath", "verdict": "rejected"},
         ],
         "unknown": [{"channel": "bias", "variables": ["time_s"]}],
@@ -58,5 +58,5 @@ def test_names_that_cannot_be_told_apart_are_right_if_one_is() -> None:
     assert compare_names(found_in(gap), lines) == (("stale",), ("latency",))
     gap["effects"][1]["name"] = "latency"
     assert compare_names(found_in(gap), lines) == ((), ())
-    gap["effects"][0]["rivals"] = [{"name": "humidity"}]
+    gap["effects"][0]["alternatives"] = [{"name": "humidity"}]
     assert compare_names(found_in(gap), lines) == (("humidity/thermometer_offset",), ())

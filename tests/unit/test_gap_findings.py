@@ -142,7 +142,7 @@ def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
     assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"
 
 
-def test_the_sentence_begins_with_the_verdict_and_names_rivals() -> None:
+def test_the_sentence_begins_with_the_verdict_and_names_alternatives() -> None:
     told = sentence(FULL)
     assert told.startswith("The gap is explained: range_scale, scale_pct 0.8 % (0.7 to 0.9) (or thermometer_offset")
     assert "from 0.5 to 0.002 nats" in told
