@@ -159,7 +159,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "flight": draw_flight,
     "boxes": draw_boxes,
     "gap": draw_gap,
-    "field_of_view": draw_characterised,
+    "field_of_view_100cm": draw_characterised,
     "questions": draw_characterised,
     "kalman_and_changepoint": draw_filters,
 }

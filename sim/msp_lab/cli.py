@@ -127,8 +127,15 @@ def characterise(
             "differ by beyond it is then the sensor's, and goes into the model",
         ),
     ] = None,
-    date: Annotated[str | None, typer.Option(help="for the record, instead of today (YYYY-MM-DD)")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="of the randomised goodness of fit")] = 1,
+    compare_with_report: Annotated[
+        bool,
+        typer.Option(
+            "--compare-with-report",
+            help="with --report: also compare with the MB1242 characterization report, as DIR/comparison.html",
+        ),
+    ] = False,
+    date: Annotated[str | None, typer.Option(help="date to record, YYYY-MM-DD (default: today)")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="random seed of the goodness-of-fit test")] = 1,
 ) -> None:
     """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
     require("lab", "msp-lab characterise")
@@ -152,7 +159,14 @@ def characterise(
     starting_model = sensor or config_path(next(iter(DRIVERS)), "sensors")
     started = load_sensor_model(starting_model)
     mapping = load_map(column_map) if column_map else None
+    if compare_with_report:
+        if report is None:
+            raise ConfigError("--compare-with-report: give --report too, the folder for its page")
+        from msp_lab.comparison.report import check_sensor
+
+        check_sensor(started)
     progress = PlainConsole(stderr=True)
+    pages: list[Path] = []
     with progress.status("reading") as status:
         loaded = without_impossible(load_readings(data, started, mapping, sensors=of or ()), started)
         findings, changes = analyse(
@@ -168,10 +182,14 @@ def characterise(
         write_model(out, model, findings, changes, starting_model.name)
         if report is not None:
             status.update("drawing the report")
-            page = publish(findings, loaded.data, model, report)
+            pages = [publish(findings, loaded.data, model, report)]
+            if compare_with_report:
+                from msp_lab.comparison.write import write_comparison
+
+                pages.append(write_comparison(findings, loaded.data, model, report))
     console = PlainConsole()
     show(findings, console)
-    console.print(f"{out}: loads as a sensor model" + ("" if report is None else f"; {page}"))
+    console.print(f"{out}: loads as a sensor model" + "".join(f"; {page}" for page in pages))
 
 
 def _is_date(text: str) -> bool:

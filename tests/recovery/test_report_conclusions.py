@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msp_lab.characterise.characterise import characterise
-from msp_lab.characterise.findings import Effect, Findings, Question
+from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
@@ -39,7 +39,7 @@ def asked(seed: int, name: str, level: str = "", sensor: str = "") -> Question:
     return question
 
 
-def bias(question: Question) -> Effect:
+def bias(question: Question) -> FactorEffect:
     return next(effect for effect in question.effects if effect.metric == "bias")
 
 

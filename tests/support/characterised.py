@@ -118,14 +118,14 @@ def _point(
     return columns
 
 
-def _estimate(values, unit="cm", of="readings") -> found.Estimate:
+def _estimate(values, unit="cm", of="readings") -> found.IntervalEstimate:
     values = np.asarray(values, float)
     mean, half = float(np.mean(values)), 1.96 * float(np.std(values)) / math.sqrt(values.size)
-    return found.Estimate(mean, mean - half, mean + half, unit, values.size, of)
+    return found.IntervalEstimate(mean, mean - half, mean + half, unit, values.size, of)
 
 
-def _about(value, half, unit="") -> found.Estimate:
-    return found.Estimate(value, value - half, value + half, unit, 12, "points")
+def _about(value, half, unit="") -> found.IntervalEstimate:
+    return found.IntervalEstimate(value, value - half, value + half, unit, 12, "points")
 
 
 def found_in(data: MeasuredData) -> found.Findings:
@@ -173,7 +173,7 @@ def found_in(data: MeasuredData) -> found.Findings:
     )
 
 
-def _points(data) -> Iterator[found.Point]:
+def _points(data) -> Iterator[found.PointResult]:
     keys = np.unique(
         np.stack(
             [
@@ -199,7 +199,7 @@ def _points(data) -> Iterator[found.Point]:
         readings = data["reading_cm"][here]
         hits = readings[np.abs(readings - float(z)) < 15]
         codes = np.isin(readings, (255, 765))
-        yield found.Point(
+        yield found.PointResult(
             condition,
             sensor,
             condition,
@@ -222,8 +222,8 @@ def _points(data) -> Iterator[found.Point]:
         )
 
 
-def _calibration(points) -> found.Calibration:
-    return found.Calibration(
+def _calibration(points) -> found.CalibrationFindings:
+    return found.CalibrationFindings(
         "none",
         (),
         "A straight line predicts points that it has not seen no better than nothing does.",
@@ -231,7 +231,7 @@ def _calibration(points) -> found.Calibration:
         _about(-0.05, 0.2, "cm"),
         _about(1.0004, 0.0011),
         _about(0.45, 0.02, "cm"),
-        found.Estimate(1.0, None, None, "cm", 12),
+        found.IntervalEstimate(1.0, None, None, "cm", 12),
         "all readings are whole",
         _about(0.3, 0.1, "cm"),
         0.42,
@@ -286,7 +286,7 @@ def _maximum(data) -> found.MaximumRange:
         int(np.sum(readings == 255)),
         (bulk, *peaks),
         (bulk,),
-        found.Estimate(502.0, 501.0, 502.0, "cm", readings.size),
+        found.IntervalEstimate(502.0, 501.0, 502.0, "cm", readings.size),
     )
 
 
@@ -314,8 +314,8 @@ def _field_of_view(data) -> found.FieldOfView:
     angles = []
     for z, angle in BREAKAWAY_DEG.items():
         end = angle + 1.8 if angle < 23.4 else None
-        side = found.Estimate(angle, angle, end, "deg", 27, "points")
-        angles.append(found.BreakawayAngle(z, side, side, side, angle))
+        side = found.IntervalEstimate(angle, angle, end, "deg", 27, "points")
+        angles.append(found.BreakawayAngle(z, side, side, side))
     oblique = found.Oblique(
         "unknown", _about(0.3, 0.05), 1.1, 0.8, "Readings lie between the range along the axis and the nearest point."
     )
@@ -327,40 +327,34 @@ def _field_of_view(data) -> found.FieldOfView:
 def _questions() -> Iterator[found.Question]:
     def effects(bias, verdict, missed=1.2):
         return (
-            found.Effect("bias", _about(bias, 0.12, "cm"), 0.3, 1.0, 0.5, verdict, 0.25),
-            found.Effect(
-                "spread", found.Estimate(1.03, 0.97, 1.09, "", 12, "points"), 0.3, 1.0, 1.25, "does not matter", 1.1
+            found.FactorEffect("bias", _about(bias, 0.12, "cm"), 0.3, 1.0, 0.5, verdict, 0.25),
+            found.FactorEffect(
+                "spread",
+                found.IntervalEstimate(1.03, 0.97, 1.09, "", 12, "points"),
+                0.3,
+                1.0,
+                1.25,
+                "does not matter",
+                1.1,
             ),
-            found.Effect(
-                "missed", found.Estimate(missed, missed / 4, missed * 4, "", 1200), 0.6, 1.0, 2.0, "cannot tell", 4.0
+            found.FactorEffect(
+                "missed",
+                found.IntervalEstimate(missed, missed / 4, missed * 4, "", 1200),
+                0.6,
+                1.0,
+                2.0,
+                "cannot tell",
+                4.0,
             ),
-            found.Effect("outliers", None, None, None, 2.0, "cannot tell", None),
+            found.FactorEffect("outliers", None, None, None, 2.0, "cannot tell", None),
         )
 
-    some: tuple[tuple[str, str, str, str, str, float, found.Verdict, str], ...] = (
-        (
-            "material",
-            "Does the material matter?",
-            "asphalt",
-            "plywood",
-            "",
-            0.06,
-            "does not matter",
-            "cannot be told apart",
-        ),
-        (
-            "material",
-            "Does the material matter?",
-            "concrete",
-            "plywood",
-            "",
-            -0.04,
-            "does not matter",
-            "cannot be told apart",
-        ),
-        ("temperature", "Does hot air at the sensor matter?", "46 C", "21 C", "", -1.25, "matters", "1 to 2 cm"),
-        ("temperature", "Does cold air at the sensor matter?", "8 C", "21 C", "", 0.63, "matters", "somewhat too far"),
-        ("vibration", "Does vibration matter?", "60 Hz", "0 Hz", "", 0.01, "does not matter", "effectively the same"),
+    some: tuple[tuple[str, str, str, str, str, float, found.Verdict], ...] = (
+        ("material", "Does the material matter?", "asphalt", "plywood", "", 0.06, "does not matter"),
+        ("material", "Does the material matter?", "concrete", "plywood", "", -0.04, "does not matter"),
+        ("temperature", "Does hot air at the sensor matter?", "46 C", "21 C", "", -1.25, "matters"),
+        ("temperature", "Does cold air at the sensor matter?", "8 C", "21 C", "", 0.63, "matters"),
+        ("vibration", "Does vibration matter?", "60 Hz", "0 Hz", "", 0.01, "does not matter"),
         (
             "crosstalk_simultaneous",
             "Do two sensors that ping at once disturb each other?",
@@ -369,7 +363,6 @@ def _questions() -> Iterator[found.Question]:
             "right",
             -21.0,
             "matters",
-            "sensor 2 reads short",
         ),
         (
             "crosstalk_sequential",
@@ -379,20 +372,10 @@ def _questions() -> Iterator[found.Question]:
             "right",
             0.0,
             "does not matter",
-            "the errors go away",
         ),
-        (
-            "external_interference",
-            "Does external ultrasound matter?",
-            "110 dB",
-            "quiet",
-            "",
-            0.1,
-            "cannot tell",
-            "inconclusive",
-        ),
+        ("external_interference", "Does external ultrasound matter?", "110 dB", "quiet", "", 0.1, "cannot tell"),
     )
-    for name, question, level, reference, sensor, bias, verdict, report in some:
+    for name, question, level, reference, sensor, bias, verdict in some:
         yield found.Question(
             name,
             question,
@@ -403,7 +386,6 @@ def _questions() -> Iterator[found.Question]:
             effects(bias, verdict),
             verdict,
             f"{level} against {reference}: {bias:+.2f} cm.",
-            report,
         )
 
 
@@ -434,14 +416,7 @@ def _box(level, box_c) -> found.HotBox:
 
 def _compensation(data) -> Iterator[found.CompensationRow]:
     chosen = data.select(data["condition"] == "temperature_compensation")
-    report = {
-        305: (1.0, 1.0, None),
-        335: (2.821, 0.067, 15.2),
-        366: (2.739, 0.196, 16.0),
-        396: (2.724, 0.447, 16.7),
-        427: (4.931, 0.921, 14.6),
-    }
-    for z, (before, after, implied) in report.items():
+    for z in (305, 335, 366, 396, 427):
         here = (chosen["true_range_cm"] == z) & (np.abs(chosen["reading_cm"] - z) < 20)
         readings, air = chosen["reading_cm"][here], chosen["air_temperature_c"][here]
         compensated = readings * np.sqrt((air + 273.15) / 295.65)
@@ -451,8 +426,5 @@ def _compensation(data) -> Iterator[found.CompensationRow]:
             _estimate(compensated - z),
             float(air.mean()),
             _about(15.4, 0.3, "C"),
-            before,
-            after,
-            implied,
-            "the report's two numbers are equal: it was not compensated" if z == 305 else "",
+            "no thermometer" if z == 305 else "",
         )

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msp_lab.characterise.calibration import calibrate
-from msp_lab.characterise.findings import Calibration
+from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.points import sort_into_points
-from msp_range.correction.calibration import Calibration as Curve
+from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from tests.support.plain_bench import point, table
@@ -17,7 +17,7 @@ SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "
 RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 
-def calibrated(data: MeasuredData, reference_std_cm: float | None = None) -> Calibration:
+def calibrated(data: MeasuredData, reference_std_cm: float | None = None) -> CalibrationFindings:
     found = calibrate(sort_into_points(data, SENSOR), SENSOR, reference_std_cm)
     assert found is not None
     return found
@@ -87,7 +87,7 @@ def test_offset_and_scale_are_found_in_air_that_is_not_the_calibrations() -> Non
     assert found.scale is not None
     assert found.offset.low < 2.0 < found.offset.high
     assert found.scale.low < 1.01 < found.scale.high
-    curve = Curve(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
+    curve = Calibration(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
     assert curve.forward(150.0) == pytest.approx(153.5, abs=0.15)
     assert found.spread.value == pytest.approx(0.7, abs=0.05)
     assert (found.resolution.value, found.held_out_unit) == (1.0, "range")
@@ -98,7 +98,7 @@ def test_a_bend_is_kept_and_predicts_ranges_that_were_left_out() -> None:
     assert found.form == "piecewise linear"
     by_form = {each.form: each for each in found.held_out}
     assert by_form["piecewise linear"].rms_cm < 0.5 * by_form["offset and scale"].rms_cm
-    curve = Curve(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
+    curve = Calibration(tuple(k.true_cm for k in found.knots), tuple(k.reading_cm for k in found.knots))
     assert curve.forward(100.0) == pytest.approx(101.0, abs=0.3)
     assert curve.forward(300.0) == pytest.approx(307.5, abs=0.4)
     assert found.linearity is not None

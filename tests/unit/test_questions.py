@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.characterise.findings import Effect, Question
+from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.characterise.questions import questions
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -20,7 +20,7 @@ def asked(*parts) -> dict[str, Question]:
     return {f"{each.name} {each.level} {each.sensor}".strip(): each for each in found}
 
 
-def effect(question: Question, metric: str) -> Effect:
+def effect(question: Question, metric: str) -> FactorEffect:
     return next(each for each in question.effects if each.metric == metric)
 
 

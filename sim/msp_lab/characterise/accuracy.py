@@ -1,4 +1,4 @@
-"""Accuracy with nothing varied (report 4.3.1), and the longest range with missed echoes masked (4.3.2).
+"""Accuracy with nothing varied, and the longest range with missed echoes masked.
 
 Points enter, `Baseline` and `MaximumRange` leave.
 """
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.calibration import line_design, pooled_spread
 from msp_lab.characterise.estimates import fit_points, share, standard_error
-from msp_lab.characterise.findings import Baseline, Estimate, MaximumRange, Peak
+from msp_lab.characterise.findings import Baseline, IntervalEstimate, MaximumRange, Peak
 from msp_lab.characterise.points import PointReadings
 from msp_range.reading_model.sensor_model import SensorModel
 
@@ -48,7 +48,7 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
     between = None
     if np.unique(range_cm).size >= 3:
         line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
-        between = Estimate(math.sqrt(line.between), None, None, "cm", len(errors), "points")
+        between = IntervalEstimate(math.sqrt(line.between), None, None, "cm", len(errors), "points")
     return Baseline(
         points=tuple(found),
         bias=fit_points(np.ones((len(errors), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
@@ -138,14 +138,14 @@ def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
         free[low : high + 1] = False
 
 
-def _mode(reading_cm: NDArray[np.float64]) -> Estimate:
+def _mode(reading_cm: NDArray[np.float64]) -> IntervalEstimate:
     """Most frequent reading, and those whose counts are not surely lower."""
     values, counts = np.unique(reading_cm, return_counts=True)
     top = int(counts.max())
     as_likely = values[counts >= top - 1.96 * np.sqrt(top + counts)]
     middle = float(values[counts.argmax()])
     near = as_likely[np.abs(as_likely - middle) <= 2 * PEAK_HALF_CM]
-    return Estimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)
+    return IntervalEstimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)
 
 
 def heard_to_cm(points: Sequence[PointReadings], reliable_share: float) -> float | None:

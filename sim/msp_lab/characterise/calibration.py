@@ -1,8 +1,9 @@
 """Readings against the reference: bias, scale, spread, resolution, linearity, and the calibration worth keeping.
 
-Points with nothing varied enter, `findings.Calibration` leaves. Every point counts once with its own uncertainty and
-the scatter between points, which is how well ranges were set up and whatever else changes from one to the next. A more
-complex calibration is kept only where it predicts ranges that it was not fitted to better than the simpler one does.
+Points with nothing varied enter, `findings.CalibrationFindings` leaves. Every point counts once with its own
+uncertainty and the scatter between points, which is how well ranges were set up and whatever else changes from one to
+the next. A more complex calibration is kept only where it predicts ranges that it was not fitted to better than the
+simpler one does.
 """
 
 import math
@@ -23,10 +24,9 @@ from msp_lab.characterise.estimates import (
     mean_of_points,
     standard_error,
 )
-from msp_lab.characterise.findings import Calibration, Estimate, Form, HeldOut, Knot
+from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, IntervalEstimate, Knot
 from msp_lab.characterise.points import PointReadings
-from msp_range.correction.calibration import IDENTITY
-from msp_range.correction.calibration import Calibration as Curve
+from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.sensor_model import SensorModel
 
 LEAST_RANGES = 4
@@ -58,7 +58,7 @@ def calibrate(
     sensor: SensorModel,
     reference_std_cm: float | None = None,
     set_up_std_cm: float | None = None,
-) -> Calibration | None:
+) -> CalibrationFindings | None:
     """Calibration of a sensor.
 
     Parameters
@@ -76,7 +76,7 @@ def calibrate(
 
     Returns
     -------
-    Calibration or None
+    CalibrationFindings or None
         None where no point has readings of the surface.
     """
     used = [point for point in points if point.found.error is not None]
@@ -100,7 +100,7 @@ def calibrate(
     form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2), sensor)
     linearity, by_chance = (None, None) if line is None else _linearity(data, line)
     step_cm = used[0].step_cm
-    return Calibration(
+    return CalibrationFindings(
         form=form,
         knots=knots,
         reason=reason,
@@ -108,7 +108,7 @@ def calibrate(
         offset=None if line is None else line.estimate(0, "cm", reference_std_cm or 0.0),
         scale=None if line is None else line.estimate(1, ""),
         spread=pooled_spread(used),
-        resolution=Estimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
+        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
         resolution_note=(
             f"all readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
@@ -126,11 +126,13 @@ def calibrate(
 
 def _set_up_offset(
     used: Sequence[PointReadings], data: _Points, knots: Sequence[Knot], set_up_std_cm: float | None
-) -> Estimate | None:
+) -> IntervalEstimate | None:
     if set_up_std_cm is None or len(used) < LEAST_SET_UPS:
         return None
     curve = (
-        Curve(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots)) if knots else IDENTITY
+        Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
+        if knots
+        else IDENTITY
     )
     factor = dependence_factor([point.error_cm[point.is_hit] for point in used])
     return between_points(data.reading_cm - curve.forward(data.true_cm), data.variance_cm2 * factor, set_up_std_cm**2)
@@ -141,21 +143,21 @@ def line_design(x: _Array) -> _Array:
     return np.column_stack([np.ones_like(x), x])
 
 
-def pooled_spread(points: Sequence[PointReadings]) -> Estimate:
+def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     """Standard deviation of hits about their own point's mean, before rounding: root mean square over the points."""
     found = [point.found.spread for point in points if point.found.spread is not None]
     weights = np.array([each.n - 1.0 for each in found])
     if not found or weights.sum() == 0.0:
-        return Estimate(0.0, None, None, "cm", len(found))
+        return IntervalEstimate(0.0, None, None, "cm", len(found))
     value = math.sqrt(float(weights @ np.array([each.value**2 for each in found])) / weights.sum())
     # Each point's own interval of the variance; they are independent.
     errors = np.array([((each.high or 0.0) ** 2 - (each.low or 0.0) ** 2) / 3.92 for each in found])
     error = math.sqrt(float((weights**2) @ errors**2)) / float(weights.sum())
     low, high = math.sqrt(max(value**2 - 1.96 * error, 0.0)), math.sqrt(value**2 + 1.96 * error)
-    return Estimate(value, low, high, "cm", int(weights.sum()) + len(found))
+    return IntervalEstimate(value, low, high, "cm", int(weights.sum()) + len(found))
 
 
-def _linearity(data: _Points, line: PointsFit) -> tuple[Estimate, float]:
+def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:
     """Largest distance from the line, and what chance in the readings alone makes the largest in 95 % of cases."""
     residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
     i = int(np.abs(residual).argmax())
@@ -164,7 +166,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[Estimate, float]:
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
     by_chance = z * math.sqrt(float(data.variance_cm2.mean()))
-    return Estimate(value, value - half, value + half, "cm", residual.size, "points"), by_chance
+    return IntervalEstimate(value, value - half, value + half, "cm", residual.size, "points"), by_chance
 
 
 def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
@@ -222,7 +224,7 @@ def _left_out_errors(data: _Points, pieces: int, group: _Array) -> _Array:
     return errors
 
 
-def _gain(simpler: _Array, complex_: _Array, group: _Array) -> Estimate:
+def _gain(simpler: _Array, complex_: _Array, group: _Array) -> IntervalEstimate:
     """Mean square error taken off, ranges as the unit."""
     saved = simpler**2 - complex_**2
     return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
@@ -261,7 +263,7 @@ def _is_possible(knots: Sequence[Knot], sensor: SensorModel) -> bool:
     if any(not b.reading_cm > a.reading_cm for a, b in pairwise(knots)):
         return False
     try:
-        curve = Curve(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
+        curve = Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
     except ValueError:
         return False
     return curve.inverse(float(max(sensor.minimum_cm, 1))) > 0.0

@@ -14,14 +14,13 @@ import numpy as np
 from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, field_of_view, sonar_through
-from msp_lab.characterise.findings import BreakawayAngle, Calibration, Findings
-from msp_lab.characterise.mixture import Fitted, fit_mixture
+from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
+from msp_lab.characterise.mixture import FittedMixture, fit_mixture
 from msp_lab.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
-from msp_range.correction.calibration import IDENTITY
-from msp_range.correction.calibration import Calibration as Curve
+from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 
@@ -34,8 +33,6 @@ NOT_ASKED = "no readings of this condition, or none at ranges to compare with"
 KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
 """Points with fewer readings than this are told of."""
-WARM_C = 2.0
-"""Without an air temperature a calibration may hide an error of this many degrees, 0.17 % of range each."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +147,7 @@ def characterise(
         points=found_points,
         baseline=found_base,
         calibration=calibration,
-        mixture=fitted.found if isinstance(fitted, Fitted) else None,
+        mixture=fitted.found if isinstance(fitted, FittedMixture) else None,
         maximum_range=longest,
         field_of_view=view,
         sonar=sonar,
@@ -160,7 +157,7 @@ def characterise(
         absent=absent,
         warnings=(
             *_warnings(loaded, points, undisturbed, calibration, view.angles if view else (), rows),
-            *_quieter(sensor, fitted.parameters if isinstance(fitted, Fitted) else None),
+            *_quieter(sensor, fitted.parameters if isinstance(fitted, FittedMixture) else None),
         ),
     )
     changes = Changes(
@@ -168,7 +165,7 @@ def characterise(
         breakaway=tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None,
         oblique_reading=None if view is None or view.oblique.verdict == "unknown" else view.oblique.verdict,
         heard_on_axis_cm=heard_cm,
-        reading_model=fitted.parameters if isinstance(fitted, Fitted) else None,
+        reading_model=fitted.parameters if isinstance(fitted, FittedMixture) else None,
         effects=_with_set_up_offset(sensor, calibration),
     )
     if not asked and not table and all(value is None for value in vars(changes).values()):
@@ -211,22 +208,24 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _curve(calibration: Calibration | None) -> Curve:
+def _curve(calibration: CalibrationFindings | None) -> Calibration:
     if calibration is None or not calibration.knots:
         return IDENTITY
-    return Curve(
+    return Calibration(
         tuple(knot.true_cm for knot in calibration.knots), tuple(knot.reading_cm for knot in calibration.knots)
     )
 
 
-def _knots(calibration: Calibration | None) -> tuple[CalibrationKnot, ...] | None:
+def _knots(calibration: CalibrationFindings | None) -> tuple[CalibrationKnot, ...] | None:
     # Without held-out ranges nothing was decided, and the starting model's stays.
     if calibration is None or not calibration.held_out:
         return None
     return tuple(CalibrationKnot(true_cm=knot.true_cm, reading_cm=knot.reading_cm) for knot in calibration.knots)
 
 
-def _with_set_up_offset(sensor: SensorModel, calibration: Calibration | None) -> tuple[dict[str, Any], ...] | None:
+def _with_set_up_offset(
+    sensor: SensorModel, calibration: CalibrationFindings | None
+) -> tuple[dict[str, Any], ...] | None:
     """Effects with the offset of each session, where one is sure."""
     found = None if calibration is None else calibration.set_up_offset
     if found is None or not found.low:
@@ -248,7 +247,7 @@ def _warnings(
     loaded: LoadedReadings,
     points: Sequence[PointReadings],
     undisturbed: Sequence[PointReadings],
-    calibration: Calibration | None,
+    calibration: CalibrationFindings | None,
     angles: Sequence[BreakawayAngle],
     rows: Sequence[tuple[float, float]],
 ) -> list[str]:

@@ -1,8 +1,8 @@
 """Intervals and tests that the analyses share: shares, means and spreads of whole centimetres, Holm, power.
 
-Counts and readings enter, `Estimate` values and p-values leave. Intervals are 95 % ones. A sensor that reports whole
-centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals are those of
-the likelihood of the rounded readings, and not of their average.
+Counts and readings enter, `IntervalEstimate` values and p-values leave. Intervals are 95 % ones. A sensor that reports
+whole centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals are
+those of the likelihood of the rounded readings, and not of their average.
 """
 
 import math
@@ -15,7 +15,7 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import log_ndtr, ndtri
 
-from msp_lab.characterise.findings import Estimate
+from msp_lab.characterise.findings import IntervalEstimate
 
 CONFIDENCE = 0.95
 Z = float(ndtri(0.5 + CONFIDENCE / 2))
@@ -28,7 +28,7 @@ BATCH = 15
 _Array = NDArray[np.float64]
 
 
-def share(count: int, of: int) -> Estimate:
+def share(count: int, of: int) -> IntervalEstimate:
     """A share with Wilson's interval.
 
     Examples
@@ -40,10 +40,10 @@ def share(count: int, of: int) -> Estimate:
     p = count / of
     middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
     half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
-    return Estimate(p, max(middle - half, 0.0), min(middle + half, 1.0), "", of)
+    return IntervalEstimate(p, max(middle - half, 0.0), min(middle + half, 1.0), "", of)
 
 
-def mean_of_points(values: Sequence[float] | _Array, unit: str) -> Estimate:
+def mean_of_points(values: Sequence[float] | _Array, unit: str) -> IntervalEstimate:
     """Mean of values that are independent of each other, with Student's interval; no interval for one value alone.
 
     Parameters
@@ -56,9 +56,9 @@ def mean_of_points(values: Sequence[float] | _Array, unit: str) -> Estimate:
     value = float(np.mean(values))
     n = len(values)
     if n < 2:
-        return Estimate(value, None, None, unit, n, "points")
+        return IntervalEstimate(value, None, None, unit, n, "points")
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
-    return Estimate(value, value - half, value + half, unit, n, "points")
+    return IntervalEstimate(value, value - half, value + half, unit, n, "points")
 
 
 class PointsFit(NamedTuple):
@@ -69,14 +69,14 @@ class PointsFit(NamedTuple):
     between: float
     freedom: int
 
-    def estimate(self, i: int, unit: str, extra_std: float = 0.0) -> Estimate:
+    def estimate(self, i: int, unit: str, extra_std: float = 0.0) -> IntervalEstimate:
         """A coefficient with Student's interval, widened by the standard deviation of an error common to all."""
         value, n = float(self.coefficients[i]), self.freedom + self.coefficients.size
         if self.freedom < 1:
-            return Estimate(value, None, None, unit, n, "points")
+            return IntervalEstimate(value, None, None, unit, n, "points")
         half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, self.freedom)) * math.sqrt(float(self.covariance[i, i]))
         half = math.hypot(half, Z * extra_std)
-        return Estimate(value, value - half, value + half, unit, n, "points")
+        return IntervalEstimate(value, value - half, value + half, unit, n, "points")
 
 
 def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
@@ -114,7 +114,7 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
     return PointsFit(coefficients, covariance, low, freedom)
 
 
-def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> Estimate:
+def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> IntervalEstimate:
     """Standard deviation between points beyond what chance and a known variance make of it [cm].
 
     Parameters
@@ -149,7 +149,7 @@ def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> Es
         return math.sqrt(float(brentq(less, 0.0, high)))
 
     least, most = (float(stats.chi2.isf(each, freedom)) for each in (0.025, 0.975))
-    return Estimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
+    return IntervalEstimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
 
 
 def dependence_factor(series: Sequence[_Array]) -> float:
@@ -184,8 +184,8 @@ def dependence_factor(series: Sequence[_Array]) -> float:
 class MeanAndSpread(NamedTuple):
     """Mean and standard deviation before rounding, each with its interval."""
 
-    mean: Estimate
-    spread: Estimate
+    mean: IntervalEstimate
+    spread: IntervalEstimate
 
 
 def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpread:
@@ -219,12 +219,12 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpr
     if step > 0.0 and std < DITHERED * step:
         return _of_rounded(values, step, unit)
     if n < 2:
-        return MeanAndSpread(Estimate(average, None, None, unit, n), Estimate(0.0, None, None, unit, n))
+        return MeanAndSpread(IntervalEstimate(average, None, None, unit, n), IntervalEstimate(0.0, None, None, unit, n))
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
     ends = (n - 1) * std**2 / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
     low, value, high = (math.sqrt(max(each - step**2 / 12, 0.0)) for each in (ends[0], std**2, ends[1]))
     return MeanAndSpread(
-        Estimate(average, average - half, average + half, unit, n), Estimate(value, low, high, unit, n)
+        IntervalEstimate(average, average - half, average + half, unit, n), IntervalEstimate(value, low, high, unit, n)
     )
 
 
@@ -251,8 +251,8 @@ def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:
     spread, spread_low = (0.0, 0.0) if only_one else (spread, spread_low)
     n = values.size
     return MeanAndSpread(
-        Estimate(step * mean, step * mean_low, step * mean_high, unit, n),
-        Estimate(step * spread, step * spread_low, step * spread_high, unit, n),
+        IntervalEstimate(step * mean, step * mean_low, step * mean_high, unit, n),
+        IntervalEstimate(step * spread, step * spread_low, step * spread_high, unit, n),
     )
 
 
@@ -278,7 +278,7 @@ def _widened(grid: _Array, low: float, high: float) -> tuple[float, float]:
     return max(low, float(grid[0])), min(high, float(grid[-1]))
 
 
-def standard_error(estimate: Estimate) -> float:
+def standard_error(estimate: IntervalEstimate) -> float:
     """Of an estimate whose interval is roughly symmetric."""
     if estimate.low is None or estimate.high is None:
         return math.inf

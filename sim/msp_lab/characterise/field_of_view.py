@@ -1,4 +1,4 @@
-"""Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles (report 4.3.3).
+"""Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles.
 
 Points at signed angles to a wall enter, `FieldOfView` and `SonarFit` leave. An angle is reliable by a stated share of
 readings that are of the wall; the breakaway lies between the last reliable angle and the next that was tried.
@@ -17,8 +17,8 @@ from msp_lab.characterise.estimates import CONFIDENCE, share
 from msp_lab.characterise.findings import (
     AnglePoint,
     BreakawayAngle,
-    Estimate,
     FieldOfView,
+    IntervalEstimate,
     Oblique,
     SonarFit,
     SonarRow,
@@ -33,8 +33,6 @@ from msp_range.reading_model.sensor_model import SensorModel
 RELIABLE_SHARE = 0.8
 """Share of readings of the wall from which on an angle is reliable. The report gives no criterion; echoes end within
 about one step of its motor, so that any between a half and nine tenths gives the same angle or its neighbour."""
-REPORT_DEG = {50.0: 23.4, 100.0: 18.0, 150.0: 14.4, 200.0: 12.6}
-"""Range [cm] -> the report's largest angle with a reliable range (4.3.3) [deg]."""
 CRITERION = (
     f"at least {RELIABLE_SHARE:.0%} of the readings are of the wall: from {GATE_CM:g} cm before the perpendicular "
     f"distance to {GATE_CM:g} cm behind the slant range; and so at all smaller angles to that side"
@@ -154,7 +152,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     if of_wall.size > 1:
         half = 1.96 * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
         mean = float(of_wall.mean())
-        reading = Estimate(mean, mean - half, mean + half, "cm", of_wall.size)
+        reading = IntervalEstimate(mean, mean - half, mean + half, "cm", of_wall.size)
     return AnglePoint(
         range_cm=round(point.range_cm, 3),
         incidence_deg=round(point.incidence_deg, 3),
@@ -173,12 +171,10 @@ def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle 
     sides = [each for each in (negative, positive) if each is not None]
     if not sides:
         return None
-    return BreakawayAngle(
-        range_cm, negative, positive, min(sides, key=lambda each: each.value), REPORT_DEG.get(round(range_cm, 1))
-    )
+    return BreakawayAngle(range_cm, negative, positive, min(sides, key=lambda each: each.value))
 
 
-def _side(points: Sequence[AnglePoint]) -> Estimate | None:
+def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
     """Last reliable angle of one side; between the ends of its interval echoes stop coming."""
     by_angle: dict[float, list[AnglePoint]] = {}
     for point in points:
@@ -192,7 +188,7 @@ def _side(points: Sequence[AnglePoint]) -> Estimate | None:
     last = len(angles) if is_reliable.all() else int(is_reliable.argmin())
     steps = _likely_steps(np.rint(of_wall), readings)
     first, after = min(last, steps[0]), max(last, steps[-1])
-    return Estimate(
+    return IntervalEstimate(
         angles[last - 1] if last else 0.0,
         angles[first - 1] if first else 0.0,
         angles[after] if after < len(angles) else None,
@@ -244,7 +240,7 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * math.sqrt(
         float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)
     )
-    estimate = Estimate(slope, slope - half, slope + half, "", len(rows), "points")
+    estimate = IntervalEstimate(slope, slope - half, slope + half, "", len(rows), "points")
     slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
     low, high = slope - half, slope + half
     reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"

@@ -1,4 +1,4 @@
-"""The mixture of Thrun fitted to the undisturbed readings, and how well it fits (report 5.2.1).
+"""The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
 Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
 is `msp_range.reading_model.fit`. Each set-up is fitted about where its own readings show that it stood: how far a tape
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import Estimate, Mixture, MixtureParameter, SetUpError
+from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, SetUpError
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit
@@ -34,7 +34,7 @@ UNIT = {
 }
 
 
-class Fitted(NamedTuple):
+class FittedMixture(NamedTuple):
     """What was found, and what goes into the file."""
 
     found: Mixture
@@ -43,7 +43,7 @@ class Fitted(NamedTuple):
 
 def fit_mixture(
     points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
-) -> Fitted | str:
+) -> FittedMixture | str:
     """Fit the mixture to readings at known ranges.
 
     Parameters
@@ -59,7 +59,7 @@ def fit_mixture(
 
     Returns
     -------
-    Fitted or str
+    FittedMixture or str
         The reason where it cannot be fitted.
     """
     set_ups = [_set_up_error(point, calibration) for point in points]
@@ -107,7 +107,7 @@ def fit_mixture(
         set_ups=moved,
     )
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
-    return Fitted(found, result.parameters.model_copy(update=unknown))
+    return FittedMixture(found, result.parameters.model_copy(update=unknown))
 
 
 def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError | None:
@@ -127,7 +127,7 @@ def _of_bound(name: str) -> str:
 def _parameter(name: str, result: FitResult, before: MixtureParameters) -> MixtureParameter:
     low, high = result.interval(name)
     value = result.estimates[name]
-    estimate = Estimate(
+    estimate = IntervalEstimate(
         value,
         low if math.isfinite(low) else None,
         high if math.isfinite(high) else None,

@@ -12,7 +12,7 @@ import yaml
 from pydantic import ValidationError
 
 from msp_lab.characterise.characterise import Changes, provenance
-from msp_lab.characterise.findings import Estimate, Findings
+from msp_lab.characterise.findings import Findings, IntervalEstimate
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
@@ -154,7 +154,7 @@ def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[st
     ]
 
 
-def _interval(estimate: Estimate, digits: int) -> str:
+def _interval(estimate: IntervalEstimate, digits: int) -> str:
     low, high = ("?" if end is None else f"{round(end, digits):g}" for end in (estimate.low, estimate.high))
     return f"{round(estimate.value, digits):g} ({low} to {high})"
 

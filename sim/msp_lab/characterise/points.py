@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread
-from msp_lab.characterise.findings import Estimate, Point
+from msp_lab.characterise.findings import IntervalEstimate, PointResult
 from msp_lab.readings.resolution import step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
 GATE_CM = 8.0
-"""A reading this near to the middle of its point's hits is one: four times the noise of the report's filters [cm]."""
+"""A reading this near to the middle of its point's hits is one: four times the noise that filters of the sensor assume (R = 3.78 cm^2) [cm]."""
 GATE_DEVIATIONS = 4.5
 GATE_SHARE = 0.05
 """Where hits scatter more, the gate is so many of their (robust) standard deviations, up to this share of the range."""
@@ -70,7 +70,7 @@ class PointReadings:
     Parameters
     ----------
     condition, sensor, run, level
-        As in `findings.Point`.
+        As in `findings.PointResult`.
     reading_cm, true_range_cm, air_temperature_c
         A row each; NaN where there was no answer, or where the temperature is unknown.
     incidence_deg, target_temperature_c
@@ -153,7 +153,7 @@ class PointReadings:
 
     @cached_property
     def compensation(self) -> _Array:
-        """sqrt(T_T / T_C) of eq 7 for each row; NaN where the air's temperature is unknown."""
+        """sqrt(T / T_calibration), absolute temperatures, for each row; NaN where the air's temperature is unknown."""
         calibration_k = self.sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
         return np.sqrt((self.air_temperature_c + ZERO_CELSIUS_K) / calibration_k)
 
@@ -180,7 +180,7 @@ class PointReadings:
         return int(self.is_hit.sum())
 
     @cached_property
-    def found(self) -> Point:
+    def found(self) -> PointResult:
         """What was found at this point."""
         heard_error = self.error_cm[self.is_heard]
         hit, middle = self.is_hit[self.is_heard], sum(self.gate_cm) / 2.0
@@ -192,7 +192,7 @@ class PointReadings:
             # Each row by its own air; the interval is that of the mean, moved and stretched alike.
             change = np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit])
             compensated = _shifted(statistics.mean, float(change))
-        return Point(
+        return PointResult(
             condition=self.condition,
             sensor=self.sensor,
             run=self.run,
@@ -351,7 +351,7 @@ def _word(value: float, unit: str) -> str:
     return "" if math.isnan(value) else f"{value:g} {unit}"
 
 
-def _shifted(estimate: Estimate, by: float) -> Estimate:
+def _shifted(estimate: IntervalEstimate, by: float) -> IntervalEstimate:
     low = None if estimate.low is None else estimate.low + by
     high = None if estimate.high is None else estimate.high + by
     return replace(estimate, value=estimate.value + by, low=low, high=high)

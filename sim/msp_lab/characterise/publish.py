@@ -46,6 +46,6 @@ def publish(findings: Findings, data: MeasuredData, model: SensorModel, folder: 
             file.write(as_json(findings))
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
-    from msp_lab.characterise.report.write import write_report
+    from msp_lab.characterise.page.write import write_report
 
     return write_report(findings, data, model, folder)

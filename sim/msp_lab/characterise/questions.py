@@ -1,4 +1,4 @@
-"""Does it matter? The report's question for material, temperature, vibration, crosstalk and external ultrasound.
+"""Does it matter? Questions about material, temperature, vibration, crosstalk and external ultrasound.
 
 Points of an experiment and points to compare them with enter, `Question`s leave: four effects each, with an interval,
 a p-value corrected for all that was asked (Holm), a verdict that may be 'cannot tell', and the smallest effect that
@@ -18,11 +18,11 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from msp_lab.characterise.estimates import CONFIDENCE, Z, detectable, holm
-from msp_lab.characterise.findings import Effect, Estimate, Metric, Point, Question, Verdict
+from msp_lab.characterise.findings import FactorEffect, IntervalEstimate, Metric, PointResult, Question, Verdict
 
 LEVEL = 0.05
 BIAS_BOUND_CM = 1.0
-"""A mean error that moves by less does not matter: the sensor's own step, and the report's largest error."""
+"""A mean error that moves by less does not matter: the step of a sensor that reports whole centimetres."""
 SPREAD_BOUND = 1.5
 """Nor a spread that grows or shrinks by less than this factor."""
 ODDS_BOUND = 2.0
@@ -48,37 +48,20 @@ _Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class _Topic:
     question: str
-    report: str
     matters: str
 
 
 TOPICS = {
-    "material": _Topic(
-        "Does the material of the target matter?",
-        "4.3.4: plywood, asphalt and concrete are indistinguishable at these ranges",
-        "the material",
-    ),
-    "temperature": _Topic(
-        "Does hot or cold air at the sensor matter?",
-        "4.3.5: errors of 1 to 2 cm, because only the air near the sensor was hot or cold",
-        "the air at the sensor",
-    ),
-    "vibration": _Topic(
-        "Does vibration of the housing matter?", "4.3.6: effectively the same as the baseline", "the vibration"
-    ),
+    "material": _Topic("Does the material of the target matter?", "the material"),
+    "temperature": _Topic("Does hot or cold air at the sensor matter?", "the air at the sensor"),
+    "vibration": _Topic("Does vibration of the housing matter?", "the vibration"),
     "crosstalk_simultaneous": _Topic(
-        "Does a second sensor that pings at the same time matter?",
-        "4.3.7: the second sensor reads short, because it hears the first one's ping",
-        "the other sensor's ping",
+        "Does a second sensor that pings at the same time matter?", "the other sensor's ping"
     ),
-    "crosstalk_sequential": _Topic(
-        "Does a second sensor matter that waits for the first?",
-        "4.3.7: the errors are reduced when the sensors ping one after the other",
-        "the sensor that waits",
-    ),
-    "external_interference": _Topic("Does external ultrasound matter?", "4.3.8: inconclusive", "the external source"),
+    "crosstalk_sequential": _Topic("Does a second sensor matter that waits for the first?", "the sensor that waits"),
+    "external_interference": _Topic("Does external ultrasound matter?", "the external source"),
 }
-"""Condition -> what is asked, and what the report answers."""
+"""Condition -> what is asked."""
 
 
 class _Raw(NamedTuple):
@@ -95,7 +78,7 @@ class _Raw(NamedTuple):
     detectable: Callable[[float], float] | None = None
 
 
-def questions(points: Sequence[Point]) -> tuple[Question, ...]:
+def questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     """All questions that the points allow, with p-values corrected for all of them together.
 
     Parameters
@@ -123,7 +106,9 @@ def questions(points: Sequence[Point]) -> tuple[Question, ...]:
     return tuple(answered)
 
 
-def _compared(name: str, topic: _Topic, points: Sequence[Point], everything: Sequence[Point]) -> Iterable[Question]:
+def _compared(
+    name: str, topic: _Topic, points: Sequence[PointResult], everything: Sequence[PointResult]
+) -> Iterable[Question]:
     """One question for each level of an experiment, and for each sensor where two are at work."""
     by_sensor = name in CROSSTALK
     for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
@@ -146,13 +131,12 @@ def _compared(name: str, topic: _Topic, points: Sequence[Point], everything: Seq
                 effects=(),
                 verdict="cannot tell",
                 answer="",
-                report=topic.report,
                 points=tuple(varied),
                 reference_points=tuple(p for p in reference if round(p.true_range_cm, 1) in ranges),
             )
 
 
-def _baseline(name: str, sensor: str, everything: Sequence[Point]) -> tuple[str, list[Point]]:
+def _baseline(name: str, sensor: str, everything: Sequence[PointResult]) -> tuple[str, list[PointResult]]:
     """What an experiment without a level of reference is compared with: the same sensor's points, where it has some."""
     baseline = [p for p in everything if p.condition == "baseline"]
     own = [p for p in baseline if p.sensor == sensor]
@@ -165,7 +149,7 @@ def _baseline(name: str, sensor: str, everything: Sequence[Point]) -> tuple[str,
     return "the baseline of another sensor", baseline
 
 
-def _reference_level(name: str, points: Sequence[Point]) -> str | None:
+def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     """The level of the experiment itself that the others are compared with; None: the baseline."""
     levels = list(dict.fromkeys(p.level for p in points))
     if name == "material":
@@ -190,11 +174,11 @@ def _effect(metric: Metric, question: Question) -> _Raw | None:
     return _odds(question, lambda p: p.short + p.long, lambda p: p.readings - p.no_echo - p.saturated - p.no_answer)
 
 
-def _log_spread(point: Point) -> float | None:
+def _log_spread(point: PointResult) -> float | None:
     return None if point.spread is None else math.log(math.hypot(point.spread.value, STEP_SPREAD_CM))
 
 
-def _paired(question: Question, value: Callable[[Point], float | None], bound: float) -> _Raw | None:
+def _paired(question: Question, value: Callable[[PointResult], float | None], bound: float) -> _Raw | None:
     """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, from set-up
     to set-up."""
     varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
@@ -211,7 +195,7 @@ def _paired(question: Question, value: Callable[[Point], float | None], bound: f
     return _Raw(mean, error, freedom, differences.size, "points", p_value, bound, False)
 
 
-def _by_range(points: Sequence[Point], value: Callable[[Point], float | None]) -> dict[float, list[float]]:
+def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], float | None]) -> dict[float, list[float]]:
     found: dict[float, list[float]] = {}
     for point in points:
         one = value(point)
@@ -220,7 +204,7 @@ def _by_range(points: Sequence[Point], value: Callable[[Point], float | None]) -
     return found
 
 
-def _odds(question: Question, count: Callable[[Point], int], of: Callable[[Point], int]) -> _Raw | None:
+def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[[PointResult], int]) -> _Raw | None:
     """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
     ranges = {round(p.true_range_cm, 1) for p in question.reference_points}
     varied = [p for p in question.points if round(p.true_range_cm, 1) in ranges and of(p)]
@@ -263,7 +247,9 @@ def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
     return math.log(other / (1.0 - other)) - math.log(share / (1.0 - share))
 
 
-def _overdispersion(points: Sequence[Point], count: Callable[[Point], int], of: Callable[[Point], int]) -> float:
+def _overdispersion(
+    points: Sequence[PointResult], count: Callable[[PointResult], int], of: Callable[[PointResult], int]
+) -> float:
     """Variance of the points' counts over that of chance, at least 1."""
     share = sum(map(count, points)) / sum(map(of, points))
     if len(points) < 2 or not 0.0 < share < 1.0:
@@ -279,11 +265,11 @@ def _p_alike(raw: _Raw) -> float:
     return min(by_value, LEVEL / 1e3) if raw.small_share else by_value
 
 
-def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int) -> Effect:
+def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int) -> FactorEffect:
     is_ratio = metric != "bias"
     bound = {"bias": BIAS_BOUND_CM, "spread": SPREAD_BOUND}.get(metric, ODDS_BOUND)
     if raw is None or different is None or alike is None:
-        return Effect(metric, None, None, None, bound, "cannot tell", None)
+        return FactorEffect(metric, None, None, None, bound, "cannot tell", None)
     half = (float(stats.t.ppf(0.5 + CONFIDENCE / 2, raw.freedom)) if math.isfinite(raw.freedom) else Z) * raw.error
     ends = (raw.value, raw.value - half, raw.value + half)
     # e^500 is a number still, and 'anything' enough.
@@ -291,9 +277,9 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
     verdict: Verdict = "does not matter" if alike < LEVEL else "matters" if different < LEVEL else "cannot tell"
     level = LEVEL / tests
     shown = detectable(raw.error, raw.freedom, level) if raw.detectable is None else raw.detectable(level)
-    return Effect(
+    return FactorEffect(
         metric=metric,
-        estimate=Estimate(value, low, high, "" if is_ratio else "cm", raw.n, raw.of),
+        estimate=IntervalEstimate(value, low, high, "" if is_ratio else "cm", raw.n, raw.of),
         p_value=raw.p_value,
         p_adjusted=different,
         bound=bound,
@@ -338,7 +324,7 @@ def _answered(question: Question) -> Question:
     return replace(question, verdict=verdict, answer=answer)
 
 
-def _size(effect: Effect) -> str:
+def _size(effect: FactorEffect) -> str:
     estimate = effect.estimate
     assert estimate is not None
     low, high = estimate.low, estimate.high
@@ -348,7 +334,7 @@ def _size(effect: Effect) -> str:
     return f"{name} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
 
 
-def _doubt(effect: Effect) -> str:
+def _doubt(effect: FactorEffect) -> str:
     if effect.estimate is None:
         return f"{effect.metric}: no two points to compare"
     if effect.smallest_detectable is None:
@@ -356,7 +342,7 @@ def _doubt(effect: Effect) -> str:
     return f"{_size(effect)}; these data would have shown {_amount(effect)} or more"
 
 
-def _amount(effect: Effect) -> str:
+def _amount(effect: FactorEffect) -> str:
     assert effect.smallest_detectable is not None
     return (
         f"{effect.smallest_detectable:.2g} cm" if effect.metric == "bias" else f"{effect.smallest_detectable:.2g} times"

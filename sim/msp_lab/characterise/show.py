@@ -1,6 +1,6 @@
 """A characterisation's results in a short table on the terminal, with what the data did not allow.
 
-Findings enter, lines leave; the report has the rest.
+Findings enter, lines leave; the page has the rest.
 """
 
 from collections.abc import Iterator
@@ -9,21 +9,23 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from msp_lab.characterise.findings import Effect, Estimate, Findings, Question
+from msp_lab.characterise.answer import answer
+from msp_lab.characterise.findings import FactorEffect, Findings, IntervalEstimate, Question
 
 STYLES = {"matters": "yellow", "does not matter": "green", "cannot tell": "dim"}
 
 
 def show(findings: Findings, console: Console) -> None:
     """Print the results."""
+    console.print(answer(findings), highlight=False)
     rows = sum(each.readings for each in findings.points)
     table = Table(
         title=f"{findings.sensor}: {rows} readings at {len(findings.points)} points", title_justify="left", expand=False
     )
-    for heading in ("what", "found (95 % interval)", "the report"):
+    for heading in ("what", "found (95 % interval)"):
         table.add_column(heading, overflow="fold")
-    for what, found, report in _lines(findings):
-        table.add_row(what, found, report)
+    for what, found in _lines(findings):
+        table.add_row(what, found)
     console.print(table)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
@@ -32,54 +34,49 @@ def show(findings: Findings, console: Console) -> None:
         console.print(f"warning: {warning}", style="yellow", highlight=False)
 
 
-def _lines(findings: Findings) -> Iterator[tuple[str, str | Text, str]]:
+def _lines(findings: Findings) -> Iterator[tuple[str, str | Text]]:
     base, calibration = findings.baseline, findings.calibration
     if base is not None:
-        yield "mean error", told(base.bias, 2), ""
+        yield "mean error", told(base.bias, 2)
         largest = f"{base.largest_hit_error_cm:+.3g} cm; of any reading but codes {base.largest_error_cm:+.3g} cm"
-        yield "largest error of a hit", largest, f"{base.report_largest_error_cm:g} cm"
-        yield "missed echoes", told(base.missed, 4), ""
+        yield "largest error of a hit", largest
+        yield "missed echoes", told(base.missed, 4)
     if calibration is not None:
-        yield "spread of hits", told(calibration.spread, 2), ""
+        yield "spread of hits", told(calibration.spread, 2)
         if calibration.scale is not None and calibration.offset is not None:
-            yield "offset, scale", f"{told(calibration.offset, 2)}, {told(calibration.scale, 4)}", ""
+            yield "offset, scale", f"{told(calibration.offset, 2)}, {told(calibration.scale, 4)}"
         if calibration.set_up_offset is not None:
-            yield "between set-ups", told(calibration.set_up_offset, 2), ""
-        yield "calibration", f"{calibration.form}: {calibration.reason}", ""
+            yield "between set-ups", told(calibration.set_up_offset, 2)
+        yield "calibration", f"{calibration.form}: {calibration.reason}"
     longest = findings.maximum_range
     if longest is not None:
-        peaks = f"peaks: {len(longest.peaks_before)}, and {len(longest.peaks_after)} with 765 and 255 masked"
-        yield (
-            f"at {longest.true_range_cm:g} cm",
-            f"{peaks}, at {longest.peak.value:g} cm",
-            f"{longest.report_peak_cm:g} cm",
-        )
+        peaks = f"peaks: {len(longest.peaks_before)}, and {len(longest.peaks_after)} with codes for no echo masked"
+        yield f"at {longest.true_range_cm:g} cm", f"{peaks}, at {longest.peak.value:g} cm"
     if findings.mixture is not None:
         shown = ", ".join(f"{each.name} {each.fitted.value:.3g}" for each in findings.mixture.parameters)
         fits = f"p of the fit {findings.mixture.pit_p_value:.2g}"
-        yield "mixture", f"{shown}; {findings.mixture.conditional}; {fits}", ""
+        yield "mixture", f"{shown}; {findings.mixture.conditional}; {fits}"
     view = findings.field_of_view
     if view is not None:
         for angle in view.angles:
-            report = "" if angle.report_deg is None else f"{angle.report_deg:g} deg"
-            yield f"breakaway at {angle.range_cm:g} cm", told(angle.half_angle, 1), report
-        yield "a tilted sensor reads", f"{view.oblique.verdict}: {view.oblique.reason}", "slant range"
+            yield f"breakaway at {angle.range_cm:g} cm", told(angle.half_angle, 1)
+        yield "a tilted sensor reads", f"{view.oblique.verdict}: {view.oblique.reason}"
     if findings.sonar is not None:
         rows = [
             f"{row.measured_deg:g}: {_or_none(row.fitted_deg)}, left out {_or_none(row.left_out_deg)}"
             for row in findings.sonar.rows
         ]
-        yield "sonar equation [deg]", "; ".join(rows), ""
+        yield "sonar equation [deg]", "; ".join(rows)
     for question in findings.questions:
         subject = f"{question.level} against {question.reference}" + (f", {question.sensor}" if question.sensor else "")
-        yield question.name, Text(f"{subject}: {_verdict(question)}", style=STYLES[question.verdict]), ""
+        yield question.name, Text(f"{subject}: {_verdict(question)}", style=STYLES[question.verdict])
     for box in findings.hot_boxes:
         found = f"{told(box.per_cent, 1)} of range, not {box.uniform_per_cent:.1f} %; so deep: {told(box.depth, 0)}"
-        yield f"box at {box.box_c:.0f} C", found, "1 to 2 cm"
+        yield f"box at {box.box_c:.0f} C", found
     for row in findings.temperature_compensation:
         compensated = "not compensated" if row.compensated is None else f"{row.compensated.value:.2f} cm"
         found = f"{row.uncompensated.value:.2f} / {compensated}, implies {row.implied_c.value:.1f} C"
-        yield f"5.1: {row.range_cm:g} cm", found, _of_report(row.report_uncompensated_cm, row.report_compensated_cm)
+        yield f"air compensated, {row.range_cm:g} cm", found
 
 
 def _verdict(question: Question) -> str:
@@ -90,7 +87,7 @@ def _verdict(question: Question) -> str:
     return f"{question.verdict}: " + "; ".join(f"{each.metric} {_effect(each)}" for each in about)
 
 
-def _effect(effect: Effect) -> str:
+def _effect(effect: FactorEffect) -> str:
     assert effect.estimate is not None
     if effect.metric == "bias":
         return told(effect.estimate, 2)
@@ -98,7 +95,7 @@ def _effect(effect: Effect) -> str:
     return f"x {estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
 
 
-def told(estimate: Estimate, digits: int) -> str:
+def told(estimate: IntervalEstimate, digits: int) -> str:
     """An estimate as text."""
     low, high = ("?" if end is None else f"{end:.{digits}f}" for end in (estimate.low, estimate.high))
     return f"{estimate.value:.{digits}f} {estimate.unit}".rstrip() + f" ({low} to {high})"
@@ -106,7 +103,3 @@ def told(estimate: Estimate, digits: int) -> str:
 
 def _or_none(angle_deg: float | None) -> str:
     return "none" if angle_deg is None else f"{angle_deg:.1f}"
-
-
-def _of_report(uncompensated_cm: float | None, compensated_cm: float | None) -> str:
-    return "" if uncompensated_cm is None else f"{uncompensated_cm:g} / {compensated_cm:g} cm"

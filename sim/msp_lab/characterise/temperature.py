@@ -1,7 +1,7 @@
-"""Air at the sensor and air on the way: the hot box (report 4.3.5) and temperature compensation (5.1, Table 5.1).
+"""Air at the sensor and air on the way: the hot box, and temperature compensation.
 
 Points with air temperatures enter; how long the box's air must be to explain the errors, and mean errors with and
-without eq 7 beside the report's, leave. Speeds of sound are those of `msp_range.acoustics.air`.
+without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
 """
 
 import math
@@ -12,22 +12,19 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from msp_lab.characterise.estimates import CONFIDENCE, standard_error
-from msp_lab.characterise.findings import AirBefore, CompensationRow, Estimate, HotBox, HotBoxRow, Point
+from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.correction.calibration import Calibration
 
-REPORT_ROOM_C = 21.1
-"""70 deg F, the report's room; taken where nobody measured the air at the target."""
-REPORT_TABLE = {305: (1.00, 1.00), 335: (2.821, 0.067), 366: (2.739, 0.196), 396: (2.724, 0.447), 427: (4.931, 0.921)}
-"""Range [cm] -> the report's mean error uncompensated and compensated [cm] (Table 5.1)."""
-REPORT_CALIBRATION_C = 20.0
-"""What the report takes the sensor to assume (68 deg F, after its eq 7)."""
+ROOM_C = 21.1
+"""Room temperature where nobody measured the air at the target: 70 deg F. It decides which readings of the temperature
+experiment are those of room temperature, within 5 deg, and what air is assumed beyond a box."""
 
 _Array = NDArray[np.float64]
 
 
-def hot_boxes(points: Sequence[Point], calibration_c: float) -> tuple[HotBox, ...]:
+def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotBox, ...]:
     """One finding for each level of the temperature experiment that is not room temperature.
 
     Parameters
@@ -38,7 +35,7 @@ def hot_boxes(points: Sequence[Point], calibration_c: float) -> tuple[HotBox, ..
         Air temperature that the sensor assumes [deg C].
     """
     here = [p for p in points if p.condition == "temperature" and p.air_temperature_c is not None and p.error]
-    room = [p for p in here if abs((p.air_temperature_c or 0.0) - REPORT_ROOM_C) < 5.0]
+    room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < 5.0]
     reference = room or [p for p in points if p.condition == "baseline" and p.error]
     zero = _by_range(reference)
     levels = dict.fromkeys(p.level for p in here if p not in room)
@@ -47,7 +44,11 @@ def hot_boxes(points: Sequence[Point], calibration_c: float) -> tuple[HotBox, ..
 
 
 def _hot_box(
-    level: str, points: Sequence[Point], zero: dict[float, Point], reference: Sequence[Point], calibration_c: float
+    level: str,
+    points: Sequence[PointResult],
+    zero: dict[float, PointResult],
+    reference: Sequence[PointResult],
+    calibration_c: float,
 ) -> HotBox | None:
     pairs = [(p, zero[round(p.true_range_cm, 1)]) for p in points if round(p.true_range_cm, 1) in zero]
     if len(pairs) < 3:
@@ -55,7 +56,7 @@ def _hot_box(
     box_c = float(np.mean([p.air_temperature_c for p in points]))
     far = [p.target_temperature_c for p in points if p.target_temperature_c is not None]
     near = [p.air_temperature_c for p in reference if p.air_temperature_c is not None]
-    room_c = float(np.mean(far or near or [REPORT_ROOM_C]))
+    room_c = float(np.mean(far or near or [ROOM_C]))
     range_cm = np.array([p.true_range_cm for p, _ in pairs])
     shift = np.array([p.error.value - q.error.value for p, q in pairs if p.error and q.error])
     errors = [math.hypot(standard_error(p.error), standard_error(q.error)) for p, q in pairs if p.error and q.error]
@@ -68,7 +69,7 @@ def _hot_box(
     # Correction that the readings call for: slope of -shift over range, in per cent.
     fit = stats.linregress(range_cm, -100.0 * shift)
     slope_half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 2)) * float(fit.stderr)
-    per_cent = Estimate(
+    per_cent = IntervalEstimate(
         float(fit.slope), float(fit.slope) - slope_half, float(fit.slope) + slope_half, "%", n, "points"
     )
     uniform_per_cent = 100.0 * (speed_of_sound(box_c) / speed_of_sound(room_c) - 1.0)
@@ -88,7 +89,11 @@ def _hot_box(
         per_cent=per_cent,
         uniform_per_cent=uniform_per_cent,
         rows=tuple(
-            HotBoxRow(float(r), Estimate(float(s), float(s) - 1.96 * e, float(s) + 1.96 * e, "cm", p.hits), *ideas_here)
+            HotBoxRow(
+                float(r),
+                IntervalEstimate(float(s), float(s) - 1.96 * e, float(s) + 1.96 * e, "cm", p.hits),
+                *ideas_here,
+            )
             for r, s, e, (p, _), ideas_here in zip(
                 range_cm,
                 shift,
@@ -114,7 +119,7 @@ def _hot_box(
     )
 
 
-def _ends(estimate: Estimate) -> str:
+def _ends(estimate: IntervalEstimate) -> str:
     low = "any" if estimate.low is None else f"{estimate.low:.0f}"
     high = "any" if estimate.high is None else f"{estimate.high:.0f}"
     return f"{low} to {high} cm"
@@ -136,7 +141,7 @@ def _gradient(range_cm: _Array, box_c: float, room_c: float, calibration_c: floa
     return range_cm * speed * (2.0 / (box + room) - 1.0 / room)
 
 
-def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], _Array]) -> Estimate:
+def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], _Array]) -> IntervalEstimate:
     """Length of the box's air by least squares, and where the sum of squares says that it may lie."""
     depths = np.linspace(0.0, float(range_cm.max()), 1041)
     squares = np.array([float(((shift - confined(range_cm, depth)) ** 2).sum()) for depth in depths])
@@ -145,22 +150,22 @@ def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], 
     limit = squares[best] * (1.0 + float(stats.f.ppf(CONFIDENCE, 1, freedom)) / freedom)
     inside = np.flatnonzero(squares <= limit)
     high = None if inside[-1] == depths.size - 1 else float(depths[inside[-1]])
-    return Estimate(float(depths[best]), float(depths[inside[0]]), high, "cm", range_cm.size, "points")
+    return IntervalEstimate(float(depths[best]), float(depths[inside[0]]), high, "cm", range_cm.size, "points")
 
 
-def _by_range(points: Sequence[Point]) -> dict[float, Point]:
+def _by_range(points: Sequence[PointResult]) -> dict[float, PointResult]:
     return {round(p.true_range_cm, 1): p for p in reversed(points)}
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
-    """Table 5.1: mean error of each range as read and after eq 7.
+    """Mean error of each range as read and after compensation of the air's temperature.
 
     Parameters
     ----------
     points
         Of the temperature compensation experiment.
     calibration
-        Of the sensor, taken back first: eq 7 is about the air alone.
+        Of the sensor, inverted first: compensation is about the air alone.
     """
     ranges = sorted({round(point.range_cm, 3) for point in points})
     rows = [_row(r, [p for p in points if round(p.range_cm, 3) == r], calibration) for r in ranges]
@@ -174,25 +179,21 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
         return None
     air_c = np.concatenate([p.air_temperature_c[p.is_hit] for p in points])
     mean, half = float(hits.mean()), _half(hits, points[0].step_cm)
-    uncompensated = Estimate(mean - range_cm, mean - range_cm - half, mean - range_cm + half, "cm", hits.size)
+    uncompensated = IntervalEstimate(mean - range_cm, mean - range_cm - half, mean - range_cm + half, "cm", hits.size)
     compensated, thermometer_c = None, None
     if not np.isnan(air_c).any():
         thermometer_c = float(air_c.mean())
         corrected = hits * np.sqrt((air_c + ZERO_CELSIUS_K) / calibration_k)
         value = float(corrected.mean()) - range_cm
-        compensated = Estimate(value, value - half, value + half, "cm", hits.size)
+        compensated = IntervalEstimate(value, value - half, value + half, "cm", hits.size)
     implied = [calibration_k * (range_cm / each) ** 2 - ZERO_CELSIUS_K for each in (mean, mean + half, mean - half)]
-    report = next((REPORT_TABLE[each] for each in REPORT_TABLE if abs(each - range_cm) < 1.0), None)
     return CompensationRow(
         range_cm=range_cm,
         uncompensated=uncompensated,
         compensated=compensated,
         thermometer_c=thermometer_c,
-        implied_c=Estimate(implied[0], implied[1], implied[2], "deg C", hits.size),
-        report_uncompensated_cm=None if report is None else report[0],
-        report_compensated_cm=None if report is None else report[1],
-        report_implied_c=None if report is None else _report_implied_c(range_cm, *report),
-        note=_note(report, thermometer_c, calibration),
+        implied_c=IntervalEstimate(implied[0], implied[1], implied[2], "deg C", hits.size),
+        note=_note(thermometer_c, calibration),
     )
 
 
@@ -200,18 +201,8 @@ def _half(hits: _Array, step_cm: float) -> float:
     return 1.96 * math.sqrt((float(hits.var(ddof=1)) + step_cm**2 / 12.0) / hits.size)
 
 
-def _report_implied_c(range_cm: float, uncompensated_cm: float, compensated_cm: float) -> float | None:
-    """The one air temperature that takes the report's first number to its second; None where they are the same."""
-    if uncompensated_cm == compensated_cm:
-        return None
-    ratio = (range_cm + compensated_cm) / (range_cm + uncompensated_cm)
-    return (REPORT_CALIBRATION_C + ZERO_CELSIUS_K) * ratio**2 - ZERO_CELSIUS_K
-
-
-def _note(report: tuple[float, float] | None, thermometer_c: float | None, calibration: Calibration) -> str:
+def _note(thermometer_c: float | None, calibration: Calibration) -> str:
     notes = []
-    if report is not None and report[0] == report[1]:
-        notes.append("the report's row is not compensated at all: the same error before and after")
     if thermometer_c is None:
         notes.append("no thermometer here, so nothing to compensate with")
     if not calibration.is_identity:

@@ -89,7 +89,7 @@ def render(package: str, template: str, **values: Any) -> str:
     Parameters
     ----------
     package
-        Package with the template, such as ``msp_lab.characterise.report``.
+        Package with the template, such as ``msp_lab.characterise.page``.
     template
         Its file name. It may extend ``page.html`` and import ``parts.html``.
     values
@@ -110,8 +110,8 @@ def render(package: str, template: str, **values: Any) -> str:
     return environment.get_template(template).render(**values)
 
 
-def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted]) -> Path:
-    """Write a page as `PAGE`, and each picture as a PNG next to it; the page works without these files.
+def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted], name: str = PAGE) -> Path:
+    """Write a page, and each picture as a PNG next to it; the page works without these files.
 
     Parameters
     ----------
@@ -121,6 +121,8 @@ def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted]) -
         Content of the page.
     pictures
         Pictures on the page; omitted ones get no file.
+    name
+        Name of the page's file.
 
     Returns
     -------
@@ -137,7 +139,7 @@ def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted]) -
         for each in pictures:
             if isinstance(each, Picture):
                 (folder / f"{each.name}.png").write_bytes(each.png)
-        (folder / PAGE).write_text(html, encoding="utf-8")
+        (folder / name).write_text(html, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}") from None
-    return folder / PAGE
+    return folder / name

@@ -1,4 +1,4 @@
-"""The four densities of the mixture as fitted (report figures 5.3-5.6), all of them together, and how well they fit."""
+"""The four densities of the mixture as fitted, all of them together, and how well they fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,7 +143,7 @@ def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
 
 
 def draw_random(densities: Densities) -> Figure:
-    """Random readings (5.6): the same for each centimetre that the sensor can report, from its minimum and not 0."""
+    """Random readings: the same for each centimetre that the sensor can report, from its minimum and not 0."""
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["random"]
     axes.fill_between(k, 0.0, p, step="mid", color=GREEN, alpha=0.3, linewidth=0)

@@ -154,9 +154,7 @@ def draw_boxes(boxes: Sequence[BoxOfAir]) -> Figure:
     figure = new_figure(3.6)
     for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
         axes.axhline(0.0, color=GREY, linewidth=0.9)
-        axes.plot(
-            box.range_cm, box.uniform_cm, ":", color=REFERENCE, linewidth=1.8, label="that air all the way (eq 7)"
-        )
+        axes.plot(box.range_cm, box.uniform_cm, ":", color=REFERENCE, linewidth=1.8, label="that air all the way")
         axes.plot(box.range_cm, box.gradient_cm, "-.", color=PURPLE, label="linear fall to the room's at the target")
         axes.plot(box.range_cm, box.confined_cm, "-", color=GREEN, label="that air in the box only")
         axes.errorbar(
@@ -182,7 +180,7 @@ def draw_boxes(boxes: Sequence[BoxOfAir]) -> Figure:
 
 @dataclass(frozen=True)
 class Compensated:
-    """Table 5.1 as a picture: mean errors without and with compensation, ours and the report's; NaN: none."""
+    """Mean errors without and with temperature compensation, and those of a reference; NaN: none."""
 
     range_cm: _Array
     before_cm: _Array
@@ -191,16 +189,20 @@ class Compensated:
     after_cm: _Array
     after_low_cm: _Array
     after_high_cm: _Array
-    report_before_cm: _Array
-    report_after_cm: _Array
+    reference_before_cm: _Array
+    reference_after_cm: _Array
+    reference: str = ""
+    """Name of the reference; "": there is none."""
 
 
 def draw_compensated(rows: Compensated) -> Figure:
-    """An arrow a range, from the mean error without compensation to the one with it; ours beside the report's."""
+    """An arrow a range, from the mean error without compensation to the one with it; the reference's next to it."""
     figure = new_figure(3.6)
     axes = figure.subplots()
     axes.axhline(0.0, color=GREY, linewidth=0.9)
-    aside = 0.12 * (float(np.min(np.diff(rows.range_cm))) if rows.range_cm.size > 1 else 20.0)
+    aside = (
+        0.12 * (float(np.min(np.diff(rows.range_cm))) if rows.range_cm.size > 1 else 20.0) if rows.reference else 0.0
+    )
     for x, before, after, low, high, colour, marker, who in (
         (
             rows.range_cm - aside,
@@ -209,12 +211,20 @@ def draw_compensated(rows: Compensated) -> Figure:
             rows.before_low_cm,
             rows.before_high_cm,
             *SERIES[0],
-            "ours",
+            "ours, " if rows.reference else "",
         ),
-        (rows.range_cm + aside, rows.report_before_cm, rows.report_after_cm, None, None, *SERIES[5], "the report's"),
-    ):
+        (
+            rows.range_cm + aside,
+            rows.reference_before_cm,
+            rows.reference_after_cm,
+            None,
+            None,
+            *SERIES[5],
+            f"{rows.reference}'s, ",
+        ),
+    )[: 2 if rows.reference else 1]:
         axes.vlines(x, before, after, color=colour, linewidth=1.0, alpha=0.6)
-        axes.plot(x, before, linestyle="none", marker=marker, color=colour, markersize=6, label=f"{who}, uncompensated")
+        axes.plot(x, before, linestyle="none", marker=marker, color=colour, markersize=6, label=f"{who}uncompensated")
         axes.plot(
             x,
             after,
@@ -224,7 +234,7 @@ def draw_compensated(rows: Compensated) -> Figure:
             color=colour,
             markerfacecolor="white",
             markeredgewidth=1.4,
-            label=f"{who}, compensated",
+            label=f"{who}compensated",
         )
         if low is not None and high is not None:
             for y, bottom, top in ((before, low, high), (after, rows.after_low_cm, rows.after_high_cm)):

@@ -43,14 +43,14 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Row:
+class ForestRow:
     """A question: its words at the left, and the effects that were estimated."""
 
     label: str
     sizes: Sequence[Size]
 
 
-def draw_questions(rows: Sequence[Row]) -> Figure:
+def draw_questions(rows: Sequence[ForestRow]) -> Figure:
     """A row a question, a panel a metric.
 
     Parameters

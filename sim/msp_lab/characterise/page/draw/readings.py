@@ -1,4 +1,4 @@
-"""Many readings at one range (report figures 4.5-4.8): in the order in which they came, and how often each was read."""
+"""Many readings at one range: in the order in which they came, and how often each was read."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -93,9 +93,9 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
 
 
 def draw_histogram(
-    fixed: FixedRange, masked: bool, fitted: _Array | None = None, report_peak_cm: float | None = None
+    fixed: FixedRange, masked: bool, fitted: _Array | None = None, reference: tuple[str, float] | None = None
 ) -> Figure:
-    """How often each whole centimetre was read; with a logarithmic scale where the codes are in it (4.6 and 4.8).
+    """How often each whole centimetre was read; with a logarithmic scale where the codes are in it.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def draw_histogram(
         Leave out the codes for no echo.
     fitted
         Probabilities of the readings 0, 1, 2 ... cm by a fitted model, or None.
-    report_peak_cm
-        Where the report has its peak [cm], or None.
+    reference
+        Who found the peak where before [cm], or None.
     """
     figure = new_figure(3.5)
     axes = figure.subplots()
@@ -162,10 +162,9 @@ def draw_histogram(
     axes.axvline(
         fixed.true_range_cm, color=REFERENCE, linestyle="--", label=f"true range, {fixed.true_range_cm:g} cm", zorder=4
     )
-    if masked and report_peak_cm is not None:
-        axes.axvline(
-            report_peak_cm, color=GREY, linestyle=":", label=f"the report's peak, {report_peak_cm:g} cm", zorder=4
-        )
+    if masked and reference is not None:
+        name, peak_cm = reference
+        axes.axvline(peak_cm, color=GREY, linestyle=":", label=f"{name}'s peak, {peak_cm:g} cm", zorder=4)
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel("readings" if masked else "readings (logarithmic)")
     axes.grid(axis="x", visible=False)

@@ -1,4 +1,4 @@
-"""The field of view at one range (report figures 4.9-4.12), and the sonar equation through the breakaway angles."""
+"""The field of view at one range, and the sonar equation through the breakaway angles."""
 
 from dataclasses import dataclass
 
@@ -42,8 +42,8 @@ class Sweep:
         Last reliable angle to either side, negative and positive [deg]; None: not known.
     negative_end_deg, positive_end_deg
         Next angle that was tried, where it is not reliable any more; None: none was tried.
-    report_deg
-        The report's half angle at this range; None: it has none.
+    reference_deg, reference
+        A reference's half angle at this range, and its name; None: there is none.
     nearest_half_angle_deg
         Half angle of the beam in which the nearest point of the wall is taken.
     stretch
@@ -60,9 +60,10 @@ class Sweep:
     positive_deg: float | None
     negative_end_deg: float | None
     positive_end_deg: float | None
-    report_deg: float | None
+    reference_deg: float | None
     nearest_half_angle_deg: float
     stretch: float = 1.0
+    reference: str = ""
 
 
 def draw_sweep(sweep: Sweep) -> Figure:
@@ -78,7 +79,7 @@ def draw_sweep(sweep: Sweep) -> Figure:
     low, high = min(base_cm, sweep.range_cm) - 4.0, max(float(np.max(slant_cm)), sweep.range_cm) + 5.0
 
     _shares(top, sweep, low, high)
-    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="eq 8: along the axis, r₀ / cos θ", zorder=4)
+    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ", zorder=4)
     if sweep.nearest_half_angle_deg > 0.0:
         label = f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°"
         top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4, label=label)
@@ -171,27 +172,27 @@ def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
         top.plot([], [], "-", color=INK, linewidth=1.3, label="breakaway: last reliable angle")
     if any(each is not None for each in (sweep.negative_end_deg, sweep.positive_end_deg)):
         top.fill_between([], [], [], color=ORANGE, alpha=0.22, linewidth=0, label="up to the next angle tried")
-    if sweep.report_deg is not None:
+    if sweep.reference_deg is not None:
         for sign in (-1, 1):
             for axes in (top, bottom):
-                axes.axvline(sign * sweep.report_deg, color=REFERENCE, linestyle=":", linewidth=2.0, zorder=5)
-        top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"the report's ±{sweep.report_deg:g}°")
+                axes.axvline(sign * sweep.reference_deg, color=REFERENCE, linestyle=":", linewidth=2.0, zorder=5)
+        top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"{sweep.reference}'s ±{sweep.reference_deg:g}°")
 
 
 @dataclass(frozen=True)
-class BeamRow:
-    """A half angle at a range [deg]: measured with its interval, the report's, and predicted without it."""
+class BeamAngle:
+    """A half angle at a range [deg]: measured with its interval, a reference's, and predicted without it."""
 
     range_cm: float
     measured_deg: float
     low_deg: float | None
     high_deg: float | None
-    report_deg: float | None
+    reference_deg: float | None
     left_out_deg: float | None
 
 
 @dataclass(frozen=True)
-class Beam:
+class BeamPicture:
     """Measured half angles and the sonar equation through them.
 
     Parameters
@@ -204,17 +205,20 @@ class Beam:
         What the bridge uses over range, shape (m,).
     step_deg
         Step of the motor: what an angle is known to.
+    reference
+        Name of the reference whose angles are drawn.
     """
 
-    rows: tuple[BeamRow, ...]
+    rows: tuple[BeamAngle, ...]
     equation_cm: _Array
     equation_deg: _Array
     used_cm: _Array
     used_deg: _Array
     step_deg: float
+    reference: str = ""
 
 
-def draw_beam(beam: Beam) -> Figure:
+def draw_beam(beam: BeamPicture) -> Figure:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
     figure = new_figure(4.0)
     axes = figure.subplots()
@@ -246,7 +250,7 @@ def draw_beam(beam: Beam) -> Figure:
         zorder=6,
         label="measured, up to the next angle tried",
     )
-    pairs = [(row.range_cm, row.report_deg) for row in beam.rows if row.report_deg is not None]
+    pairs = [(row.range_cm, row.reference_deg) for row in beam.rows if row.reference_deg is not None]
     if pairs:
         axes.plot(
             [range_cm for range_cm, _ in pairs],
@@ -256,7 +260,7 @@ def draw_beam(beam: Beam) -> Figure:
             markersize=7,
             color=REFERENCE,
             markeredgecolor="white",
-            label="the report's",
+            label=f"{beam.reference}'s",
             zorder=7,
         )
     left_out = [(row.range_cm, row.left_out_deg) for row in beam.rows if row.left_out_deg is not None]

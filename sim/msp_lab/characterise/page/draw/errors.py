@@ -1,4 +1,4 @@
-"""Range error over range (report figures 4.4, 4.13-4.21, 5.1 and 5.2).
+"""Range error over range.
 
 Errors of readings at true ranges enter, a figure leaves. At a fixed range the errors of a sensor with whole
 centimetres take few values, so each range shows how often each was read, as a bar whose width is its share.
@@ -49,7 +49,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Line:
-    """A curve to compare with: what is expected, or what the report has."""
+    """A curve to compare with: what is expected, or what a reference has."""
 
     label: str
     range_cm: _Array

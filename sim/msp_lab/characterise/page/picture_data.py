@@ -1,11 +1,9 @@
 """Which rows of the measured readings a picture is made of, and why there are none.
 
-Measured data and the sensor model enter; arrays for the drawing functions leave, or `Absent` with the reason that the
-page prints in the picture's place.
+Measured data and the sensor model enter; arrays for the drawing functions leave, or `Absent` with the reason.
 """
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,13 +13,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.page.draw.errors import Errors
+from msp_lab.characterise.page.text import plus
 from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
-from msp_lab.characterise.report.draw.errors import Errors
+from msp_lab.characterise.reference import Reference
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
 _Array = NDArray[np.float64]
-_Rows = NDArray[np.bool_]
+_Mask = NDArray[np.bool_]
 
 CONDITIONS = {
     "baseline": "the baseline (nothing varied)",
@@ -52,11 +52,22 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Measured data with every column that the pictures need, NaN or "" where the file has none."""
+class PictureData:
+    """What pictures are drawn from: measured data with every column that they need, NaN or "" where the file has none.
+
+    Attributes
+    ----------
+    data
+        The readings.
+    model
+        The sensor model with the fitted numbers.
+    reference
+        Earlier numbers to mark next to the new ones; None: nothing is marked.
+    """
 
     data: MeasuredData
     model: SensorModel
+    reference: Reference | None = None
 
     def number(self, name: str) -> _Array:
         """A column of numbers; NaN where it is absent, unknown, or holds words."""
@@ -90,7 +101,7 @@ class Rows:
         return sort_into_points(self.data, self.model)
 
     @cached_property
-    def missed(self) -> _Rows:
+    def missed(self) -> _Mask:
         """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
         missed = np.ones(len(self.data), dtype=bool)
         for point in self._points:
@@ -120,7 +131,7 @@ class Rows:
     def _condition(self) -> NDArray[np.str_]:
         return conditions(self.data)
 
-    def of(self, condition: str) -> _Rows:
+    def of(self, condition: str) -> _Mask:
         """Rows of an experiment that have a true range.
 
         Raises
@@ -138,7 +149,7 @@ class Rows:
             raise Absent(f"No readings of {what} are in the data{unsaid}.")
         return np.asarray(rows)
 
-    def errors(self, rows: _Rows, label: str = "", reading_cm: _Array | None = None) -> Errors:
+    def errors(self, rows: _Mask, label: str = "", reading_cm: _Array | None = None) -> Errors:
         """Errors of some rows, for drawing.
 
         Parameters
@@ -158,7 +169,11 @@ class Rows:
         return Errors(label, self.true_cm[rows], error_cm, missed)
 
 
-Maker = Callable[[Findings, Rows], Drawn]
+Maker = Callable[[Findings, PictureData], Drawn]
+"""Draws a picture; raises `Absent` where the data do not allow it."""
+
+Entry = tuple[str, str, Maker]
+"""Name of the file, title, and what makes the picture."""
 
 
 def summary(errors: Errors) -> str:
@@ -186,40 +201,3 @@ def set_up_error_cm(findings: Findings, condition: str, true_range_cm: float) ->
         if each.condition == condition and math.isclose(each.true_range_cm, true_range_cm)
     ]
     return sum(found) / len(found) if found else 0.0
-
-
-def sentence(text: str) -> str:
-    """A text that begins with a capital and ends with a full stop, its minus signs as long as its plus signs.
-
-    Examples
-    --------
-    >>> sentence("nothing grows with range"), sentence("Said."), sentence("")
-    ('Nothing grows with range.', 'Said.', '')
-    """
-    text = minus(text.strip())
-    return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".?!" else ".")
-
-
-def minus(text: str) -> str:
-    """A text whose hyphens before numbers are minus signs.
-
-    Examples
-    --------
-    >>> minus("-1.39 cm (-1.57 to -1.20), 40-60 cm")
-    '−1.39 cm (−1.57 to −1.20), 40-60 cm'
-    """
-    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
-
-
-def plus(number: float, digits: int = 1) -> str:
-    """A signed number with a true minus sign; no sign for what rounds to 0.
-
-    Examples
-    --------
-    >>> plus(-1.26), plus(0.04), plus(3.0)
-    ('−1.3', '0.0', '+3.0')
-    """
-    text = f"{number:+.{digits}f}"
-    if float(text) == 0.0:
-        return text[1:]
-    return text.replace("-", "−")

@@ -1,0 +1,157 @@
+"""Accuracy with nothing varied, the calibration, and readings at the longest range."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from msp_lab.characterise.findings.estimate import IntervalEstimate
+from msp_lab.characterise.findings.points import PointResult
+
+Form = Literal["none", "offset and scale", "piecewise linear"]
+"""Forms of a calibration, from the simplest."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Accuracy on the axis with nothing varied.
+
+    Attributes
+    ----------
+    points
+        By range.
+    bias
+        Mean error over the points, which are the unit [cm].
+    spread
+        Of readings about their point's mean, without the rounding [cm].
+    between_points
+        Standard deviation of the points' mean errors about the straight line, beyond what chance in their readings
+        explains [cm]: how well ranges were set up, and how far the sensor is from linear; these data cannot part them.
+    missed, outliers
+        Shares of all readings.
+    largest_error_cm, largest_hit_error_cm
+        Largest error of a reading that is no code, and of a hit, signed.
+    """
+
+    points: tuple[PointResult, ...]
+    bias: IntervalEstimate
+    spread: IntervalEstimate
+    between_points: IntervalEstimate | None
+    missed: IntervalEstimate
+    outliers: IntervalEstimate
+    largest_error_cm: float
+    largest_hit_error_cm: float
+
+
+@dataclass(frozen=True)
+class Knot:
+    """True range and the mean reading there [cm], in air of the sensor's calibration temperature."""
+
+    true_cm: float
+    reading_cm: float
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How well a form of calibration fitted without some points predicts them.
+
+    Attributes
+    ----------
+    form
+        Of the calibration.
+    rms_cm
+        Root mean square error over the points left out in turn [cm].
+    gain
+        Mean square error that it takes off the next simpler form [cm^2], by points; None for the simplest.
+    """
+
+    form: Form
+    rms_cm: float
+    gain: IntervalEstimate | None
+
+
+@dataclass(frozen=True)
+class CalibrationFindings:
+    """Readings against the reference.
+
+    Attributes
+    ----------
+    form, knots
+        What the model file gets: nothing, a straight line (two knots) or a piecewise linear one.
+    reason
+        Why this form, in a sentence.
+    bias, offset, scale
+        Mean error [cm]; reading at no range [cm] and reading a true centimetre of the straight line. Points are the
+        unit: their scatter about the line is in the intervals.
+    spread
+        Standard deviation of readings about their point's mean, before rounding [cm].
+    resolution
+        Step of the readings, and its evidence in `resolution_note`.
+    linearity
+        Largest distance of a point's mean from the straight line [cm], and what chance alone would make the largest in
+        95 % of cases in `linearity_by_chance_cm`.
+    reference_std_cm
+        Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
+    set_up_offset
+        Standard deviation between set-ups about the calibration, beyond chance and what their true ranges are stated
+        to be off by [cm]: an offset of the sensor that differs from one session to the next. None: not stated.
+    held_out
+        The forms tried and how each did on ranges that it had not seen.
+    held_out_unit
+        What was left out in turn: "range", or "range and run" where runs hold several ranges each.
+    true_cm, reading_cm, reading_std_cm
+        The points' data: apparent true range, mean of the hits, standard error of that mean.
+    """
+
+    form: Form
+    knots: tuple[Knot, ...]
+    reason: str
+    bias: IntervalEstimate
+    offset: IntervalEstimate | None
+    scale: IntervalEstimate | None
+    spread: IntervalEstimate
+    resolution: IntervalEstimate
+    resolution_note: str
+    linearity: IntervalEstimate | None
+    linearity_by_chance_cm: float | None
+    reference_std_cm: float | None
+    held_out: tuple[HeldOut, ...]
+    held_out_unit: str
+    true_cm: tuple[float, ...]
+    reading_cm: tuple[float, ...]
+    reading_std_cm: tuple[float, ...]
+    set_up_offset: IntervalEstimate | None = None
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A peak of a histogram of readings: where, and the share of all readings within it."""
+
+    reading_cm: float
+    share: float
+
+
+@dataclass(frozen=True)
+class MaximumRange:
+    """Readings at the longest range, with missed ones and without.
+
+    Attributes
+    ----------
+    true_range_cm
+        Where.
+    histogram
+        (reading [cm], count) of all answers.
+    no_echo, saturated
+        Counts of 765 and 255, which are masked.
+    peaks_before, peaks_after
+        Peaks of the histogram, the largest first.
+    peak
+        Where the masked histogram has its peak [cm]: the most frequent reading, and those that are not surely rarer.
+    """
+
+    true_range_cm: float
+    readings: int
+    histogram: tuple[tuple[int, int], ...]
+    no_echo: int
+    saturated: int
+    peaks_before: tuple[Peak, ...]
+    peaks_after: tuple[Peak, ...]
+    peak: IntervalEstimate

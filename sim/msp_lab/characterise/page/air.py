@@ -1,0 +1,165 @@
+"""Pictures of the air's temperature: compensation by range, and hot or cold air at the sensor only."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.characterise.findings import CompensationRow, Findings, IntervalEstimate
+from msp_lab.characterise.page.draw.accuracy import BoxOfAir, Compensated, draw_boxes, draw_compensated
+from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, summary
+from msp_lab.characterise.page.text import interval, number, sentence
+from msp_range.acoustics.air import compensate_range
+from msp_sim.page.page import PageTable
+
+MAX_BOXES = 3
+"""Panels that the picture of hot and cold air has room for."""
+
+
+def entries() -> Iterator[Entry]:
+    """Yield the pictures in the page's order."""
+    yield "uncompensated", "Range error without temperature compensation", range_errors(False)
+    yield "compensated", "Range error with temperature compensation", range_errors(True)
+    yield "compensation", "What temperature compensation takes away", compensation
+    yield "hot_boxes", "Where the hot and the cold air was", _boxes
+
+
+def range_errors(compensated: bool) -> Maker:
+    """Return what draws range errors with or without compensation."""
+    return partial(_range, after=compensated)
+
+
+def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
+    """Readings in the speed of sound of their air; NaN where the air's temperature is unknown."""
+    air_c = rows.number("air_temperature_c")
+    return 100.0 * compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c)
+
+
+def _range(findings: Findings, rows: PictureData, after: bool) -> Drawn:
+    found = rows.of("temperature_compensation")
+    air_c = rows.number("air_temperature_c")
+    known = found & np.isfinite(air_c)
+    if after and not np.any(known):
+        raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")
+    before = rows.errors(found)
+    errors = rows.errors(known, reading_cm=_compensated_cm(rows)) if after else before
+    everything = [before, rows.errors(known, reading_cm=_compensated_cm(rows))] if np.any(known) else [before]
+    low, high = shared_limits_cm(everything)
+    marked = _reference_errors(rows, np.unique(before.true_range_cm), after)
+    for line in marked:
+        low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
+    figure = draw_errors([errors], ErrorAxes(limits_cm=(low, high), points=marked))
+    caption = summary(errors)
+    if np.any(known):
+        temperatures = air_c[known]
+        caption += (
+            f" Air {np.min(temperatures):.1f} to {np.max(temperatures):.1f} °C; the sensor assumes "
+            f"{rows.model.calibration_temperature_c:g} °C."
+        )
+    return Drawn(
+        figure, caption, f"Range error over true range {'with' if after else 'without'} temperature compensation."
+    )
+
+
+def _reference_errors(rows: PictureData, tested_cm: NDArray[np.float64], after: bool) -> list[Line]:
+    """A reference's mean errors where they can be compared: next to a range that was measured."""
+    earlier = rows.reference
+    if earlier is None:
+        return []
+    near = [each for each in sorted(earlier.mean_error_cm) if np.min(np.abs(tested_cm - each)) <= 2.0]
+    errors_cm = [earlier.mean_error_cm[each][int(after)] for each in near]
+    return [Line(f"{earlier.name}'s mean error", np.array(near), np.array(errors_cm))] if near else []
+
+
+def compensation(findings: Findings, rows: PictureData) -> Drawn:
+    """Draw the mean errors by range, without and with compensation."""
+    table = findings.temperature_compensation
+    if not table:
+        raise Absent(
+            findings.absent.get("temperature_compensation", "No readings of temperature compensation are in the data.")
+        )
+
+    def column(pick: Callable[[CompensationRow], float | None]) -> NDArray[np.float64]:
+        values = (pick(row) for row in table)
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    def after(pick: Callable[[IntervalEstimate], float | None]) -> NDArray[np.float64]:
+        return column(lambda row: None if row.compensated is None else pick(row.compensated))
+
+    def earlier(row: CompensationRow, which: int) -> float | None:
+        pair = None if rows.reference is None else rows.reference.mean_errors_at(row.range_cm)
+        return None if pair is None else pair[which]
+
+    picture = Compensated(
+        range_cm=column(lambda row: row.range_cm),
+        before_cm=column(lambda row: row.uncompensated.value),
+        before_low_cm=column(lambda row: row.uncompensated.low),
+        before_high_cm=column(lambda row: row.uncompensated.high),
+        after_cm=after(lambda compensated: compensated.value),
+        after_low_cm=after(lambda compensated: compensated.low),
+        after_high_cm=after(lambda compensated: compensated.high),
+        reference_before_cm=column(lambda row: earlier(row, 0)),
+        reference_after_cm=column(lambda row: earlier(row, 1)),
+        reference="" if rows.reference is None else rows.reference.name,
+    )
+    after_cm = picture.after_cm[np.isfinite(picture.after_cm)]
+    caption = f"Mean size of the error of the ranges: {np.mean(np.abs(picture.before_cm)):.2f} cm without compensation"
+    caption += f", {np.mean(np.abs(after_cm)):.2f} cm with it." if after_cm.size else "."
+    return Drawn(draw_compensated(picture), caption, "Mean errors by range, without and with compensation.")
+
+
+def compensation_table(findings: Findings) -> PageTable | None:
+    """Return the mean errors by range as a table; None without rows."""
+    rows = findings.temperature_compensation
+    if not rows:
+        return None
+
+    def cells(row: CompensationRow) -> tuple[str, ...]:
+        return (
+            f"{row.range_cm:g}",
+            interval(row.uncompensated),
+            "–" if row.compensated is None else interval(row.compensated),
+            number(row.thermometer_c, 1),
+            number(row.implied_c.value, 1),
+        )
+
+    notes = " ".join(f"{row.range_cm:g} cm: {row.note}." for row in rows if row.note)
+    return PageTable(
+        name="compensation_table",
+        title="Mean range error without and with temperature compensation",
+        header=("range [cm]", "uncompensated [cm]", "compensated [cm]", "thermometer [°C]", "implied air [°C]"),
+        rows=tuple(cells(row) for row in rows),
+        caption=(
+            "In brackets 95 % intervals. Implied air: the one air temperature that would bring the mean error to 0. "
+            f"{notes}"
+        ),
+        words=0,
+    )
+
+
+def _boxes(findings: Findings, rows: PictureData) -> Drawn:
+    if not findings.hot_boxes:
+        raise Absent(
+            sentence(findings.absent.get("hot_boxes", "there are no readings with hot or cold air at the sensor only"))
+        )
+    boxes = []
+    for box in findings.hot_boxes[:MAX_BOXES]:
+        shifts = [row.shift for row in box.rows]
+        assumed = " (assumed)" if box.room_is_assumed else ""
+        boxes.append(
+            BoxOfAir(
+                label=f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond",
+                range_cm=np.array([row.range_cm for row in box.rows]),
+                shift_cm=np.array([each.value for each in shifts]),
+                low_cm=np.array([each.value if each.low is None else each.low for each in shifts]),
+                high_cm=np.array([each.value if each.high is None else each.high for each in shifts]),
+                uniform_cm=np.array([row.uniform_cm for row in box.rows]),
+                gradient_cm=np.array([row.gradient_cm for row in box.rows]),
+                confined_cm=np.array([row.confined_cm for row in box.rows]),
+                depth_cm=box.depth.value,
+            )
+        )
+    caption = " ".join(sentence(box.answer) for box in findings.hot_boxes)
+    return Drawn(draw_boxes(boxes), caption, "Shift of the mean error with hot or cold air at the sensor, by range.")

@@ -1,0 +1,155 @@
+"""Pictures of the field of view: readings over angle at each range, and the sonar equation through the angles."""
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.characterise.findings import BreakawayAngle, Findings, IntervalEstimate
+from msp_lab.characterise.page.draw.beam import BeamAngle, BeamPicture, Sweep, draw_beam, draw_sweep
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData
+from msp_lab.characterise.page.text import half_interval, sentence
+from msp_range.acoustics.sonar import STEP_DEG, Sonar
+
+MAX_SWEEPS = 8
+"""Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
+
+
+def entries(rows: PictureData) -> Iterator[Entry]:
+    """Yield a picture for each range at which angles were tried, and the sonar equation."""
+    for range_cm in measured_ranges_cm(rows)[:MAX_SWEEPS]:
+        name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
+        yield name, f"Field of view at {range_cm:g} cm", sweep(range_cm)
+    yield "sonar_equation", "Sonar equation through the breakaway angles", _sonar
+
+
+def sweep(range_cm: float) -> Maker:
+    """Return what draws the readings over angle at a range [cm]."""
+    return partial(_field_of_view, range_cm=range_cm)
+
+
+def measured_ranges_cm(rows: PictureData) -> list[float]:
+    """Return the ranges at which angles were tried [cm]; none where there are no such readings."""
+    try:
+        return [float(each) for each in _sweep_ranges(rows)]
+    except Absent:
+        return []
+
+
+def _sweep_ranges(rows: PictureData) -> NDArray[np.float64]:
+    found = rows.of("field_of_view")
+    incidence = rows.number("incidence_deg")
+    if not np.any(np.isfinite(incidence[found])):
+        raise Absent("The readings of the field of view have no angle (column incidence_deg).")
+    return np.unique(rows.true_cm[found])
+
+
+def _field_of_view(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
+    ranges = _sweep_ranges(rows)
+    if range_cm not in ranges:
+        there = ", ".join(f"{each:g}" for each in ranges[:12])
+        raise Absent(f"The field of view was not measured at {range_cm:g} cm, but at {there} cm.")
+    incidence, found = rows.number("incidence_deg"), rows.of("field_of_view")
+    chosen = found & (rows.true_cm == range_cm) & np.isfinite(incidence)
+    if np.unique(incidence[chosen]).size < 2:
+        raise Absent(f"At {range_cm:g} cm only one angle was measured.")
+    view = findings.field_of_view
+    points = [point for point in view.points if point.range_cm == range_cm] if view is not None else []
+    angle = next((each for each in view.angles if each.range_cm == range_cm), None) if view is not None else None
+    if not points:
+        raise Absent(sentence(findings.absent.get("field_of_view", f"the readings at {range_cm:g} cm were not judged")))
+    points = sorted(points, key=lambda point: point.incidence_deg)
+    middle = min(points, key=lambda point: abs(point.incidence_deg))
+    half_deg = angle.half_angle.value if angle is not None else 0.0
+    shown = Sweep(
+        range_cm=range_cm,
+        incidence_deg=incidence[chosen],
+        reading_cm=rows.reading_cm[chosen],
+        missed=rows.missed[chosen],
+        angle_deg=np.array([point.incidence_deg for point in points]),
+        reliable=np.array([point.reliable.value for point in points]),
+        **_sides(angle),
+        reference_deg=None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm),
+        reference="" if rows.reference is None else rows.reference.name,
+        nearest_half_angle_deg=half_deg,
+        stretch=middle.nearest_cm / range_cm,
+    )
+    caption = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. "
+    if angle is not None:
+        none = "not found: no angle is reliable to both sides"
+        caption += f"Breakaway {'at ' + half_interval(angle.half_angle) if half_deg else none}."
+    else:
+        caption += "No breakaway angle could be found."
+    if view is not None:
+        caption += f" Reliable: {view.criterion.rstrip('.')}."
+    return Drawn(
+        draw_sweep(shown), caption, f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked."
+    )
+
+
+def _sides(angle: BreakawayAngle | None) -> dict[str, float | None]:
+    """Both sides' last reliable angles, signed, and the next ones that were tried."""
+
+    def side(estimate: IntervalEstimate | None, sign: float) -> tuple[float | None, float | None]:
+        # 0 stands for a side on which no angle is reliable.
+        if estimate is None or estimate.value == 0.0:
+            return None, None
+        end = estimate.high
+        return sign * estimate.value, None if end is None or end <= estimate.value else sign * end
+
+    negative, negative_end = side(angle.negative if angle else None, -1.0)
+    positive, positive_end = side(angle.positive if angle else None, 1.0)
+    return {
+        "negative_deg": negative,
+        "positive_deg": positive,
+        "negative_end_deg": negative_end,
+        "positive_end_deg": positive_end,
+    }
+
+
+def _sonar(findings: Findings, rows: PictureData) -> Drawn:
+    found = findings.sonar
+    if found is None:
+        raise Absent(
+            sentence(findings.absent.get("sonar", "there are too few breakaway angles for the three parameters"))
+        )
+    equation = Sonar(found.source_level_db, found.piston_diameter_m, found.gain_db_per_m, rows.model.frequency_hz)
+    measured = {row.range_cm: row for row in found.rows}
+    angles = findings.field_of_view.angles if findings.field_of_view is not None else ()
+    by_range = {angle.range_cm: angle for angle in angles}
+    longest_cm = max([*measured, *(range_cm for range_cm, _ in found.beyond)])
+    span_cm = np.linspace(min(measured) * 0.6, longest_cm, 120)
+    radians = [equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()]
+    used = [(row.range_cm, row.measured_deg) for row in found.rows] + list(found.beyond)
+    angles_of = {} if rows.reference is None else rows.reference.half_angle_deg
+    beam = BeamPicture(
+        rows=tuple(
+            BeamAngle(
+                row.range_cm,
+                row.measured_deg,
+                by_range[row.range_cm].half_angle.low if row.range_cm in by_range else None,
+                by_range[row.range_cm].half_angle.high if row.range_cm in by_range else None,
+                angles_of.get(row.range_cm),
+                row.left_out_deg,
+            )
+            for row in found.rows
+        ),
+        equation_cm=span_cm,
+        equation_deg=np.degrees(np.array([np.nan if each is None else each for each in radians])),
+        used_cm=np.array([range_cm for range_cm, _ in used]),
+        used_deg=np.array([angle for _, angle in used]),
+        step_deg=STEP_DEG,
+        reference="" if rows.reference is None else rows.reference.name,
+    )
+    fitted = [abs(row.fitted_deg - row.measured_deg) for row in found.rows if row.fitted_deg is not None]
+    left_out = [abs(row.left_out_deg - row.measured_deg) for row in found.rows if row.left_out_deg is not None]
+    caption = (
+        f"The equation misses the measured angles by at most {max(fitted):.1f}°" if fitted else "No angle is predicted"
+    )
+    caption += f", and predicts each from the others to {max(left_out):.1f}°. " if left_out else ". "
+    caption += (
+        f"Equivalent piston {1000.0 * found.piston_diameter_m:.1f} mm, gain {found.gain_db_per_m:.1f} dB/m. "
+        f"{sentence(found.note)} Beyond the measured ranges the angle never grows."
+    )
+    return Drawn(draw_beam(beam), caption, "Half angle of the beam over range: measured and by the sonar equation.")

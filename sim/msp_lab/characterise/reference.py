@@ -1,0 +1,46 @@
+"""Numbers of an earlier characterisation of the same sensor, which pictures and comparisons set next to the new ones.
+
+The laboratory has one, the MB1242 characterization report (`msp_lab.comparison.report`). Findings never depend on it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Reference:
+    """An earlier characterisation.
+
+    Attributes
+    ----------
+    name
+        How sentences and legends call it: "the report".
+    sensor
+        Name of the sensor model that it is about.
+    largest_error_cm
+        Largest error on the axis with nothing varied [cm].
+    peak_range_cm, peak_cm
+        True range of the readings at the longest range, and where their histogram has its peak [cm].
+    half_angle_deg
+        Range [cm] -> largest angle with a reliable range [deg].
+    mean_error_cm
+        Range [cm] -> mean error without and with temperature compensation [cm].
+    calibration_temperature_c
+        Air temperature that its compensation takes the sensor to assume [deg C].
+    answers
+        Question (`findings.Question.name`) -> what it answers, in a sentence.
+    """
+
+    name: str
+    sensor: str
+    largest_error_cm: float
+    peak_range_cm: float
+    peak_cm: float
+    half_angle_deg: Mapping[float, float] = field(default_factory=dict)
+    mean_error_cm: Mapping[float, tuple[float, float]] = field(default_factory=dict)
+    calibration_temperature_c: float = 20.0
+    answers: Mapping[str, str] = field(default_factory=dict)
+
+    def mean_errors_at(self, range_cm: float) -> tuple[float, float] | None:
+        """Mean error without and with compensation within a centimetre of a range [cm]; None where it has none."""
+        return next((self.mean_error_cm[each] for each in self.mean_error_cm if abs(each - range_cm) < 1.0), None)
