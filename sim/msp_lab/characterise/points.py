@@ -20,7 +20,8 @@ from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
 GATE_CM = 8.0
-"""A reading this near to the middle of its point's hits is one: four times the noise that filters of the sensor assume (R = 3.78 cm^2) [cm]."""
+"""A reading this near to the middle of its point's hits is one [cm]: four times the noise that a Kalman filter of the
+report assumes (R = 3.78 cm^2). A narrower gate makes outliers of noisy hits, a wider one hits of outliers."""
 GATE_DEVIATIONS = 4.5
 GATE_SHARE = 0.05
 """Where hits scatter more, the gate is so many of their (robust) standard deviations, up to this share of the range."""

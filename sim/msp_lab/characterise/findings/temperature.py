@@ -13,9 +13,9 @@ AirBefore = Literal["uniform", "gradient", "confined"]
 class HotBoxRow:
     """Error at a range with the air hot or cold at the sensor, against three ideas of where that air is [cm].
 
-    `shift` is the mean error minus the one at room temperature where that was measured. `uniform_cm` is expected with the
-    box's air all the way, `gradient_cm` a linear fall to room temperature at the target, `confined_cm` that air over
-    `HotBox.depth` only.
+    `shift` is the mean error minus the one at room temperature where that was measured. `uniform_cm` is expected with
+    the box's air all the way, `gradient_cm` with a linear fall to room temperature at the target, `confined_cm` with
+    that air over `HotBox.depth` only.
     """
 
     range_cm: float
