@@ -1,9 +1,10 @@
 """Several downward sensors as one: the ground below, and the distance that an autopilot expects."""
 
 from msp_range.fusion.attitude import Angles, Attitude, AttitudeTrack, RecordedAttitude
-from msp_range.fusion.fusion import OBJECT, OUTLIER, SUSPECT, Fused, Fusion, Outcome
+from msp_range.fusion.fusion import Fusion
 from msp_range.fusion.ground_filter import Ground
 from msp_range.fusion.mounting import DownwardSensor, Oblique
+from msp_range.fusion.outcome import OBJECT, OUTLIER, SUSPECT, Fused, Outcome
 from msp_range.fusion.vertical import Moved, RecordedMotion, VerticalMotion
 from msp_range.fusion.windows import Windows
 

@@ -2,14 +2,12 @@
 
 Corrected readings enter, in the order of their times; with each leaves what the stream says now (`Outcome`): the
 distance along the vehicle's down axis, 'above the maximum', or nothing. A reading that fits the ground's filter updates
-it. Those that do not are votes for another ground, objects below one sensor, or outliers. A distance leaves only while
-the sensors that see this ground are enough and no more of them agree on another one.
+it. Those that do not are votes for another ground, objects below one sensor, or outliers. Whether the ground may be
+sent is decided in `msp_range.fusion.support`.
 """
 
 import math
-from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion import garbled
@@ -19,10 +17,12 @@ from msp_range.fusion.garbled import GarbledAnswers
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.fusion.objects import Below
+from msp_range.fusion.outcome import GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
+from msp_range.fusion.support import GroundSupport
 from msp_range.fusion.vertical import Known, VerticalMotion
-from msp_range.fusion.votes import AGREE_M, LEAVING_M_S, Sight, step_m, tally, working
+from msp_range.fusion.votes import Sight, step_m, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix
 from msp_range.reading import Reading, Status
@@ -40,16 +40,6 @@ ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
-OFF_IN_A_ROW = 3
-"""After readings of so many sensors in a row, or of all, that are not of the ground, or of two that agree with each
-other or as two of a vehicle that moves on, nothing is sent until one is: the ground may have a step, or the vehicle a
-motion that the filter has not seen. Fewer make gaps of outliers, more send an old ground for longer."""
-ON_TRIAL, DOUBT_READINGS = 3, 8
-"""A first ground with which other readings do not agree, or after most of the last readings were of no ground, is sent
-after so many further readings of it in a row: four outliers may lie on a line once in some seconds of nothing else,
-seven do not."""
-STALE_S = 0.25
-"""A ranging that is over this long after its time says nothing of now [s]: the program or the bus stood still."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
 """What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]."""
 ROUGH_READINGS = 30.0
@@ -65,57 +55,6 @@ sensors say, what is used was chosen from it. Larger doubts the ground for longe
 FIT_TOLERATED = 1.5
 """Up to this mean square the stated variance stands, beyond it the variance grows with it. Ten readings of a filter
 that is right exceed it in one of ten turns; larger believes a noisy sensor's small variance for longer."""
-
-GARBLED = Status.GARBLED.value
-OBJECT, OUTLIER, SUSPECT, REPEATED, PAST = "object", "outlier", "suspect", "repeated", "past_the_ground"
-"""Why a reading with a range was not used for the ground: it is of an object below its sensor, of nothing that is
-known, a fault code away from the ground, the same answer as ever while others see other things, or made past the ground
-on a vehicle that leans."""
-
-
-class Fused(NamedTuple):
-    """The distance for the autopilot and what it comes from.
-
-    Attributes
-    ----------
-    range_m, variance_m2
-        From the reference point along the body's down axis to the plane of the ground [m], and the variance of its
-        error [m^2].
-    height_m, climb_m_s, rise_north, rise_east
-        As in `msp_range.fusion.ground_filter.Ground`.
-    """
-
-    range_m: float
-    variance_m2: float
-    height_m: float
-    climb_m_s: float
-    rise_north: float
-    rise_east: float
-
-    def record(self, time_s: float) -> dict[str, float]:
-        """The message of a recording's ``/fused``."""
-        return {"time_s": time_s, **self._asdict()}
-
-
-class Outcome(NamedTuple):
-    """What one reading means for the fused stream.
-
-    Attributes
-    ----------
-    reading
-        The reading; without its range where the sensor turned out to be stuck or its answer garbled.
-    fused
-        The distance now; None where nothing is known well enough.
-    above_maximum
-        Whether the vehicle is above what its sensors can tell; then there is no distance.
-    rejected
-        Why the reading was not used for the ground; None where it was.
-    """
-
-    reading: Reading
-    fused: Fused | None
-    above_maximum: bool
-    rejected: str | None
 
 
 class _Sensor:
@@ -159,24 +98,18 @@ class Fusion:
         self._windows = windows
         self._motion = motion or VerticalMotion()
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
-        self._same_m = min(AGREE_M + LEAVING_M_S * windows.gap_s, GATE_WIDEST_M)
+        self._support = GroundSupport(self._sights, windows, GATE_WIDEST_M)
         self._start = Start(windows, self._motion)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
         self._filter: GroundFilter | None = None
-        self._established = self._proven = False
-        self._time_s = float("-inf")
-        self._seen_s = self._known_s = float("-inf")
+        self._time_s = self._known_s = float("-inf")
         self._garbled = GarbledAnswers()
         self._steps_m = 0.0
         self._rough_m2 = 0.0
         self._shared_m2 = 0.0
         self._fit = 1.0
         self._tilted = False
-        self._off_m: dict[str, float] = {}
-        self._stepping = False
-        self._on_trial = 0
-        self._used: deque[bool] = deque(maxlen=DOUBT_READINGS)
 
     @property
     def ground(self) -> Ground | None:
@@ -225,19 +158,20 @@ class Fusion:
                 sensor.sight.works = False
         if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
             self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
-        if self._filter is not None and self._is_supported(rejected is None, now_s):
+        if self._filter is not None and self._support.is_enough(time_s, now_s, rejected is None):
             fused = self._down_axis(self._filter, rotation)
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
             self._start.on_ground_seen(known)
             is_above = fused.range_m > self._maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
-        return Outcome(reading, None, not self._ground_is_seen() and self._above.decide(time_s), rejected)
+        return Outcome(reading, None, not self._support.is_seen(time_s) and self._above.decide(time_s), rejected)
 
     def _predict(self, time_s: float) -> None:
         if self._filter is not None:
             if time_s - self._known_s > self._windows.memory_s:
-                self._filter, self._established = None, False
+                self._filter = None
+                self._support.forget()
                 self._start.clear()
             else:
                 self._filter.predict(time_s - self._time_s, self._motion.acceleration(self._time_s, time_s))
@@ -325,9 +259,7 @@ class Fusion:
             self._motion.rate(self._time_s),
         )
         self._steps_m = newest.height_m - climbed_m
-        self._established = self._proven = False
-        doubtful = found.in_doubt or self._used.count(False) > len(self._used) // 2 > 0
-        self._on_trial = ON_TRIAL + 1 if doubtful else 0
+        self._support.on_new_ground(found.in_doubt)
         self._start.clear()
         for name, sensor in self._sensors.items():
             sensor.sight.clear()
@@ -355,20 +287,20 @@ class Fusion:
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
         fits = abs(innovation_m) <= most_m and not (reading.suspect and self._climbs())
-        if sight.repeated and self._others_see_more():
-            # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
-            if fits:
-                self._on_ground(sensor, view)
-                return None
-            return self._set_aside(sensor, reading, off_m, below.is_object(off_m))
+        # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
+        is_new = not (sight.repeated and self._others_see_more())
+        if fits and not is_new:
+            self._on_ground(sensor, view)
+            return None
         variance_m2 = _variance_m2(reading) + self._rough_m2
         square = known.update(view, innovation_m, variance_m2, other_per_m) if fits else None
         if square is not None:
             self._scatter(square, variance_m2)
             self._on_ground(sensor, view)
             return None
-        if doubtful and not below.is_object(off_m):
-            return self._set_aside(sensor, reading, off_m, False)
+        is_object = below.is_object(off_m)
+        if not is_new or (doubtful and not is_object):
+            return self._set_aside(sensor, reading, off_m, is_object)
         return self._on_off(known, sensor, reading, off_m, view, rotation)
 
     def _set_aside(self, sensor: _Sensor, reading: Reading, off_m: float, is_object: bool) -> str:
@@ -401,11 +333,8 @@ class Fusion:
     def _on_ground(self, sensor: _Sensor, view: View) -> None:
         sensor.sight.ground(self._time_s)
         sensor.below.ground(self._time_s)
-        self._off_m.clear()
-        self._stepping = False
-        self._used.append(True)
-        self._on_trial = max(self._on_trial - 1, 0)
-        self._seen_s = self._known_s = self._time_s
+        self._support.on_ground(self._time_s)
+        self._known_s = self._time_s
         self._shared_m2 = view.shared_variance_m2
 
     def _on_off(
@@ -414,21 +343,11 @@ class Fusion:
         """A reading that is not of the ground: of a step, of an object, or of nothing."""
         time_s, windows = self._time_s, self._windows
         sensor.sight.off(time_s, off_m)
-        self._used.append(False)
-        sensor.below.off(time_s, off_m, self._ground_is_seen())
+        sensor.below.off(time_s, off_m, self._support.is_seen(time_s))
         known_object = sensor.below.is_object(off_m)
-        if not known_object:
-            agreeing = [
-                each
-                for name, each in self._off_m.items()
-                if name != reading.sensor and abs(each - off_m) < self._same_m
-            ]
-            self._off_m[reading.sensor] = off_m
-            self._stepping |= bool(agreeing)
+        self._support.on_other(reading.sensor, off_m, known_object)
         if sensor.sight.votes_ground(time_s - windows.held_s):
             self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
-        if self._on_trial:
-            self._on_trial = ON_TRIAL
         lower_m = step_m(sensor.sight, self._sights, time_s, windows)
         if lower_m is not None:
             known.shift(lower_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
@@ -438,45 +357,9 @@ class Fusion:
                 each.below.move(lower_m)
             self._on_ground(sensor, view)
             return None
-        if time_s - self._seen_s > windows.lost_s and reading.range_m is not None:
+        if time_s - self._support.seen_s > windows.lost_s and reading.range_m is not None:
             return self._on_first(sensor, reading, reading.range_m, rotation)
         return OBJECT if known_object else OUTLIER
-
-    def _ground_is_seen(self) -> bool:
-        """Whether two sensors vote for the ground, or the only one that gives ranges, and one has seen it just now."""
-        if self._filter is None or self._time_s - self._seen_s > self._windows.newest_s:
-            return False
-        votes = tally(self._sights, self._time_s, self._windows)
-        return votes.ground >= min(2, votes.voters) > 0
-
-    def _is_supported(self, was_used: bool, now_s: float) -> bool:
-        """Whether the ground may be sent: sensors enough see it, and no more of them agree on another one.
-
-        Of as many against as many the ground is that which more than half have seen before; until then more than half
-        of the sensors that give ranges must see it. All of those that see it may be stuck where they repeat themselves.
-        Where most newest readings lie to one side of it, the vehicle may be leaving it too fast for them to agree.
-        """
-        time_s, windows = self._time_s, self._windows
-        if time_s - self._seen_s > windows.fresh_s:
-            self._established = False
-        if time_s - self._seen_s > windows.newest_s:
-            return False
-        votes = tally(self._sights, time_s, windows)
-        self._established |= votes.ground >= min(2, votes.voters) and votes.ground > votes.against
-        # An answer that was lost just now is no sensor that is out of order.
-        ranging = [sight for sight in self._sights if sight.newest(time_s - windows.held_s) is not None]
-        in_order = [sight for sight in self._sights if sight.works or sight.read_s == float("-inf")]
-        self._proven |= 2 * votes.ground > len({*ranging, *in_order})
-        if not self._established or self._on_trial or votes.ground < 1 or now_s - time_s > STALE_S:
-            return False
-        if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging)):
-            return False
-        if votes.ground == votes.against and not votes.moving:
-            return False
-        if votes.are_leaving:
-            return False
-        all_off = len(self._off_m) >= min(OFF_IN_A_ROW, votes.voters)
-        return was_used or (votes.ground >= 2 and not self._stepping and not all_off)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""

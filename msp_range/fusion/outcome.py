@@ -1,0 +1,56 @@
+"""What one reading means for the fused stream: the distance now, and why the reading was not used where it was not."""
+
+from typing import NamedTuple
+
+from msp_range.reading import Reading, Status
+
+GARBLED = Status.GARBLED.value
+OBJECT, OUTLIER, SUSPECT, REPEATED, PAST = "object", "outlier", "suspect", "repeated", "past_the_ground"
+"""Why a reading with a range was not used for the ground: it is of an object below its sensor, of nothing that is
+known, a fault code away from the ground, the same answer as ever while others see other things, or made past the ground
+on a vehicle that leans."""
+
+
+class Fused(NamedTuple):
+    """The distance for the autopilot and what it comes from.
+
+    Attributes
+    ----------
+    range_m, variance_m2
+        From the reference point along the body's down axis to the plane of the ground [m], and the variance of its
+        error [m^2].
+    height_m, climb_m_s, rise_north, rise_east
+        As in `msp_range.fusion.ground_filter.Ground`.
+    """
+
+    range_m: float
+    variance_m2: float
+    height_m: float
+    climb_m_s: float
+    rise_north: float
+    rise_east: float
+
+    def record(self, time_s: float) -> dict[str, float]:
+        """The message of a recording's ``/fused``."""
+        return {"time_s": time_s, **self._asdict()}
+
+
+class Outcome(NamedTuple):
+    """What one reading means for the fused stream.
+
+    Attributes
+    ----------
+    reading
+        The reading; without its range where the sensor turned out to be stuck or its answer garbled.
+    fused
+        The distance now; None where nothing is known well enough.
+    above_maximum
+        Whether the vehicle is above what its sensors can tell; then there is no distance.
+    rejected
+        Why the reading was not used for the ground; None where it was.
+    """
+
+    reading: Reading
+    fused: Fused | None
+    above_maximum: bool
+    rejected: str | None
