@@ -19,18 +19,38 @@ from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import MavlinkSource
 from msp_range.correction.thermometer import LoopReader, ThermometerReader
 from msp_range.filters.chain import Chain, Filtered
-from msp_range.fusion import OBJECT, OUTLIER, SUSPECT, Angles, Attitude, AttitudeTrack, Fused, Fusion, VerticalMotion
+from msp_range.fusion import (
+    OBJECT,
+    OUTLIER,
+    SUSPECT,
+    Angles,
+    Attitude,
+    AttitudeTrack,
+    Fused,
+    Fusion,
+    Outcome,
+    VerticalMotion,
+)
 from msp_range.fusion.vertical import GRAVITY_M_S2
 from msp_range.geometry import dot
-from msp_range.health import Health, OutputWatch, Report, Severity
-from msp_range.health.output import FUSED
+from msp_range.health import (
+    FUSED,
+    BusHealth,
+    Health,
+    ObservationsBelow,
+    OutputWatch,
+    Reminder,
+    Report,
+    Severity,
+)
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
-from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC, RANGE_PREFIX
+from msp_range.recording.stages import stages_of
+from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, MOTION_TOPIC, RANGE_PREFIX
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
 
@@ -40,11 +60,6 @@ LINK_WAITS_S = 0.02
 second between two heartbeats."""
 LOOK_INTERVAL_S = 0.25
 """Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""
-BUS_CALM_S = 2.0
-"""A bus that has worked this long since its last fault works again [s]; a flickering one is told of once."""
-FAULTS_AGAIN_S = 10.0
-"""An autopilot that comes (back) gets all texts of what is wrong at most this often [s]: one whose clock jumps seems to
-start again with each jump. A real one takes longer to start."""
 TEMPERATURE_REQUEST_HZ = 1.0
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
@@ -79,9 +94,14 @@ class _Channel:
         self.topic = RANGE_PREFIX + sensor.name
         self.name = sensor.name
         self.is_fused = sensor in airframe.downward
-        self.object_m: float | None = None
         self.readings = 0
         self.rejected: dict[str, int] = {}
+
+    def count(self, rejected: str | None) -> None:
+        """Count a reading, and why it was not used where it was not."""
+        self.readings += 1
+        if rejected is not None:
+            self.rejected[rejected] = self.rejected.get(rejected, 0) + 1
 
 
 class Step(NamedTuple):
@@ -193,7 +213,7 @@ class Bridge:
             transport,
             clock,
             component_id=airframe.link.component_id,
-            hear=self._take_message,
+            hear=self._on_message,
             wanted=asked | dict(wanted or {}),
             autopilot=airframe.link.autopilot,
             system_id=airframe.link.system_id,
@@ -211,14 +231,11 @@ class Bridge:
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())
         self.health = Health(self._channels, self.notify)
-        self._bus_fault = ""
-        self._bus_fault_s = float("-inf")
+        self._below = ObservationsBelow(self.notify)
+        self._bus_health = BusHealth()
+        self._reminder = Reminder()
         self._next_look_s = self._next_silence_s = clock.now()
         self.completed_s = clock.now()
-        self._known_reboots = 0
-        self._autopilot_heard = False
-        self._faults_due = False
-        self._faults_sent_s = float("-inf")
 
     def record_to(self, recorder: Records) -> None:
         """Keep every stage of every reading from here on."""
@@ -228,7 +245,7 @@ class Bridge:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
         clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s))
-        steps = [self._take(ranging) for ranging in poller.step()]
+        steps = [self._on_ranging(ranging) for ranging in poller.step()]
         now_s = clock.now()
         outbox.send_due(now_s)
         if poller.next_event_s <= now_s < link.next_event_s + LINK_WAITS_S:
@@ -236,63 +253,56 @@ class Bridge:
         if now_s >= link.next_event_s:
             link.service()
         if now_s >= self._next_look_s or now_s >= self._next_silence_s:
-            self._next_look_s = now_s + LOOK_INTERVAL_S
             self._look_after(now_s)
         self.completed_s = now_s
         return steps
 
-    def _take(self, ranging: Ranging) -> Step:
+    def _on_ranging(self, ranging: Ranging) -> Step:
+        """Correct, fuse, filter, send and record one reading."""
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
         vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
-        corrected = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
-        boot_ms = self.link.autopilot_clock.time_boot_ms(corrected.time_s)
+        reading = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
+        boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
         filtered, fused = Filtered(None), None
         if self._fusion is not None and channel.is_fused:
-            fused_air = vehicle_air if self._fused_by_sound else air
-            corrected, fused, filtered = self._fuse(self._fusion, channel, corrected, fused_air, now_s, boot_ms)
-            if corrected.range_m is not None and channel.by_sound:
+            outcome = self._fusion.update(reading, now_s)
+            reading, fused, filtered = outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
+            self._send_fused(self._fusion, outcome, vehicle_air if self._fused_by_sound else air, now_s, boot_ms)
+            if reading.range_m is not None and channel.by_sound:
                 self._temperature.record_range(ranging.reading)
         if channel.chain is not None:
-            filtered = channel.chain.update(corrected)
-            if self._streams.send_single(now_s, boot_ms, channel.name, corrected.status, filtered, air):
-                self._output.on_usable(channel.name, now_s)
-            if not channel.is_fused and corrected.range_m is not None:
-                self._output.on_range(filtered.estimate is not None, 1.0)
-        step = Step(ranging, air, corrected, filtered, fused)
+            filtered = channel.chain.update(reading)
+            self._send_single(channel, reading, filtered, air, now_s, boot_ms)
+        step = Step(ranging, air, reading, filtered, fused)
         self._record(now_s, channel.topic, step)
-        self._count(channel, filtered)
-        self._judge(now_s, ranging, corrected)
+        channel.count(filtered.rejected)
+        self.health.on_ranging(ranging if reading.status is not Status.STUCK else ranging._replace(reading=reading))
+        self._bus_health.on_ranging(now_s, ranging)
         return step
 
-    def _fuse(
-        self, fusion: Fusion, channel: _Channel, corrected: Reading, air: Air, now_s: float, boot_ms: int
-    ) -> tuple[Reading, Fused | None, Filtered]:
-        """Update the fusion and send its outcome: the reading as the fusion sees it, the distance, and why not used."""
-        outcome = fusion.update(corrected, now_s)
-        if self._streams.send_fused(now_s, boot_ms, channel.name, outcome, air):
+    def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
+        """Send the fused distance, and what is below the sensor that is not ground."""
+        reading, rejected = outcome.reading, outcome.rejected
+        if self._streams.send_fused(now_s, boot_ms, reading.sensor, outcome, air):
             self._output.on_usable(FUSED, now_s)
-        if outcome.reading.range_m is not None and outcome.rejected != SUSPECT:
-            self._output.on_range(outcome.rejected in (None, OBJECT), fusion.fit)
-        self._report_below(fusion, channel)
-        if outcome.rejected == OUTLIER and outcome.fused is not None:
-            self._schedule.again(channel.name)
-        if outcome.rejected == OBJECT and (channel.object_m or 0.0) > 0.0:
-            self._streams.send_object(now_s, boot_ms, outcome.reading, air)
-        return outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
+        if reading.range_m is not None and rejected != SUSPECT:
+            self._output.on_range(rejected in (None, OBJECT), fusion.fit)
+        self._below.update(reading.sensor, fusion.object_m(reading.sensor))
+        if rejected == OUTLIER and outcome.fused is not None:
+            self._schedule.again(reading.sensor)
+        if rejected == OBJECT and self._below.is_object(reading.sensor):
+            self._streams.send_object(now_s, boot_ms, reading, air)
 
-    def _report_below(self, fusion: Fusion, channel: _Channel) -> None:
-        """Report what is below a sensor and is not ground, when it comes and when it goes."""
-        object_m = fusion.object_m(channel.name)
-        if (object_m is None) == (channel.object_m is None):
-            return
-        channel.object_m = object_m
-        text = None
-        if object_m is not None:
-            what = f"object below, {object_m:.1f} m high" if object_m > 0 else f"hole below, {-object_m:.1f} m deep"
-            text = f"Range {channel.name}: {what}"
-        self.health.set(f"below {channel.name}", text, f"Range {channel.name}: ground below")
+    def _send_single(
+        self, channel: _Channel, reading: Reading, filtered: Filtered, air: Air, now_s: float, boot_ms: int
+    ) -> None:
+        """Send the distance of one sensor's own stream."""
+        if self._streams.send_single(now_s, boot_ms, channel.name, reading.status, filtered, air):
+            self._output.on_usable(channel.name, now_s)
+        if not channel.is_fused and reading.range_m is not None:
+            self._output.on_range(filtered.estimate is not None, 1.0)
 
     def _send(self, message: Any) -> None:
         frame = self.link.send(message)
@@ -302,57 +312,22 @@ class Bridge:
     def _record(self, now_s: float, topic: str, step: Step) -> None:
         if self._recorder is None:
             return
-        ranging, air, corrected, filtered, fused = step
-        reading, estimate = ranging.reading, filtered.estimate
-        stages: dict[str, Any] = {
-            "time_s": reading.time_s,
-            "ping_s": ranging.ping_s,
-            "read_s": ranging.answered_s,
-            "status": reading.status.value,
-        }
-        if air.source != NO_AIR:
-            stages["temperature_c"] = air.temperature_c
-            stages["temperature_std_c"] = air.std_c
-            stages["temperature_source"] = air.source
-        if reading.raw is not None:
-            stages["raw"] = reading.raw
-        if reading.range_m is not None:
-            stages["range_m"] = reading.range_m
-            stages["std_m"] = reading.std_m
-            stages["suspect"] = reading.suspect
-            stages["corrected_m"] = corrected.range_m
-        if filtered.rejected is not None:
-            stages["rejected"] = filtered.rejected
-        if estimate is not None:
-            stages["filtered_m"], stages["variance_m2"] = estimate
-        self._recorder.write(topic, now_s, stages)
-        if fused is not None:
-            self._recorder.write("/fused", now_s, fused.record(reading.time_s))
-
-    def _count(self, channel: _Channel, filtered: Filtered) -> None:
-        channel.readings += 1
-        if filtered.rejected is not None:
-            channel.rejected[filtered.rejected] = channel.rejected.get(filtered.rejected, 0) + 1
-
-    def _judge(self, now_s: float, ranging: Ranging, corrected: Reading) -> None:
-        self.health.take(ranging if corrected.status is not Status.STUCK else ranging._replace(reading=corrected))
-        if ranging.error is not None and ranging.error.bus_at_fault:
-            self._bus_fault_s = now_s
-            what = "locked up" if ranging.error.locked_up else "gone"
-            self._bus_fault = f"Range: I2C bus {what}, reopening (errno {ranging.error.errno})"
+        self._recorder.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
+        if step.fused is not None:
+            self._recorder.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
 
     def _write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         if self._recorder is not None:
             self._recorder.write(topic, time_s, message)
 
-    def _take_message(self, now_s: float, message: Any) -> None:
+    def _on_message(self, now_s: float, message: Any) -> None:
         self._temperature.on_message(now_s, message)
         if self._fusion is not None:
-            self._take_motion(now_s, message)
+            self._on_motion(now_s, message)
         if self._hear is not None:
             self._hear(now_s, message)
 
-    def _take_motion(self, now_s: float, message: Any) -> None:
+    def _on_motion(self, now_s: float, message: Any) -> None:
         """Attitude, acceleration and pressure, for the fusion and the record."""
         if message.get_type() == ATTITUDE:
             time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
@@ -369,39 +344,27 @@ class Bridge:
             self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
 
     def _look_after(self, now_s: float) -> None:
-        """Conditions that are not a reading's: bus, temperature, autopilot, disk."""
-        bus_works = now_s - self._bus_fault_s > BUS_CALM_S
-        self.health.set("bus", None if bus_works else self._bus_fault, "Range: I2C bus works again", Severity.ERROR)
-        conditions = self.link.conditions()
+        """Update what is not a reading's: air and disk, and the conditions of all that is not a sensor."""
+        self._next_look_s = now_s + LOOK_INTERVAL_S
+        conditions = [*self._bus_health.conditions(now_s), *self.link.conditions()]
         if self._recorded_air is None:
             self._air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
-        for condition in conditions:
-            self.health.set(*condition)
-        self._output.report(self.health, now_s)
+        conditions += self._output.conditions(now_s, self.health.failing_sensors)
         silence_s = self._output.next_event_s
         self._next_silence_s = silence_s if silence_s > now_s else float("inf")
-        nonsense = self._attitude.is_refused(now_s)
-        self.health.set("attitude", "Range: attitude makes no sense" if nonsense else None, "Range: attitude is back")
-        self._send_faults_again(now_s)
+        conditions.append(self._attitude.condition(now_s))
+        for condition in conditions:
+            self.health.set(*condition)
+        if self._reminder.is_due(now_s, self.link.autopilot_heard, self.link.autopilot_clock.reboots):
+            for severity, text in self.health.faults() + self._below.texts():
+                self.link.send_text(severity, text)
         self.link.system_status = self._system_status(now_s)
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault
             not_recording = None if fault is None else f"Range: not recording, {fault}"
             self.health.set("recording", not_recording, "Range: recording again")
-
-    def _send_faults_again(self, now_s: float) -> None:
-        """All that is wrong, for an autopilot that has come or has started again: it has lost what it was sent."""
-        heard = self.link.autopilot_heard
-        reboots = self.link.autopilot_clock.reboots
-        if heard and (not self._autopilot_heard or reboots != self._known_reboots):
-            self._faults_due = True
-        self._autopilot_heard, self._known_reboots = heard, reboots
-        if self._faults_due and heard and now_s - self._faults_sent_s >= FAULTS_AGAIN_S:
-            self._faults_due, self._faults_sent_s = False, now_s
-            for severity, text in self.health.faults():
-                self.link.send_text(severity, text)
 
     def _system_status(self, now_s: float) -> int:
         if not self.health.complete:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 from msp_range.geometry import Matrix, rotation_matrix
+from msp_range.health import Condition
 
 OLDEST_S = 0.6
 """An attitude this much older than the echo says nothing of it [s]; autopilots send it at 4 Hz or more."""
@@ -52,6 +53,11 @@ class AttitudeTrack:
     def is_refused(self, now_s: float) -> bool:
         """Whether attitudes come that make no sense, and have for a while."""
         return self._refused_s is not None and now_s - self._refused_s[0] > REFUSED_S > now_s - self._refused_s[1]
+
+    def condition(self, now_s: float) -> Condition:
+        """Attitudes that make no sense, for `msp_range.health.Health.set`."""
+        text = "Range: attitude makes no sense" if self.is_refused(now_s) else None
+        return Condition("attitude", text, "Range: attitude is back")
 
     def hear(self, angles: Angles) -> bool:
         """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""

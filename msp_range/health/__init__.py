@@ -1,6 +1,20 @@
 """What works and what does not: conditions of sensors and of all else, and what is reported of them to the pilot."""
 
+from msp_range.health.below import Observation, ObservationsBelow
+from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
-from msp_range.health.output import OutputWatch
+from msp_range.health.output import FUSED, OutputWatch
+from msp_range.health.reminder import Reminder
 
-__all__ = ["Condition", "Health", "OutputWatch", "Report", "Severity"]
+__all__ = [
+    "FUSED",
+    "BusHealth",
+    "Condition",
+    "Health",
+    "Observation",
+    "ObservationsBelow",
+    "OutputWatch",
+    "Reminder",
+    "Report",
+    "Severity",
+]

@@ -41,11 +41,12 @@ _WORDS = {
 
 
 class Condition(NamedTuple):
-    """What `Health.set` takes: a condition's key, what is wrong or None, and what to report at its end."""
+    """What `Health.set` needs: a condition's key, what is wrong or None, what to report at its end, how bad it is."""
 
     key: str
     text: str | None
     over: str
+    severity: Severity = Severity.WARNING
 
 
 class _SensorHealth:
@@ -87,11 +88,11 @@ class Health:
 
     @property
     def complete(self) -> bool:
-        """True when every sensor has been judged."""
+        """True when it is known of every sensor whether it is in order."""
         return all(sensor.known for sensor in self._sensors.values())
 
-    def take(self, ranging: Ranging) -> None:
-        """Look at one ranging."""
+    def on_ranging(self, ranging: Ranging) -> None:
+        """Update the health of the sensor that a ranging is of."""
         reading = ranging.reading
         sensor = self._sensors[reading.sensor]
         bad = reading.status.is_fault

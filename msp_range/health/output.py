@@ -5,9 +5,9 @@ they change. A sensor's own faults are not here: this is what the autopilot gets
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
-from msp_range.health.conditions import Health, Severity
+from msp_range.health.conditions import Condition, Severity
 
 FUSED = "the fused stream"
 """Its name here, which no sensor can have."""
@@ -82,18 +82,20 @@ class OutputWatch:
         """Streams that have said nothing usable for too long."""
         return [name for name, usable_s in self._usable_s.items() if now_s - usable_s >= self._silence_s]
 
-    def report(self, health: Health, now_s: float) -> None:
-        """Set the conditions as they are now."""
-        silent, failing = self.silent(now_s), health.failing_sensors
+    def conditions(self, now_s: float, failing: Collection[str]) -> list[Condition]:
+        """As they are now; silence is not reported of sensors that are ``failing``, whose own faults are."""
+        silent = self.silent(now_s)
+        found = []
         for name in self._usable_s:
             text = None
             if name in silent and name not in failing:
                 text = "Range: no distance to the ground" if name == FUSED else f"Range {name}: no distance"
             over = "Range: distance is back" if name == FUSED else f"Range {name}: distance is back"
-            health.set(f"silent {name}", text, over, Severity.ERROR)
+            found.append(Condition(f"silent {name}", text, over, Severity.ERROR))
         rejected = len(self._used) - sum(self._used)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
         text = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
-        health.set("disagree", text, "Range: readings agree")
+        found.append(Condition("disagree", text, "Range: readings agree"))
         text = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
-        health.set("noisy", text, "Range: readings are steady")
+        found.append(Condition("noisy", text, "Range: readings are steady"))
+        return found

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common
 
-from msp_range.bridge import FAULTS_AGAIN_S
 from msp_range.config import load_airframe
+from msp_range.health.reminder import AGAIN_S
 from msp_range.yaml_file import ConfigError
 from tests.support.bench import CONFIGS, Bench, airframe
 
@@ -88,7 +88,7 @@ def test_a_clock_that_jumps_does_not_flood_the_pilot() -> None:
         bench.fly(0.2 * i)
     assert bench.bridge.link.autopilot_clock.reboots > 100
     texts = bench.texts().count("Range c: no answer (errno 121)")
-    assert 2 <= texts <= 2 + 60 / FAULTS_AGAIN_S
+    assert 2 <= texts <= 2 + 60 / AGAIN_S
 
 
 def test_a_text_for_an_autopilot_that_started_again_is_late_but_not_lost() -> None:
@@ -100,7 +100,7 @@ def test_a_text_for_an_autopilot_that_started_again_is_late_but_not_lost() -> No
         bench.fly(1.0 * i)
     times_s = [time_s for time_s, each in bench.sent("STATUSTEXT") if each.text == "Range c: no answer (errno 121)"]
     assert len(times_s) == 2
-    assert times_s[1] <= 3.0 + FAULTS_AGAIN_S + 0.5
+    assert times_s[1] <= 3.0 + AGAIN_S + 0.5
 
 
 class Autopilots:

@@ -21,7 +21,7 @@ class Ear:
     def take(self, *statuses: Status, sensor: str = "a", error: BusError | None = None) -> None:
         for status in statuses:
             reading = Reading(0.0, sensor, status, 3.0 if status.has_range else None)
-            self.health.take(Ranging(reading, 0.0, 0.1, error))
+            self.health.on_ranging(Ranging(reading, 0.0, 0.1, error))
 
 
 OK, SILENT = Status.OK, Status.NO_ANSWER

@@ -30,7 +30,8 @@ class Watched:
             self.watch.on_range(used, fit)
             if usable:
                 self.watch.on_usable(FUSED, self.now_s)
-            self.watch.report(self.health, self.now_s)
+            for condition in self.watch.conditions(self.now_s, self.health.failing_sensors):
+                self.health.set(*condition)
         return self
 
     @property

@@ -1,0 +1,27 @@
+"""What is below single sensors, as the pilot reads it."""
+
+from msp_range.health import ObservationsBelow, Severity
+
+
+def test_what_comes_and_goes_below_a_sensor_is_reported_once_and_is_no_fault() -> None:
+    reports: list[tuple[Severity, str]] = []
+    below = ObservationsBelow(lambda severity, text: reports.append((severity, text)))
+    for object_m in (None, 0.52, 0.55, None, None):
+        below.update("a", object_m)
+    assert reports == [
+        (Severity.WARNING, "Range a: object below, 0.5 m high"),
+        (Severity.INFO, "Range a: ground below"),
+    ]
+
+
+def test_a_hole_is_no_object_and_an_autopilot_that_comes_gets_all_that_is_there() -> None:
+    below = ObservationsBelow(lambda severity, text: None)
+    below.update("a", 0.5)
+    below.update("b", -1.25)
+    below.update("c", 0.3)
+    below.update("c", None)
+    assert [below.is_object(name) for name in "abc"] == [True, False, False]
+    assert below.texts() == [
+        (Severity.WARNING, "Range a: object below, 0.5 m high"),
+        (Severity.WARNING, "Range b: hole below, 1.2 m deep"),
+    ]
