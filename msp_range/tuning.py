@@ -46,12 +46,12 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
 
 
 def recorded_tracks(path: Path) -> list[Track]:
-    """The readings of each sensor of a recording, as they went into its filters.
+    """The readings of each sensor of a recording, as the input of its filters.
 
     Raises
     ------
     RecordingError
-        Not a recording, or one without readings.
+        The file is not a recording, or has no readings.
     """
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
@@ -83,7 +83,7 @@ def show(tuned: Tuned) -> None:
     """Print values, intervals, likelihoods, and the lines for the airframe file."""
     console = PlainConsole(width=120, highlight=False)
     console.print(
-        f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.wild} wild readings apart\n"
+        f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.outliers} outliers removed\n"
     )
     table = Table(box=None)
     for heading in ("parameter", "before", "fitted", "95 % interval"):
@@ -91,7 +91,7 @@ def show(tuned: Tuned) -> None:
     for each in tuned.fitted:
         interval = f"{each.low:.3g} to {each.high:.3g}"
         if each.low == 0.0 or each.high == float("inf"):
-            interval = "not told by these flights"
+            interval = "not determined by these flights"
         table.add_row(each.name, f"{each.before:.3g}", f"{each.value:.3g}", interval)
     console.print(table)
     gain = tuned.after - tuned.before
@@ -101,7 +101,7 @@ def show(tuned: Tuned) -> None:
 
 
 def _line(parameters: KalmanParameters) -> str:
-    """What differs from the defaults, and always the model and what was fitted."""
+    """All values that differ from the defaults, the model, and the fitted values."""
     defaults = KalmanParameters(filter="kalman").model_dump()
     of_q = "acceleration_std_m_s2" if parameters.model == "constant_velocity" else "process_variance_cm2"
     always = ("filter", "model", of_q, "measurement_variance_cm2")

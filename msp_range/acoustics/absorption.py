@@ -1,4 +1,4 @@
-"""How much sound the air itself takes: absorption of a pure tone by ISO 9613-1.
+"""Absorption of sound by the air: a pure tone, by ISO 9613-1.
 
 Frequency and air enter, decibels per metre leave. The report's eq 2 has it as alpha.
 """

@@ -1,9 +1,9 @@
-"""Air as ultrasound sees it: speed of sound, time of flight, ranges corrected for temperature, and what is left of it.
+"""Speed of sound in air, time of flight, and ranges corrected for temperature with their remaining uncertainty.
 
 Temperatures in degrees Celsius enter, metres per second, seconds and metres leave. Follows the characterization
 report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in air it is about
-343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls these functions
-for each reading, so a plain number takes the way through `math`; numpy, for arrays, need not be imported to fly.
+343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls these
+functions for each reading, so plain numbers are computed with `math`; numpy is imported for arrays only.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ ZERO_CELSIUS_K = 273.15
 """0 deg C [K], by definition."""
 
 FIXED, HELD, NO_AIR = "fixed", "held", "none"
-"""Sources of an `Air` that was not measured now: the airframe file's constant; an earlier value of a source; none,
-because the range is one of light."""
+"""Sources of an `Air` that is not a new measurement: the airframe file's constant; an earlier value of a source; none,
+because the sensor uses light."""
 TWO_SIDED_95_PERCENT = 1.96
-"""Standard deviations on either side of the mean that hold 95 % of a normal distribution."""
+"""Half width, in standard deviations, of the interval that contains 95 % of a normal distribution."""
 
 _SPEED_SQUARED_PER_K = HEAT_CAPACITY_RATIO * GAS_CONSTANT_J_PER_MOL_K / MOLAR_MASS_KG_PER_MOL
 
 
 class Air(NamedTuple):
-    """What is known of the air between the sensors and the ground.
+    """Temperature of the air between sensors and ground, with its uncertainty.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Air(NamedTuple):
     std_c
         Standard deviation of the error of ``temperature_c`` [deg C].
     source
-        Where it comes from: a temperature source's name, `FIXED` or `HELD`.
+        Origin of the value: a temperature source's name, `FIXED` or `HELD`.
     """
 
     temperature_c: float
@@ -94,12 +94,12 @@ def time_of_flight(range_m: float, temperature_c: NDArray[np.float64]) -> NDArra
 def time_of_flight(
     range_m: float | NDArray[np.float64], temperature_c: float | NDArray[np.float64]
 ) -> float | NDArray[np.float64]:
-    """Time from the ping to its echo in air of one temperature, t = 2 r / c (report eq 1).
+    """Time from the ping to its echo in air of uniform temperature, t = 2 r / c (report eq 1).
 
     Parameters
     ----------
     range_m : float or ndarray
-        Distance from the sensor to the surface and not there and back [m].
+        One-way distance from the sensor to the surface [m].
     temperature_c : float or ndarray
         Temperature of the air between them [deg C]; arrays broadcast.
 
@@ -138,7 +138,7 @@ def compensate_range(
     air_temperature_c: float | NDArray[np.float64],
     calibration_temperature_c: float,
 ) -> float | NDArray[np.float64]:
-    """Range that a sensor would have reported had it known the air, r = r_m sqrt(T_T / T_C) (report eq 7).
+    """Range compensated for the air temperature, r = r_m sqrt(T_T / T_C) (report eq 7).
 
     r_m is the reading, T_T the true air temperature and T_C the one that the sensor assumes, both in kelvin.
 
@@ -174,15 +174,15 @@ def compensate_range(
 def air_variance_m2(range_m: float, air: Air) -> float:
     """Variance of a compensated range's error from the air's temperature, (R / 2T)^2 var(T), T in kelvin.
 
-    The derivative of eq 7 by the air's temperature. The error is the same in every reading of every sensor, so it is
-    added to what goes out and never to a reading's own variance, which filters average.
+    The derivative of eq 7 by the air's temperature. The error is common to all readings of all sensors, so it is
+    added to the distance that is sent and not to a reading's own variance, which filters reduce by averaging.
 
     Parameters
     ----------
     range_m
         Compensated range R [m].
     air
-        The air that it was compensated for.
+        The air for which it was compensated.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def air_variance_m2(range_m: float, air: Air) -> float:
 
 
 def air_error_m(range_m: float, air: Air) -> float:
-    """How far a range may be off by the air's temperature: the bound that 95 % of the errors do not pass [m]."""
+    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m]."""
     return TWO_SIDED_95_PERCENT * math.sqrt(air_variance_m2(range_m, air))
 
 

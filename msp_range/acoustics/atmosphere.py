@@ -1,8 +1,8 @@
 """Air with its humidity and pressure: speed of sound, density, impedance, wavelength.
 
 Temperature, relative humidity and pressure enter. The bridge corrects ranges with temperature alone
-(`msp_range.acoustics.air`); this file is for where the rest counts: absorption, echo levels, and judging what leaving
-out humidity costs. Follows Cramer 1993 (J. Acoust. Soc. Am. 93, 2510).
+(`msp_range.acoustics.air`); this file is for absorption, echo levels, and the error from neglecting
+humidity. Follows Cramer 1993 (J. Acoust. Soc. Am. 93, 2510).
 """
 
 import math
@@ -19,7 +19,7 @@ STANDARD_PRESSURE_PA = 101_325.0
 """One standard atmosphere [Pa], by definition."""
 
 CO2_MOLE_FRACTION = 400e-6
-"""Carbon dioxide in the open air; 100 ppm more lowers the speed of sound by 0.01 m/s."""
+"""Mole fraction of carbon dioxide in open air; 100 ppm more lowers the speed of sound by 0.01 m/s."""
 
 
 @dataclass(frozen=True)

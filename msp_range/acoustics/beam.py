@@ -1,8 +1,8 @@
-"""The sensor's beam: how far off its axis a surface may lie and still be heard, over range.
+"""The sensor's beam: the largest angle off its axis at which a surface still gives an echo, as a function of range.
 
 A table of measured breakaway angles enters (report 4.3.3: the largest angle of incidence with a reliable range),
-half angles and fields of view leave. Between the table's rows the angle is interpolated linearly, outside of them it
-is held. What the bridge uses has more rows than were measured: `msp_range.acoustics.sonar` adds them beyond.
+half angles and fields of view leave. Between the table's rows the angle is interpolated linearly; outside of them it
+is constant. The bridge's table has additional rows beyond the measured ones, from `msp_range.acoustics.sonar`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NARROWEST_HALF_ANGLE_DEG = 6.0
-"""No beam is said to be narrower than this [deg]: a choice, about half the narrowest one measured (12.6 at 200 cm)."""
+"""Smallest half angle that is used [deg]: a choice, about half of the smallest measured one (12.6 at 200 cm). A smaller
+value lets the predicted beam get narrower at long range."""
 
 
 @dataclass(frozen=True)
 class BreakawayTable:
-    """Breakaway half angle over range, never wider with range, never under 6 degrees for sound.
+    """Breakaway half angle as a function of range: never increasing, and at least 6 degrees for sound.
 
     Angles are between the sensor's axis and the surface's normal, to either side.
 
@@ -34,10 +35,10 @@ class BreakawayTable:
     half_angles_deg
         Largest angle with a reliable range at each of them [deg], between 0 and 90.
     known_to_m
-        Range beyond which the angle is held without anything that speaks for it [m]; infinite where there is none.
+        Range beyond which the angle is only assumed [m]; infinite if it is known at all ranges.
 
     narrowest_deg
-        A half angle under this is taken as this [deg]; 0 for a laser, whose beam is as narrow as its maker says.
+        Smaller half angles are replaced by this one [deg]; 0 for a laser.
 
     Raises
     ------
@@ -60,7 +61,7 @@ class BreakawayTable:
         if len(self.ranges_m) != len(self.half_angles_deg) or not self.ranges_m:
             raise ValueError(
                 f"found {len(self.ranges_m)} ranges and {len(self.half_angles_deg)} half angles, "
-                "expected as many of one as of the other and at least one"
+                "expected the same number of both, at least one"
             )
         for range_m, angle_deg in zip(self.ranges_m, self.half_angles_deg, strict=True):
             if not (range_m > 0.0 and 0.0 < angle_deg < 90.0):
@@ -78,7 +79,7 @@ class BreakawayTable:
                 raise ValueError(
                     f"found {self.half_angles_deg[i]:g} deg at {100.0 * self.ranges_m[i]:g} cm after "
                     f"{self.half_angles_deg[i - 1]:g} deg at {100.0 * self.ranges_m[i - 1]:g} cm, "
-                    "expected angles that never grow with range: a beam hears less far off its axis"
+                    "expected angles that do not increase with range: a distant echo is received at smaller angles only"
                 )
 
     @cached_property
@@ -104,7 +105,7 @@ class BreakawayTable:
         """
         ranges_m, angles_rad = self.ranges_m, self._half_angles_rad
         if not isinstance(range_m, int | float):
-            import numpy as np  # A vehicle asks for one range at a time, and starts sooner without this package.
+            import numpy as np  # A vehicle needs single ranges only, and starts faster without this package.
 
             return np.interp(range_m, ranges_m, angles_rad)
         if range_m <= ranges_m[0]:

@@ -1,7 +1,7 @@
 """The level of an echo: over range, angle, target and air (report eq 2 and 5, corrected).
 
-A source level, a piston, a target and the air enter, decibels leave. Levels are over one and the same reference, such
-as a sensor's own threshold: with angles of breakaway alone nobody can tell a loud source from a keen ear.
+A source level, a piston, a target and the air enter, decibels leave. All levels share one reference, such
+as the sensor's own threshold: breakaway angles cannot distinguish a loud source from a sensitive receiver.
 """
 
 import math
@@ -16,14 +16,14 @@ from msp_range.acoustics.spreading import small_target_spreading, wall_spreading
 
 @dataclass(frozen=True)
 class Target:
-    """What sends the echo.
+    """The surface that reflects the sound.
 
     Parameters
     ----------
     impedance_rayl
-        Of its surface [Pa s/m]; infinite is a perfect mirror.
+        Acoustic impedance [Pa s/m]; infinite: a perfect mirror.
     cross_section_m2
-        Backscattering cross section of a small target [m^2]; None is a large flat wall.
+        Backscattering cross section of a small target [m^2]; None: a large flat wall.
     """
 
     impedance_rayl: float = math.inf
@@ -37,10 +37,10 @@ class Target:
         return 10.0 * math.log10(share) if share > 0.0 else -math.inf
 
     def spreading_db(self, range_m: float) -> float:
-        """Echo intensity over that at 1 m from the source, for spreading alone [dB].
+        """Echo intensity relative to that at 1 m from the source, for spreading alone [dB].
 
-        10 log10(4 pi S), S of `wall_spreading` or `small_target_spreading`: 4 pi (1 m)^2 is what the power is spread
-        over at 1 m.
+        10 log10(4 pi S), S of `wall_spreading` or `small_target_spreading`: at 1 m the power is distributed over
+        4 pi (1 m)^2.
         """
         if self.cross_section_m2 is None:
             spread = wall_spreading(range_m)
@@ -50,7 +50,7 @@ class Target:
 
 
 WALL = Target()
-"""A large, flat, smooth wall that reflects all."""
+"""A large, flat, smooth wall that reflects everything."""
 
 
 def echo_level_db(
@@ -78,9 +78,9 @@ def echo_level_db(
     off_axis_rad
         Between the axis and the target, or the wall's normal, -pi/2 to pi/2 [rad].
     target, air
-        What reflects, and what is between.
+        The reflecting surface, and the air in between.
     piston_diameter_m, frequency_hz
-        Of the transducer [m], [Hz].
+        Properties of the transducer [m], [Hz].
 
     Returns
     -------

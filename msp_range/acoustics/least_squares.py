@@ -1,7 +1,7 @@
-"""Least squares of a few parameters with lower bounds, by Levenberg and Marquardt's method.
+"""Least squares for a few parameters with lower bounds, by the method of Levenberg and Marquardt.
 
-The bridge fits one small equation when it starts (`msp_range.acoustics.sonar`). In plain Python, because importing
-scipy.optimize for it took longer than everything else of the start together, and numpy a fifth of what was left.
+The bridge fits one small equation when it starts (`msp_range.acoustics.sonar`). This is plain Python, because importing
+scipy.optimize took longer than the rest of the start, and importing numpy a fifth of what remained.
 """
 
 import math
@@ -9,34 +9,34 @@ from collections.abc import Callable, Sequence
 from itertools import combinations
 
 STEP = 1e-7
-"""Of a parameter, relative to it or to 1, for the residuals' slopes: near the root of a float's precision, where a
-difference loses as much to rounding as to curvature."""
+"""Step of a parameter, relative to it or to 1, for numeric derivatives: near the square root of a float's precision,
+where errors from rounding and from curvature are equal."""
 ENOUGH = 1e-14
-"""The fit ends where a step changes the sum of squares by less than this share of it: nearly all digits of a float."""
+"""Relative change of the sum of squares at which the fit ends: nearly all digits of a float."""
 MAX_STEPS = 200
-"""Fits of the sonar equation take 5 to 30; a fit that has not ended by then is as good as it gets."""
+"""Largest number of iterations; fits of the sonar equation take 5 to 30."""
 MAX_DAMPING = 1e12
-"""With more damping than this a step is smaller than a float can resolve: there is no better point near."""
+"""Damping at which the fit ends: the steps are then smaller than a float's precision."""
 MAX_SWEEPS = 30
-"""Turns of all pairs of columns until they are at right angles; 4 to 6 are enough for a few columns."""
+"""Largest number of passes over all pairs of columns to make them orthogonal; 4 to 6 are enough for a few columns."""
 FLOAT_EPSILON = 2.0**-52
-"""A float's precision: columns at right angles to this are, and a direction that is weaker than it is none."""
+"""A float's precision: columns are orthogonal to within this, and weaker directions are treated as zero."""
 
 
 def least_squares(
     residuals: Callable[[Sequence[float]], Sequence[float]], start: Sequence[float], lower: Sequence[float]
 ) -> list[float]:
-    """The parameters p >= lower nearest to ``start`` in whose neighbourhood the sum of squared residuals is least.
+    """Find the parameters p >= lower that minimise the sum of squared residuals, starting from ``start``.
 
-    Steps solve (J'J + d diag(J'J)) s = -J'r over the parameters that are not held by their bound, and are cut at the
-    bounds; the damping d grows tenfold while they lead uphill and shrinks tenfold where they do not.
+    Steps solve (J'J + d diag(J'J)) s = -J'r over the parameters that are not at their bound, and are limited by the
+    bounds; the damping d is multiplied by ten while steps increase the sum, and divided by ten otherwise.
 
     Parameters
     ----------
     residuals
-        Parameters, length n -> residuals, as many for all parameters.
+        Function from n parameters to the residuals.
     start, lower
-        Where to start, at the bounds or above; lower bounds, minus infinity for none. Length n.
+        Start values, at or above the bounds; lower bounds, minus infinity for none. Length n.
 
     Returns
     -------
@@ -76,10 +76,10 @@ def least_squares(
 
 
 def shortest_solution(columns: Sequence[Sequence[float]], aims: Sequence[float]) -> list[float]:
-    """The shortest x for which the sum of x_i columns_i is nearest to ``aims``, by the singular value decomposition.
+    """Minimum-norm least-squares solution x of sum x_i columns_i = ``aims``, by singular value decomposition.
 
-    The columns are turned in pairs until all are at right angles (Hestenes 1958); their lengths are then the singular
-    values, and a direction that is weaker than rounding counts as none.
+    Pairs of columns are rotated until all are orthogonal (Hestenes 1958); their lengths are then the singular values.
+    Values below the rounding error are treated as zero.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def shortest_solution(columns: Sequence[Sequence[float]], aims: Sequence[float])
 
 
 def _turn(columns: list[list[float]], turns: list[list[float]], i: int, j: int) -> bool:
-    """Turn two columns to a right angle, and note the turn; False where they are at one."""
+    """Rotate two columns until they are orthogonal, and record the rotation; False if they already are."""
     one, other = columns[i], columns[j]
     product = _dot(one, other)
     if abs(product) <= FLOAT_EPSILON * math.hypot(*one) * math.hypot(*other):
@@ -141,9 +141,9 @@ def _step(
     free: list[int],
     damping: float,
 ) -> list[float]:
-    """The parameters after one step of those that are free."""
+    """The parameters after one step of the free ones."""
     root = math.sqrt(damping)
-    # As a least-squares problem of its own: the shortest step where parameters do the same or nothing.
+    # Solved as a least-squares problem, which gives the shortest step if parameters are redundant.
     columns = [[*slopes[i], *(root * math.hypot(*slopes[i]) if i == j else 0.0 for j in free)] for i in free]
     step = shortest_solution(columns, [*(-miss for miss in misses), *(0.0 for _ in free)])
     tried = list(parameters)

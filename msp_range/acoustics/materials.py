@@ -1,9 +1,9 @@
-"""How much of the sound a surface reflects, by its acoustic impedance, and the impedances of what is landed on.
+"""Reflection of sound by a surface, from its acoustic impedance, and the impedances of typical ground.
 
-Impedances in rayl (Pa s/m) enter, the share of the intensity that comes back leaves (report eq 4). The table says where
-each number comes from and how far it can be trusted. Against air every solid and water reflects all but 0.2 % or less,
-so their impedances need not be known well; of porous ground little is known at 42 kHz, and there it does matter. These
-are usual values of the works named, good for this and not for a third digit.
+Impedances in rayl (Pa s/m) enter, the reflected share of the intensity leaves (report eq 4). The table gives the source
+and uncertainty of each number. In air, solids and water reflect all but 0.2 % or less, so their impedances need not be
+accurate. For porous ground the impedance matters, and little is known about it at 42 kHz. The values are typical ones
+from the works named, accurate to two digits at most.
 """
 
 import math
@@ -26,7 +26,7 @@ class Material:
     source
         Where the number comes from.
     doubt
-        How far it may be off, and what that does to the echo.
+        Its uncertainty, and the effect on the echo.
     """
 
     impedance_rayl: float
@@ -38,12 +38,12 @@ def reflection_coefficient(medium_rayl: float, target_rayl: float) -> float:
     """Share of the intensity that is reflected, ((Z_m - Z_T) / (Z_m + Z_T))^2 (report eq 4).
 
     An intensity coefficient: the pressure's is its root (erratum 4). Valid at normal incidence, on a smooth surface
-    thicker than the pulse is long within it; up to 23 deg from the normal that of a hard surface is the same to 0.1 %.
+    thicker than the length of the pulse in it; up to 23 deg from the normal a hard surface's is the same to 0.1 %.
 
     Parameters
     ----------
     medium_rayl, target_rayl
-        Impedances of what the sound is in and of what it meets, above 0 [Pa s/m].
+        Impedances of the medium and of the surface, above 0 [Pa s/m].
 
     Returns
     -------
@@ -124,7 +124,7 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
         "water": Material(
             998.2 * 1482.3,
             "998.2 kg/m^3 and 1482.3 m/s at 20 deg C (Kaye and Laby; Del Grosso and Mader 1972)",
-            "1 %; nothing. Waves and ripples are not in it: they turn the mirror",
+            "1 %; no effect. Waves and ripples, which tilt the surface, are not included",
         ),
         "grass": Material(
             _porous(0.5),

@@ -1,8 +1,8 @@
-"""Directivity of a flat circular piston: what a transducer sends or hears off its axis.
+"""Directivity of a flat circular piston: a transducer's level off its axis, for sending and receiving.
 
 Angle, diameter and wavelength enter, a level in dB leaves, 0 on the axis. Follows the report's eq 3 with the sine
 inside the Bessel function (erratum 3), as textbooks have it (Kinsler and others, Fundamentals of Acoustics, 7.4).
-Far field, beyond D^2 / lambda: 3 cm for an MB1242. One way; an echo passes the same transducer twice.
+Far field, beyond D^2 / lambda: 3 cm for an MB1242. One way; for an echo it counts twice.
 """
 
 import math
@@ -17,7 +17,7 @@ FIRST_SIDE_LOBE_X = 5.1356223018
 """First zero of J2 above 0 (Abramowitz and Stegun, table 9.5), where 2 J1(x) / x has its next extreme."""
 
 _DB = 20.0 / math.log(10.0)
-"""Decibels in a factor of e."""
+"""Decibels per factor of e."""
 
 
 def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) -> float:
@@ -33,7 +33,7 @@ def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) 
     Returns
     -------
     float
-        Level over that on the axis, 0 or less [dB]; minus infinity at a null.
+        Level relative to the axis, 0 or less [dB]; minus infinity at a null.
 
     Raises
     ------
@@ -62,18 +62,18 @@ def level_db(x: float) -> float:
 
 
 def main_lobe_x(down_db: float) -> float:
-    """The x short of the first null at which the level is ``down_db``, 0 or more, below that on the axis.
+    """The x before the first null at which the level is ``down_db`` (0 or more) below that on the axis.
 
     Newton's method in u = x^2. The level is 20 log10 of the product of 1 - u / j^2 over all zeros j of J1, so it is
-    concave in u and lies below its first factor: from where that one is ``down_db`` down, steps fall towards the
-    solution and never past it.
+    concave in u and below its first factor: starting where the first factor is ``down_db`` down, the iteration
+    decreases monotonically towards the solution.
     """
     if down_db < 1e-6:
         # 2 J1(x) / x = 1 - x^2 / 8 + ...: closer than the difference of two levels near 0 dB.
         return math.sqrt(8.0 * down_db / _DB)
     null = FIRST_NULL_X * FIRST_NULL_X
     u = -null * math.expm1(-down_db / _DB)
-    # Short of the null, where the level is minus infinity.
+    # Stay before the null, where the level is minus infinity.
     u = min(u, null * (1.0 - 1e-12))
     while True:
         x = math.sqrt(u)
@@ -88,8 +88,8 @@ def main_lobe_x(down_db: float) -> float:
 def bessel(order: int, x: float) -> float:
     """J_n(x) = 1/pi times the integral of cos(n t - x sin t) over 0 ... pi (Abramowitz and Stegun, 9.1.21).
 
-    By the trapezoidal rule, which for this integrand misses by J_m(x) with m of twice the number of points: nothing
-    that a float shows.
+    Computed by the trapezoidal rule, whose error for this integrand is J_m(x) with m twice the number of points, which
+    is below a float's precision.
     """
     points = 12 + math.ceil(abs(x))
     ends = 1.0 if order % 2 == 0 else 0.0
@@ -98,10 +98,10 @@ def bessel(order: int, x: float) -> float:
 
 
 def half_power_angle_rad(diameter_m: float, wavelength_m: float) -> float:
-    """Angle where one way the power is half, -3.01 dB: asin(1.616 lambda / (pi D)) [rad].
+    """Angle at which the one-way power is half, -3.01 dB: asin(1.616 lambda / (pi D)) [rad].
 
-    Half the power and not half the pressure, as the report has it (erratum 3). pi / 2 where there is none, which is for
-    pistons smaller than 0.51 wavelengths.
+    Half the power, not half the pressure as in the report (erratum 3). pi / 2 if there is none (pistons smaller than
+    0.51 wavelengths).
     """
     return _angle_rad(HALF_POWER_X, diameter_m, wavelength_m)
 
@@ -112,7 +112,7 @@ def first_null_angle_rad(diameter_m: float, wavelength_m: float) -> float:
 
 
 def first_side_lobe_db() -> float:
-    """Level of the first side lobe, -17.6 dB whatever the piston (the report says -20, erratum 10)."""
+    """Level of the first side lobe, -17.6 dB for any piston (the report says -20, erratum 10)."""
     return level_db(FIRST_SIDE_LOBE_X)
 
 

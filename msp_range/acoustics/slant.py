@@ -1,7 +1,7 @@
-"""The two ranges that a tilted sensor may report of a flat surface: along its axis, or to the nearest point heard.
+"""The two ranges that a tilted sensor may report for a flat surface: along its axis, or to the nearest point.
 
-Perpendicular distance and incidence enter, metres leave. The report's 4.3.3 expects the first (its eq 8); an echo is
-first heard from the second. Which of them a sensor reports is `oblique_reading` in its sensor model.
+Perpendicular distance and incidence enter, metres leave. The report's 4.3.3 expects the first (eq 8); the
+first echo comes from the second. `oblique_reading` in the sensor model says which one a sensor reports.
 """
 
 import math
@@ -40,9 +40,9 @@ def slant_range(perpendicular_m: float, incidence_rad: float) -> float:
 def nearest_range_in_beam(perpendicular_m: float, incidence_rad: float, half_angle_rad: float) -> float:
     """Distance to the nearest point of a plane within a cone about the axis.
 
-    r_0 where the foot of the perpendicular is within the cone (theta <= a), else r_0 / cos(theta - a): the point on the
-    cone's edge that leans towards the normal. A smooth plane answers from the foot alone, so outside of the cone there
-    is an echo only where the surface is rough on the scale of the wavelength.
+    r_0 where the foot of the perpendicular is within the cone (theta <= a), else r_0 / cos(theta - a): the point
+    at the cone's edge on the side of the normal. A smooth plane gives an echo from the foot only, so outside the cone
+    there is an echo only if the surface is rough on the scale of the wavelength.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The sonar equation of one kind of sensor: how far off its axis it hears a wall, at ranges where nobody measured.
+"""The sonar equation of a sensor: the largest angle at which it detects a wall, at ranges that were not measured.
 
 A table of breakaway angles (report 4.3.3) enters, its three parameters are fitted, half angles beyond the table leave.
-An echo is heard where its level (`msp_range.acoustics.echo`) is over the detection threshold.
+An echo is detected if its level (`msp_range.acoustics.echo`) is above the detection threshold.
 """
 
 import math
@@ -16,17 +16,18 @@ from msp_range.acoustics.least_squares import least_squares
 from msp_range.acoustics.piston import main_lobe_x
 
 STEP_DEG = 1.8
-"""Step of the report's motor [deg]: what a breakaway angle is known to, and a fit must come as near."""
+"""Step of the report's motor [deg]: the uncertainty of a breakaway angle, and so the largest error of an accepted
+fit."""
 
 PARAMETERS = 3
-"""Source level, piston, gain: a table with fewer rows cannot tell them."""
+"""Number of parameters (source level, piston, gain), and so the smallest number of rows for a fit."""
 
 STEP_M = 0.25
-"""Between the rows that the equation adds to a table [m]: the angle is linear in between to 0.1 deg."""
+"""Distance of the rows that the equation adds to a table [m]; between them the angle is linear to 0.1 deg."""
 
 ROOM = Atmosphere()
-"""The air of the report's laboratory: 20 deg C, 50 %, one atmosphere. Its absorption and the gain add up to one slope
-over range, so what the real air took is in the fitted gain."""
+"""The air of the report's laboratory: 20 deg C, 50 %, one atmosphere. Absorption and gain add up to
+one slope over range, so an error of the absorption is compensated by the fitted gain."""
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,19 @@ class Sonar:
     Parameters
     ----------
     source_level_db
-        On the axis at 1 m, over the detection threshold at no range [dB].
+        Level on the axis at 1 m, relative to the detection threshold at range 0 [dB].
     piston_diameter_m
-        Of the flat circular piston that would have the same directivity [m].
+        Diameter of the flat circular piston with the same directivity [m].
     gain_db_per_m
         How much the receiver's gain grows, or its threshold falls, with each metre of range [dB/m].
     frequency_hz
-        Of the ping [Hz].
+        Frequency of the ping [Hz].
 
     Notes
     -----
-    Angles against a mirror fix how the level falls off the axis, not how much there is to spare on it: the fit to the
-    report's table has 3 to 10 dB, so that grass or snow would hardly be heard, yet ultrasonic sensors measure the
-    depth of snow. Take half angles from it, and nothing about weak targets.
+    Breakaway angles of a wall determine how the level falls off the axis, but hardly the level on the axis: the fit to
+    the report's table has 3 to 10 dB above the threshold, by which grass or snow would hardly be detected, yet
+    ultrasonic sensors measure snow depth. Use it for half angles, and not for weak targets.
     """
 
     source_level_db: float
@@ -57,24 +58,24 @@ class Sonar:
     frequency_hz: float
 
     def threshold_db(self, range_m: float) -> float:
-        """Detection threshold DT(R) = -g R, over that at no range [dB].
+        """Detection threshold DT(R) = -g R relative to that at range 0 [dB].
 
-        Sensors like this one raise their gain while they wait for the echo, since a late echo is a weak one. A gain
-        that is linear in dB over time is assumed; what it is in the part is not published.
+        Such sensors raise their gain while they wait for the echo, because a late echo is weak. A gain that is linear
+        in dB over time is assumed; the sensor's actual gain is not published.
         """
         return -self.gain_db_per_m * range_m
 
     def excess_db(
         self, range_m: float, off_axis_rad: float = 0.0, target: Target = WALL, air: Atmosphere = ROOM
     ) -> float:
-        """EL(R, theta) - DT(R) [dB]: 0 or more is heard. Arguments as in `echo_level_db`."""
+        """EL(R, theta) - DT(R) [dB]: detected if 0 or more. Arguments as in `echo_level_db`."""
         level = echo_level_db(
             self.source_level_db, range_m, off_axis_rad, target, air, self.piston_diameter_m, self.frequency_hz
         )
         return level - self.threshold_db(range_m)
 
     def half_angle_rad(self, range_m: float, target: Target = WALL, air: Atmosphere = ROOM) -> float | None:
-        """Largest angle off the axis at which the target is heard.
+        """Largest angle off the axis at which the target is detected.
 
         Parameters
         ----------
@@ -86,8 +87,8 @@ class Sonar:
         Returns
         -------
         float or None
-            0 up to the piston's first null, or pi / 2 where it has none [rad]; None where nothing is heard even on the
-            axis. Side lobes do not count.
+            0 up to the piston's first null, or to pi / 2 if it has none [rad]; None if the target is not detected even
+            on the axis. Side lobes do not count.
         """
         excess_db = self.excess_db(range_m, 0.0, target, air)
         if excess_db < 0.0:
@@ -96,25 +97,24 @@ class Sonar:
 
 
 def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> Sonar:
-    """The sonar equation whose half angles are nearest to a table's, in the sense of least squares.
+    """Fit the sonar equation to the half angles of a table by least squares.
 
-    It has three parameters. The report's table has four rows: one degree of freedom is left, so agreement with the
-    table is hardly evidence. `leave_one_out` is the honest question, and beyond the table the equation is an
-    extrapolation whose shape is assumed.
+    It has three parameters and the report's table four rows, so one degree of freedom is left, and agreement with the
+    table is weak evidence. `leave_one_out` is a better test. Beyond the table the equation is an extrapolation.
 
     Parameters
     ----------
     table
         Breakaway angles against a large flat wall that reflects nearly all, at least three rows.
     frequency_hz
-        Of the ping [Hz].
+        Frequency of the ping [Hz].
     on_axis_m
-        Range at which a wall is heard on the axis at least [m]; the fit keeps to it. None: the table's last range.
+        Range up to which a wall is detected on the axis [m]; a constraint of the fit. None: the table's last range.
 
     Returns
     -------
     Sonar
-        In the air of `ROOM`.
+        Fitted with the air of `ROOM`.
 
     Raises
     ------
@@ -131,13 +131,13 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     if len(table.ranges_m) < PARAMETERS:
         raise ValueError(
             f"found {len(table.ranges_m)} breakaway angles, expected at least {PARAMETERS}: "
-            "the sonar equation has so many parameters"
+            "the sonar equation has that many parameters"
         )
     kept_m = max(on_axis_m or 0.0, table.ranges_m[-1])
     wavelength_m = ROOM.wavelength_m(frequency_hz)
 
     def sonar_of(parameters: Sequence[float]) -> Sonar:
-        # The first parameter is the excess on the axis at the range to keep to: at least 0 dB.
+        # The first parameter is the excess on the axis at that range: at least 0 dB.
         excess_db, log_diameter, gain_db_per_m = parameters
         silent = Sonar(0.0, math.exp(log_diameter), gain_db_per_m, frequency_hz)
         source_level_db = excess_db - silent.excess_db(kept_m)
@@ -145,7 +145,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
 
     def misses_deg(parameters: Sequence[float]) -> list[float]:
         sonar = sonar_of(parameters)
-        # Below the threshold the angle goes on as its mirror image, so that the fit finds its way back.
+        # Below the threshold the angle is continued as its mirror image, so that the fit can recover.
         excesses_db = [sonar.excess_db(range_m) for range_m in table.ranges_m]
         angles_rad = [
             math.copysign(_angle_rad(abs(excess_db), sonar.piston_diameter_m, wavelength_m), excess_db)
@@ -156,17 +156,17 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
             for angle_rad, angle_deg in zip(angles_rad, table.half_angles_deg, strict=True)
         ]
 
-    # A piston that is 12 dB down there and back, x = 2.2, at the widest angle of the table.
+    # A piston that is 12 dB down (two-way), x = 2.2, at the widest angle of the table.
     diameter_m = 2.2 * wavelength_m / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
     start = [3.0, math.log(diameter_m), 5.0]
     return sonar_of(least_squares(misses_deg, start, [0.0, -math.inf, 0.0]))
 
 
 def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> list[float | None]:
-    """Each half angle of a table as the other rows predict it.
+    """Predict each half angle of a table from its other rows.
 
-    With four rows and three parameters each prediction comes from an equation that passes through the three others
-    exactly: it tests the equation's shape and nothing else.
+    With four rows and three parameters each prediction comes from an exact fit to the three others, so it tests the
+    shape of the equation only.
 
     Parameters
     ----------
@@ -176,12 +176,12 @@ def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float |
     Returns
     -------
     list of float or None
-        Predicted half angle of each row [deg]; None where no echo is predicted.
+        Predicted half angle of each row [deg]; None if no echo is predicted.
 
     Raises
     ------
     ValueError
-        Without one there are too few rows.
+        Without one row there are too few.
     """
     predicted: list[float | None] = []
     for i, range_m in enumerate(table.ranges_m):
@@ -195,12 +195,12 @@ def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float |
 def extended_beam(
     table: BreakawayTable, maximum_m: float, frequency_hz: float, on_axis_m: float | None = None
 ) -> BreakawayTable:
-    """A measured table, carried on by the sonar equation that is fitted to it.
+    """A measured table, extended by the sonar equation that is fitted to it.
 
-    The measured rows stay as they are. Beyond them the angle is the equation's but never grows with range: a gain that
-    outruns the losses would widen the beam, which nobody has seen. Where the equation predicts no echo, or none can be
-    had (too few rows, a fit that misses one by more than a step), the last angle is held and `known_to_m` says from
-    where on.
+    The measured rows are unchanged. Beyond them the angle is the equation's, but never increases with range: a gain
+    that exceeds the losses would widen the beam, which has not been observed. If the equation predicts no echo or
+    cannot be fitted (too few rows, or an error of more than a step), the last angle is held, and `known_to_m` is the
+    range from which it is only assumed.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def _trusted_fit(table: BreakawayTable, frequency_hz: float, on_axis_m: float | 
 
 
 def _angle_rad(excess_db: float, diameter_m: float, wavelength_m: float) -> float:
-    """Angle within the main lobe at which a piston is ``excess_db``, 0 or more, down there and back [rad]."""
+    """Angle in the main lobe at which a piston's two-way level is ``excess_db`` (0 or more) down [rad]."""
     sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * diameter_m)
     return math.asin(sine) if sine < 1.0 else math.pi / 2
 

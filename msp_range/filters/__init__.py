@@ -1,1 +1,1 @@
-"""Filters of one sensor's stream: the gate in front, the chain, and the table of what can be in it."""
+"""Filters of one sensor's stream: the status gate, the chain, and the table of filters."""

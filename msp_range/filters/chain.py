@@ -1,4 +1,4 @@
-"""A sensor's filters in order, behind the gate that lets no code through as a distance."""
+"""A sensor's filters in order, after the gate that rejects readings without a range."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,24 +7,24 @@ from msp_range.filters.base import Estimate, Filter
 from msp_range.reading import Reading, Status
 
 MEMORY_S = 1.5
-"""After this long without an accepted reading the filters start anew [s], where the polling does not say otherwise."""
+"""Time without an accepted reading after which the filters restart [s], unless the polling cycle requires longer."""
 CONFIRM_M, CONFIRM_M_S = 0.20, 5.0
-"""After a start two readings must agree before one is put out: within a slope and noise [m], and what a range may
-change by in between [m/s]. Without it one outlier after a long time without an echo is a distance."""
+"""After a restart two readings must agree before there is an output: within slope and noise [m] plus the largest change
+of range in between [m/s]. Without this a single outlier after a long time without an echo would be sent."""
 FASTEST_M_S = 5.0
-"""Range rate at most that the prediction of a suspect reading goes on with [m/s]."""
+"""Largest range rate with which a suspect reading is predicted [m/s]."""
 SUSPECT_MARGIN_M = 0.15
 SUSPECT_MARGIN_M_S = 0.2
-"""How far from the prediction a suspect reading may be [m], and how much farther with time [m/s]: no more, or a
-vehicle that hovers over ground that it cannot hear would soon be told that it is at 255 cm."""
+"""Largest distance of a suspect reading from its prediction [m], and its growth with time [m/s]. With more, a vehicle
+that hovers over ground without an echo would soon get a distance of 255 cm."""
 
 
 UNCONFIRMED = "unconfirmed"
-"""Why a reading was not used where another one has to agree with it first."""
+"""Reason of rejection while a second reading has to agree first."""
 
 
 class Filtered(NamedTuple):
-    """What the chain made of a reading: an estimate, or the reason why there is none."""
+    """The chain's result for a reading: an estimate, or the reason of rejection."""
 
     estimate: Estimate | None
     rejected: str | None = None
@@ -33,16 +33,16 @@ class Filtered(NamedTuple):
 class Chain:
     """The status gate, then every filter in turn.
 
-    Only readings whose status carries a range go on. A suspect value (255) goes on only where it lies between the last
-    output and where that has moved since at the rate it had, give or take the margin. After a start, and after a time
-    without readings, two must agree before the filters see any.
+    Only readings whose status has a range pass the gate. A suspect value (255) passes only if it lies between the last
+    output and its extrapolation at the last rate, within the margin. After a start, and after a time without readings,
+    two readings must agree before the filters get any.
 
     Parameters
     ----------
     filters
-        In order.
+        Filters in order.
     memory_s
-        After this long without an accepted reading the filters start anew [s].
+        Time without an accepted reading after which the filters restart [s].
     """
 
     def __init__(self, filters: Sequence[Filter], memory_s: float = MEMORY_S) -> None:
@@ -55,7 +55,7 @@ class Chain:
         self._accepted_s = float("-inf")
 
     def update(self, reading: Reading) -> Filtered:
-        """Filter one reading; readings come in the order of their times."""
+        """Filter one reading; readings must be in order of time."""
         if reading.range_m is None:
             return _REJECTED[reading.status]
         time_s = reading.time_s

@@ -1,7 +1,7 @@
 """Kalman filter (report eq 15-19) on filterpy, with a constant or a constant-velocity model.
 
-The report's filter is ``model: constant`` with a process variance a step. In flight the constant-velocity model is
-the better one: it follows a climb without lag, and takes readings at whatever time they come.
+The report's filter is ``model: constant`` with a process variance per step. In flight the constant-velocity model is
+better: it follows a climb without lag, and accepts readings at any times.
 """
 
 import math
@@ -16,11 +16,12 @@ from msp_range.yaml_file import Section
 START_SPEED_STD_M_S = 2.0
 """Standard deviation of the speed at the first reading [m/s]."""
 SPEED_CHANGE_STD_M_S = 0.2
-"""How much the speed may have changed between two surprising readings that agree, standard deviation [m/s]."""
+"""Standard deviation of the change of speed between two outliers that agree [m/s]."""
 
 
 class KalmanParameters(Section):
-    """State is the range, or the range and its rate; surprising readings wait until a second one agrees."""
+    """The state is the range, or the range and its rate; an outlier is rejected until a second reading agrees with
+    it."""
 
     filter: Literal["kalman"]
     """the word kalman"""
@@ -31,12 +32,13 @@ class KalmanParameters(Section):
     acceleration_std_m_s2: float = Field(1.0, gt=0, le=100)
     """constant_velocity model: standard deviation of the acceleration between readings [m/s^2]"""
     measurement_variance_cm2: float | None = Field(None, gt=0, le=1e6)
-    """R [cm^2]; left out: the sensor model's"""
+    """R [cm^2]; default: the sensor model's"""
     gate_sigmas: float | None = Field(4.0, gt=0)
-    """readings farther from the prediction than this many standard deviations wait for a second one; null: none do"""
+    """readings further from the prediction than this many standard deviations are rejected until a second one agrees;
+    null: none are"""
 
     def make(self, sensor: SensorModel | None = None) -> "Kalman":
-        """A filter in its starting state."""
+        """Make a filter in its initial state."""
         return Kalman(self)
 
 
@@ -44,7 +46,7 @@ class Kalman:
     """filterpy's KalmanFilter, started at the first reading with P = R."""
 
     def __init__(self, parameters: KalmanParameters) -> None:
-        # filterpy takes a second to import, and only an airframe that names this filter needs it.
+        # filterpy takes a second to import, and is needed only if an airframe names this filter.
         import numpy as np
         from filterpy.kalman import KalmanFilter
 
@@ -53,7 +55,8 @@ class Kalman:
         size = 2 if self._moving else 1
         self._kalman: Any = KalmanFilter(dim_x=size, dim_z=1)
         self._kalman.H = np.eye(1, size)
-        # The innovation's variance is 1 x 1; filterpy lets its inverse be chosen, and this one is ten times quicker.
+        # The innovation's variance is 1 x 1. filterpy allows another function for its inverse; this one is ten times
+        # faster.
         self._kalman.inv = np.reciprocal
         self._transition = np.eye(size)
         self._noise = np.empty((size, size))
@@ -115,10 +118,10 @@ class Kalman:
         return measured
 
     def _wait(self, time_s: float, measured: Estimate, gate_sigmas: float) -> Estimate | None:
-        """Keep a surprising reading back; believe the second in a row that agrees with the first.
+        """Reject an outlier; accept the second of two successive ones that agree.
 
-        They agree where the speed that takes one to the other is none or the vehicle's, give or take the gate: a step
-        of the ground does not change the vehicle's speed, but may have spoilt what is known of it.
+        They agree if the speed between them is zero or the vehicle's, within the gate. A step of the ground does not
+        change the vehicle's speed, but may have falsified its estimate.
         """
         before, self._waiting = self._waiting, (time_s, measured)
         if before is None or time_s <= before[0]:
@@ -133,6 +136,6 @@ class Kalman:
         return self._start(time_s, measured, speed_m_s, noise)
 
     def reset(self) -> None:
-        """Start again at the next reading."""
+        """Restart at the next reading."""
         self._time_s = None
         self._waiting = None

@@ -1,4 +1,4 @@
-"""Moving median (report eq 14, made causal: the report's window looks ahead, which no vehicle can)."""
+"""Moving median (report eq 14, made causal: the report's window includes later readings)."""
 
 import math
 from collections import deque
@@ -13,7 +13,7 @@ from msp_range.yaml_file import Section
 
 
 class MedianParameters(Section):
-    """Median of the last ``window`` readings; single wild readings vanish, a step arrives half a window late."""
+    """Median of the last ``window`` readings; removes single outliers, delays a step by half a window."""
 
     filter: Literal["median"]
     """the word median"""
@@ -21,18 +21,18 @@ class MedianParameters(Section):
     """number of readings (whole number, 1 to 999)"""
 
     def make(self, sensor: SensorModel | None = None) -> "Median":
-        """A filter in its starting state."""
+        """Make a filter in its initial state."""
         return Median(self.window)
 
 
 class Median:
-    """y[i] = median of x[i - M + 1] ... x[i]; of what there is until M readings have come."""
+    """y[i] = median of x[i - M + 1] ... x[i]; of fewer until there are M readings."""
 
     def __init__(self, window: int) -> None:
         self._recent: deque[Estimate] = deque(maxlen=window)
 
     def update(self, time_s: float, measured: Estimate) -> Estimate:
-        """Variance of the median of M independent normal readings, about (pi / 2) sigma^2 / M, for M of three up."""
+        """Variance of the median of M independent normal readings, about (pi / 2) sigma^2 / M, for M of 3 or more."""
         self._recent.append(measured)
         count = len(self._recent)
         variance_m2 = sum([each.variance_m2 for each in self._recent]) / count**2

@@ -19,12 +19,12 @@ class MovingAverageParameters(Section):
     """number of readings (whole number, 1 to 1000)"""
 
     def make(self, sensor: SensorModel | None = None) -> "MovingAverage":
-        """A filter in its starting state."""
+        """Make a filter in its initial state."""
         return MovingAverage(self.window)
 
 
 class MovingAverage:
-    """y[i] = (1/M) sum over j = 0..M-1 of x[i - j]; over what there is until M readings have come."""
+    """y[i] = (1/M) sum over j = 0..M-1 of x[i - j]; of fewer until there are M readings."""
 
     def __init__(self, window: int) -> None:
         self._recent: deque[Estimate] = deque(maxlen=window)

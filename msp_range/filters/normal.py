@@ -1,7 +1,7 @@
 """The normal distribution's cumulative probability and its inverse, for arrays.
 
-Both come from the standard library, element by element: importing scipy.special takes 0.15 s, a third of the bridge's
-start, and the filter that flies asks for 24 values at a time.
+Both use the standard library, element by element: importing scipy.special takes 0.15 s, a third of the bridge's start,
+and the filter in flight needs only 24 values at a time.
 """
 
 import math
@@ -19,7 +19,7 @@ def normal_cdf(z: NDArray[np.float64]) -> NDArray[np.float64]:
     Parameters
     ----------
     z : ndarray, any shape
-        Deviate in standard deviations.
+        Standard normal deviate.
 
     Returns
     -------
@@ -36,6 +36,6 @@ def normal_cdf(z: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def normal_quantile(probability: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The deviate below which a normal variable lies with this probability, above 0 and below 1 (Wichura's AS 241)."""
+    """Quantile of the standard normal distribution for a probability above 0 and below 1 (Wichura's AS 241)."""
     deviates = map(_STANDARD.inv_cdf, probability.ravel().tolist())
     return np.fromiter(deviates, np.float64, probability.size).reshape(probability.shape)

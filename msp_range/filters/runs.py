@@ -1,23 +1,23 @@
-"""Runs: what a range may have done lately, as a weighted set of hypotheses, for many streams at once.
+"""Run histories: what a range may have done lately, as a weighted set of hypotheses, for many streams at once.
 
-Readings enter, one a stream and step; the posterior median of the range and the variance about it leave. The bridge
-has one stream (`msp_range.filters.changepoint`), a study has one a seed.
+Readings enter, one per stream and step; the posterior median of the range and the variance about it leave. The bridge
+has one stream (`msp_range.filters.changepoint`), a study has one per seed.
 
-A hypothesis is a run since its last change, with a Gaussian of range x and rate v; a run that stands has v = 0 and no
-variance of it. Between two readings, T apart, a run either goes on, or
+A hypothesis is the history since its last change, with a Gaussian of range x and rate v; a stationary one has v = 0
+without variance. Between two readings, T apart, a history either continues, or has a
 
-    kinks   x goes on; v changes by N(0, (BEND_M_S2 T)^2), is drawn anew from N(0, TURN_M_S^2), or becomes 0
-    jumps   x is drawn anew, uniform over all that the sensor can report; v becomes 0 or stays as it was
+    slope change   x continues; v changes by N(0, (BEND_M_S2 T)^2), is drawn again from N(0, TURN_M_S^2), or becomes 0
+    level change   x is drawn again, uniform over all that the sensor can report; v becomes 0 or is kept
 
-Both happen at rates that each hypothesis learns from its own kinks and jumps, as Gamma(a + count, b + time). A reading
-y is of the surface, N(y; x, R), with the weight of hits, or it is not (`Likelihood.elsewhere`). In a run the two are
-brought together by their moments (the probabilistic data association filter, Bar-Shalom and Tse 1975): beta is the
-probability of a hit, K the Kalman gain, r = y - x and S = P + R, and
+Both happen at rates that each hypothesis estimates from its own changes, as Gamma(a + count, b + time). A reading y
+comes from the surface, N(y; x, R), with the weight of hits, or it is an outlier (`RangeLikelihood.outlier_density`).
+Within a history both cases are merged by their moments (the probabilistic data association filter, Bar-Shalom and Tse
+1975): beta is the probability of a hit, K the Kalman gain, r = y - x and S = P + R, and
 
     x' = x + beta K r        P' = P - beta K S K^T + beta (1 - beta) K r^2 K^T
 
-A jump whose first reading was not of the surface is the state 'nowhere': no hypothesis knows x. Only the HYPOTHESES
-most probable runs are kept, so that a step costs the same for ever.
+After a level change whose first reading is an outlier the state is 'unlocated': no hypothesis knows x. Only the
+HYPOTHESES limit probable histories are kept, so the cost of a step is constant.
 """
 
 import math
@@ -32,50 +32,54 @@ from msp_range.reading_model.kernel import Hit, Short
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 HYPOTHESES = 24
-"""Runs that are kept; twice as many change no figure of the study by more than 1 %."""
-CHANGES, CHANGES_IN_S = 0.1, 1.0
-"""a and b: what is believed of each kind of change before any reading, as many in so many seconds [1, s]."""
+"""Number of histories that are kept; twice as many change no figure of the filter study by more than 1 %."""
+PRIOR_CHANGES, PRIOR_TIME_S = 0.1, 1.0
+"""Prior a and b of the rate of each kind of change: that many changes in that time [1, s]. A higher rate follows
+changes sooner and smooths less, until a history has estimated its own."""
 RATES_MEMORY_S = 60.0
-"""Changes and time longer ago than this no longer count for the rates [s]."""
-STANDS = 0.3
-"""Share of the kinks of a moving run after which it stands."""
+"""Time constant with which past changes and time are forgotten for the rates [s]. Longer adapts more slowly."""
+STOP_SHARE = 0.3
+"""Probability that a slope change of a moving history is a stop."""
 TURN_M_S = 1.0
-"""Standard deviation of the rate after a turn [m/s]: what a vehicle climbs at."""
-BENDS = 0.5
-"""Share of bends in the other kinks; the rest are turns."""
+"""Standard deviation of the rate after a turn [m/s]: a typical climb rate."""
+BEND_SHARE = 0.5
+"""Share of bends in the other slope changes; the rest are turns."""
 BEND_M_S2 = 1.0
-"""Standard deviation of the acceleration between the two readings of a bend [m/s^2]: what a vehicle speeds up with."""
-SURPRISE = 0.01
-"""A jump or a turn to a reading is at most so many times as probable as that there is none, where the reading model has
-readings that are not of the surface. So it takes a second reading to believe a step."""
-KNOWN = 1e-3
-"""The first range is put out when 'nowhere' is less probable than this."""
-SURE = 0.5
-"""A reading that is less probably of the surface moves the runs, but nothing is put out."""
+"""Standard deviation of the acceleration between the two readings of a bend [m/s^2]: a vehicle's typical
+acceleration."""
+MAX_SINGLE_READING_ODDS = 0.01
+"""Largest odds of a level change or turn that only one reading supports, if the reading model has outliers. So a second
+reading has to confirm a step. Larger follows steps at once and believes outliers."""
+LOCATED_SHARE = 1e-3
+"""Probability of 'unlocated' below which the first range is given out."""
+CONVERGED_SHARE = 0.5
+"""Smallest probability that a reading comes from the surface for which a range is given out; the histories are updated
+in any case."""
 TOLERANCE_M = 1e-5
-"""Of the posterior median [m]."""
-MOST_ITERATIONS = 60
+"""Precision of the posterior median [m]."""
+MAX_ITERATIONS = 60
+"""Largest number of Newton steps for the median; bisection alone would need about 30."""
 
 _Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Likelihood:
-    """What the filter needs of a reading model (`msp_range.reading_model.kernel`), in metres, for one reading with a
-    range: no-echo codes do not come here, and the shares are those of the other three kinds.
+class RangeLikelihood:
+    """The part of a reading model (`msp_range.reading_model.kernel`) that the filter uses, in metres, for readings with
+    a range: codes for no echo are rejected before, and the shares are relative to the other three kinds.
 
     Attributes
     ----------
     hit, short, random
-        Shares of readings of the surface, of something nearer, and of nothing.
+        Shares of hits, short and random readings.
     short_rate_per_m
-        Rate at which short readings get rarer with range [1/m].
+        Rate with which the density of short readings decreases with range [1/m].
     minimum_m, maximum_m
         The sensor's limits [m].
     variance_m2
-        Of a hit [m^2], rounding included.
+        Variance of a hit [m^2], rounding included.
     bias_m2
-        Variance of what rounding adds to the mean of many readings at one place [m^2]; no averaging takes it away.
+        Variance of the rounding error of the mean of many readings at one range [m^2], which averaging does not reduce.
     """
 
     hit: float
@@ -88,17 +92,17 @@ class Likelihood:
     bias_m2: float
 
     @classmethod
-    def of(cls, model: MixtureParameters, minimum_cm: int, maximum_cm: int, resolution_cm: int) -> "Likelihood":
-        """That of a sensor model file's section ``reading_model``."""
+    def of(cls, model: MixtureParameters, minimum_cm: int, maximum_cm: int, resolution_cm: int) -> "RangeLikelihood":
+        """Make it from a sensor model file's section ``reading_model``."""
         weights = model.weights
-        heard = weights.hit + weights.short + weights.random
+        with_range = weights.hit + weights.short + weights.random
         if not weights.hit > 0.0:
             raise ValueError("filter changepoint: the reading model's weight of hits is 0, expected more")
         step_m = resolution_cm / 100.0
         return cls(
-            hit=weights.hit / heard,
-            short=weights.short / heard,
-            random=weights.random / heard,
+            hit=weights.hit / with_range,
+            short=weights.short / with_range,
+            random=weights.random / with_range,
             short_rate_per_m=model.short_rate_per_m,
             minimum_m=minimum_cm / 100.0,
             maximum_m=maximum_cm / 100.0,
@@ -108,25 +112,25 @@ class Likelihood:
 
     @property
     def length_m(self) -> float:
-        """Of the interval that the sensor can report [m]."""
+        """Length of the interval that the sensor can report [m]."""
         return self.maximum_m - self.minimum_m
 
     def short_density(self, reading_m: _Array, range_m: _Array) -> _Array:
-        """Share times density of a short reading before a surface at ``range_m`` [1/m]."""
+        """Share times density of a short reading in front of a surface at ``range_m`` [1/m]."""
         reach_m = np.maximum(range_m - self.minimum_m, 1e-3)
         density: _Array = self.short * Short.density(reading_m - self.minimum_m, reach_m, self.short_rate_per_m)
         return density
 
-    def elsewhere(self, reading_m: _Array, range_m: _Array) -> _Array:
-        """Density of a reading that is not of the surface at ``range_m`` [1/m]."""
+    def outlier_density(self, reading_m: _Array, range_m: _Array) -> _Array:
+        """Density of an outlier, given a surface at ``range_m`` [1/m]."""
         density = self.random / self.length_m
         if self.short == 0.0:
             return np.full_like(range_m, density)
         result: _Array = density + (reading_m < range_m) * self.short_density(reading_m, range_m)
         return result
 
-    def anywhere(self, reading_m: _Array) -> _Array:
-        """The same where nothing is known of the range: uniform over what the sensor can report [1/m].
+    def unlocated_outlier_density(self, reading_m: _Array) -> _Array:
+        """Density of an outlier for an unknown range, uniform over what the sensor can report [1/m].
 
         The integral over the range of the truncated exponential has no closed form; its norm is taken at the middle
         of the ranges beyond the reading.
@@ -139,10 +143,10 @@ class Likelihood:
 
 
 def rounding_bias_m2(std_m: float, step_m: float) -> float:
-    """Variance, over where in a step the range lies, of the mean of many rounded readings less the range [m^2].
+    """Variance of the rounding error of the mean of many readings, over the position of the range in a step [m^2].
 
     The mean of round(x + noise) - x is a Fourier series in x with amplitudes exp(-2 pi^2 k^2 sigma^2) / (pi k), in
-    steps: 1/12 in all without noise, and nothing from half a step of noise on.
+    steps: a variance of 1/12 without noise, and practically zero from half a step of noise on.
 
     Examples
     --------
@@ -155,94 +159,96 @@ def rounding_bias_m2(std_m: float, step_m: float) -> float:
 
 
 class Posterior(NamedTuple):
-    """After a step, one a stream.
+    """The estimate after a step, one per stream.
 
     Attributes
     ----------
     range_m
         Median of the range [m].
     variance_m2
-        About it [m^2].
-    sure
-        Whether a level is known and the reading was probably of the surface: then the range is worth putting out.
+        Variance about the median [m^2].
+    converged
+        Whether a level is known and the reading probably came from the surface, so that the range can be given out.
     """
 
     range_m: _Array
     variance_m2: _Array
-    sure: NDArray[np.bool_]
+    converged: NDArray[np.bool_]
 
 
-class Runs:
-    """Hypotheses of ``streams`` streams that know nothing of each other.
+class RunHistories:
+    """Hypotheses of ``streams`` independent streams.
 
     Attributes
     ----------
     state
-        Shape (8, streams, HYPOTHESES): probability, x [m], v [m/s], their variances P_xx, P_xv, P_vv, and the kinks and
-        jumps so far.
-    nowhere
+        Shape (8, streams, HYPOTHESES): probability, x [m], v [m/s], their variances P_xx, P_xv, P_vv, and the numbers
+        of slope and level changes.
+    unlocated
         Probability that no hypothesis knows the range, shape (streams,).
     time_s
-        Time that counts for the rates, shape (streams,).
+        Time on which the rates are based, shape (streams,).
     """
 
-    def __init__(self, likelihood: Likelihood, streams: int) -> None:
+    def __init__(self, likelihood: RangeLikelihood, streams: int) -> None:
         self.likelihood = likelihood
         self.state = np.zeros((8, streams, HYPOTHESES))
         self.state[3] = likelihood.variance_m2
-        self.nowhere = np.ones(streams)
+        self.unlocated = np.ones(streams)
         self.time_s = np.zeros(streams)
         self.known = np.zeros(streams, dtype=bool)
         self._rows = np.arange(streams)[:, None]
 
-    def take(self, streams: NDArray[np.intp]) -> "Runs":
+    def take(self, streams: NDArray[np.intp]) -> "RunHistories":
         """A copy of some streams."""
-        some = Runs(self.likelihood, streams.size)
-        some.state, some.nowhere = self.state[:, streams], self.nowhere[streams]
+        some = RunHistories(self.likelihood, streams.size)
+        some.state, some.unlocated = self.state[:, streams], self.unlocated[streams]
         some.time_s, some.known = self.time_s[streams], self.known[streams]
         return some
 
-    def put(self, streams: NDArray[np.intp], some: "Runs") -> None:
-        """Write back what `take` gave."""
-        self.state[:, streams], self.nowhere[streams] = some.state, some.nowhere
+    def put(self, streams: NDArray[np.intp], some: "RunHistories") -> None:
+        """Write back the streams that `take` returned."""
+        self.state[:, streams], self.unlocated[streams] = some.state, some.unlocated
         self.time_s[streams], self.known[streams] = some.time_s, some.known
 
     def update(self, elapsed_s: _Array, reading_m: _Array, variance_m2: _Array) -> Posterior:
-        """Take one reading in every stream; all arguments have shape (streams,).
+        """Update with one reading in every stream; all arguments have shape (streams,).
 
         Parameters
         ----------
         elapsed_s
-            Time since the reading before [s].
+            Time since the previous reading [s].
         reading_m, variance_m2
-            The reading [m] and its variance where it is of the surface [m^2].
+            The reading [m] and its variance if it is a hit [m^2].
         """
         likelihood = self.likelihood
         reading, noise = reading_m[:, None], variance_m2[:, None]
         moved = self._predict(elapsed_s[:, None])
         before, x, v, p_xx, p_xv, p_vv, _, _ = moved.runs
         spread = p_xx + noise
-        off = reading - x
-        hit = likelihood.hit * Hit.density(off * off, spread)
-        elsewhere = likelihood.elsewhere(reading, x)
-        wild = (before * elsewhere).sum(axis=1, keepdims=True)
+        deviation = reading - x
+        hit = likelihood.hit * Hit.density(deviation * deviation, spread)
+        outlier_density = likelihood.outlier_density(reading, x)
+        outlier = (before * outlier_density).sum(axis=1, keepdims=True)
         hits, soft = before * hit, 2 * HYPOTHESES
         straight, turn = hits[:, :soft].sum(axis=1, keepdims=True), hits[:, soft:].sum(axis=1, keepdims=True)
-        most = np.where(wild > 0.0, SURPRISE * (wild + straight), np.inf)
-        hit[:, soft:] *= np.minimum(1.0, most / np.maximum(turn, 1e-300))
-        either = hit + elsewhere
-        # Of a reading that nothing explains all products are 0, and the jump below takes it.
+        limit = np.where(outlier > 0.0, MAX_SINGLE_READING_ODDS * (outlier + straight), np.inf)
+        hit[:, soft:] *= np.minimum(1.0, limit / np.maximum(turn, 1e-300))
+        either = hit + outlier_density
+        # For a reading that no history explains all products are 0, and the level change below explains it.
         beta = hit / np.maximum(either, 1e-300)
         gain_x, gain_v = p_xx / spread, p_xv / spread
-        step = beta * off
-        shrink = beta * ((1.0 - beta) * off * off - spread)
+        step = beta * deviation
+        shrink = beta * ((1.0 - beta) * deviation * deviation - spread)
 
-        jump = moved.jump * (likelihood.hit / likelihood.length_m)
-        fair = jump
-        jump = np.where(wild > 0.0, np.minimum(jump, most), jump)
-        nowhere = self.nowhere[:, None]
-        found = jump + nowhere * (likelihood.hit / likelihood.length_m)
-        lost = (jump * (likelihood.length_m / likelihood.hit) + nowhere) * likelihood.anywhere(reading)
+        level_change = moved.level_change * (likelihood.hit / likelihood.length_m)
+        unbounded = level_change
+        level_change = np.where(outlier > 0.0, np.minimum(level_change, limit), level_change)
+        unlocated = self.unlocated[:, None]
+        found = level_change + unlocated * (likelihood.hit / likelihood.length_m)
+        lost = (
+            level_change * (likelihood.length_m / likelihood.hit) + unlocated
+        ) * likelihood.unlocated_outlier_density(reading)
 
         size = before.shape[1]
         after = np.empty((8, before.shape[0], size + 2))
@@ -259,24 +265,28 @@ class Runs:
         after[2, :, size + 1 :], after[5, :, size + 1 :] = moved.rate_m_s, moved.rate_m2_s2
         after[3, :, size:] = noise
         after[4, :, size:] = 0.0
-        # The first range of all was no jump.
-        after[6, :, size:], after[7, :, size:] = moved.kinks, moved.jumps + jump / np.maximum(found, 1e-300)
+        # The very first range is not a level change.
+        after[6, :, size:], after[7, :, size:] = (
+            moved.slope_changes,
+            moved.level_changes + level_change / np.maximum(found, 1e-300),
+        )
 
         best = np.argpartition(after[0], size + 2 - HYPOTHESES, axis=1)[:, size + 2 - HYPOTHESES :]
         self.state = after[:, self._rows, best]
         total = self.state[0].sum(axis=1, keepdims=True) + lost
         self.state[0] /= total
-        self.nowhere = (lost / total)[:, 0]
-        # The share that a jump to this reading would have without the bound: the estimate waits, its variance does not.
-        doubt = (fair - jump) / (total + fair - jump)
+        self.unlocated = (lost / total)[:, 0]
+        # Probability of the level change without the limit: the estimate waits for a second reading, its variance does
+        # not.
+        doubt = (unbounded - level_change) / (total + unbounded - level_change)
         surface = (before * hit).sum(axis=1, keepdims=True) + found
-        return self._posterior(reading_m, doubt[:, 0], (surface > SURE * (surface + wild + lost))[:, 0])
+        return self._posterior(reading_m, doubt[:, 0], (surface > CONVERGED_SHARE * (surface + outlier + lost))[:, 0])
 
     def innovation(self, elapsed_s: _Array, reading_m: _Array, variance_m2: _Array) -> _Array:
-        """The next reading's normalised innovation, before it is taken; shapes as for `update`.
+        """The next reading's normalised innovation before the update; shapes as for `update`.
 
-        The normal deviate of the reading's cumulative probability under all that the runs predict. Only for a reading
-        model without readings of something else.
+        The normal quantile of the reading's cumulative probability under the mixture of predictions. Only for a reading
+        model without outliers.
         """
         state, time_s = self.state, self.time_s
         moved = self._predict(elapsed_s[:, None])
@@ -285,28 +295,29 @@ class Runs:
         likelihood = self.likelihood
         below = normal_cdf((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
         share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
-        cumulative = (probability * below).sum(axis=1) + (moved.jump[:, 0] + self.nowhere) * share
+        cumulative = (probability * below).sum(axis=1) + (moved.level_change[:, 0] + self.unlocated) * share
         deviate: _Array = normal_quantile(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
         return deviate
 
     def _predict(self, elapsed_s: _Array) -> "_Moved":
-        """The runs at the next reading, without it: those that go on, that kink and move, and that kink and stand."""
-        probability, x, v, p_xx, p_xv, p_vv, kinks, jumps = self.state
+        """Predict the histories at the next reading: those that continue, those with a new slope, and those that
+        stop."""
+        probability, x, v, p_xx, p_xv, p_vv, slope_changes, level_changes = self.state
         fade = np.exp(-elapsed_s / RATES_MEMORY_S)
-        kinks, jumps = kinks * fade, jumps * fade
+        slope_changes, level_changes = slope_changes * fade, level_changes * fade
         self.time_s = self.time_s * fade[:, 0] + elapsed_s[:, 0]
         time_s = self.time_s[:, None]
-        kink = -np.expm1(-elapsed_s * (CHANGES + kinks) / (CHANGES_IN_S + time_s))
-        jump = probability * -np.expm1(-elapsed_s * (CHANGES + jumps) / (CHANGES_IN_S + time_s))
-        # What is left after a jump shares itself out among the rest.
-        probability = probability - jump
-        stand = probability * kink * STANDS * (p_vv > 0.0)
-        turn = probability * kink - stand
+        slope_change = -np.expm1(-elapsed_s * (PRIOR_CHANGES + slope_changes) / (PRIOR_TIME_S + time_s))
+        level_change = probability * -np.expm1(-elapsed_s * (PRIOR_CHANGES + level_changes) / (PRIOR_TIME_S + time_s))
+        # The probability without a level change is divided among the other cases.
+        probability = probability - level_change
+        stop = probability * slope_change * STOP_SHARE * (p_vv > 0.0)
+        turn = probability * slope_change - stop
 
-        bend = BENDS * turn
-        # Straight on, bent, turned, standing: before and after the change they are at the same place.
+        bend = BEND_SHARE * turn
+        # Continued, bent, turned, stopped: the range is the same just before and after the change.
         runs = np.zeros((8, x.shape[0], 4, HYPOTHESES))
-        for index, share in enumerate((probability - turn - stand, bend, turn - bend, stand)):
+        for index, share in enumerate((probability - turn - stop, bend, turn - bend, stop)):
             runs[0, :, index] = share
         runs[1:4] = np.stack((x, np.zeros_like(x), p_xx))[:, :, None]
         runs[1, :, :2] += (v * elapsed_s)[:, None]
@@ -318,50 +329,53 @@ class Runs:
         longer_s = elapsed_s[:, None]
         runs[3] += (2.0 * runs[4] + runs[5] * longer_s) * longer_s
         runs[4] += runs[5] * longer_s
-        runs[6] = kinks[:, None]
+        runs[6] = slope_changes[:, None]
         runs[6, :, 1:] += 1.0
-        runs[7] = jumps[:, None]
+        runs[7] = level_changes[:, None]
 
-        jumped = jump.sum(axis=1, keepdims=True)
-        share = jump / np.maximum(jumped, 1e-300)
+        any_level_change = level_change.sum(axis=1, keepdims=True)
+        share = level_change / np.maximum(any_level_change, 1e-300)
         rate = (share * v).sum(axis=1, keepdims=True)
         return _Moved(
             runs.reshape(8, x.shape[0], 4 * HYPOTHESES),
-            jump=jumped,
+            level_change=any_level_change,
             rate_m_s=rate,
             rate_m2_s2=(share * (self.state[5] + (v - rate) ** 2)).sum(axis=1, keepdims=True),
-            kinks=(share * kinks).sum(axis=1, keepdims=True),
-            jumps=(share * jumps).sum(axis=1, keepdims=True),
+            slope_changes=(share * slope_changes).sum(axis=1, keepdims=True),
+            level_changes=(share * level_changes).sum(axis=1, keepdims=True),
         )
 
-    def _posterior(self, reading_m: _Array, doubt: _Array, heard: NDArray[np.bool_]) -> Posterior:
+    def _posterior(self, reading_m: _Array, doubt: _Array, is_hit: NDArray[np.bool_]) -> Posterior:
         likelihood = self.likelihood
         probability, x, _, p_xx, _, _, _, _ = self.state
-        median = _median(probability, x, np.sqrt(p_xx), self.nowhere, likelihood.minimum_m, likelihood.length_m)
-        off = x - median[:, None]
+        median = _median(probability, x, np.sqrt(p_xx), self.unlocated, likelihood.minimum_m, likelihood.length_m)
+        deviation = x - median[:, None]
         middle = (likelihood.minimum_m + likelihood.maximum_m) / 2 - median
         variance = (
-            (probability * (p_xx + off * off)).sum(axis=1)
-            + self.nowhere * (likelihood.length_m**2 / 12.0 + middle * middle)
+            (probability * (p_xx + deviation * deviation)).sum(axis=1)
+            + self.unlocated * (likelihood.length_m**2 / 12.0 + middle * middle)
             + doubt * (reading_m - median) ** 2
             + likelihood.bias_m2
         )
-        self.known = self.known | (self.nowhere < KNOWN)
-        return Posterior(median, variance, self.known & heard)
+        self.known = self.known | (self.unlocated < LOCATED_SHARE)
+        return Posterior(median, variance, self.known & is_hit)
 
 
 class _Moved(NamedTuple):
-    """Runs before a reading, shape (8, streams, 4 HYPOTHESES), and what a jump would start with, shape (streams, 1)."""
+    """Predicted histories, shape (8, streams, 4 HYPOTHESES), and the start of one after a level change, shape (streams,
+    1)."""
 
     runs: _Array
-    jump: _Array
+    level_change: _Array
     rate_m_s: _Array
     rate_m2_s2: _Array
-    kinks: _Array
-    jumps: _Array
+    slope_changes: _Array
+    level_changes: _Array
 
 
-def _median(probability: _Array, x: _Array, std: _Array, nowhere: _Array, minimum_m: float, length_m: float) -> _Array:
+def _median(
+    probability: _Array, x: _Array, std: _Array, unlocated: _Array, minimum_m: float, length_m: float
+) -> _Array:
     """Median of a mixture of normals, shape (streams, hypotheses), and a uniform; Newton's method inside a bracket."""
     low, high = (x - 9.0 * std).min(axis=1), (x + 9.0 * std).max(axis=1)
     low, high = np.minimum(low, minimum_m), np.maximum(high, minimum_m + length_m)
@@ -369,11 +383,11 @@ def _median(probability: _Array, x: _Array, std: _Array, nowhere: _Array, minimu
     median: _Array = x[np.arange(x.shape[0]), heaviest]
     peak = probability / (std * math.sqrt(2 * math.pi))
     going = np.ones(x.shape[0], dtype=bool)
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         z = (median[:, None] - x) / std
         over = (probability * normal_cdf(z)).sum(axis=1) - 0.5
-        over += nowhere * np.clip((median - minimum_m) / length_m, 0.0, 1.0)
-        slope = (peak * np.exp(-0.5 * z * z)).sum(axis=1) + nowhere / length_m
+        over += unlocated * np.clip((median - minimum_m) / length_m, 0.0, 1.0)
+        slope = (peak * np.exp(-0.5 * z * z)).sum(axis=1) + unlocated / length_m
         high = np.where(over >= 0.0, median, high)
         low = np.where(over <= 0.0, median, low)
         better = median - over / np.maximum(slope, 1e-12)

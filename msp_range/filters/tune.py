@@ -1,8 +1,8 @@
-"""Q and R of a Kalman filter from recorded readings, by the likelihood of its innovations.
+"""Fit Q and R of a Kalman filter to recorded readings by the likelihood of its innovations.
 
-A filter that is right foretells each reading with the spread that it states. So the parameters are those under which
-the readings that came were most likely: log L = sum log N(innovation; 0, S), over all readings of all sensors. Single
-wild readings, which the filter's gate keeps out in flight, are taken out before, the same ones for all parameters.
+A correct filter predicts each reading with the spread that it states. So the fit maximises the likelihood of the
+readings, log L = sum log N(innovation; 0, S), over all readings of all sensors. Single
+outliers, which the filter's gate rejects in flight, are removed first, the same ones for all parameters.
 """
 
 import math
@@ -15,22 +15,22 @@ from scipy.optimize import minimize
 from msp_range.filters.chain import MEMORY_S
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
 
-WILD_SIGMAS = 6.0
-"""A reading that sticks out from between its neighbours by more than this many times the usual is wild."""
+OUTLIER_SIGMAS = 6.0
+"""Factor on the typical distance from the mean of the neighbours beyond which a reading is an outlier."""
 MAD_TO_STD = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+"""Ratio of the standard deviation of a normal variable to its median absolute deviation."""
 PASSES = 20
-"""Wild readings beside each other come out one after the other, at most so many."""
+"""Largest number of passes, each of which removes one of several adjacent outliers."""
 UNTOLD = 3
-"""Innovations that are not counted after each start, or after a gap: they tell of the start."""
+"""Number of innovations that are not counted after each start or gap, because they depend on the initial state."""
 FEWEST = 100
-"""Readings below which nothing is fitted."""
+"""Smallest number of readings for a fit."""
 BOUNDS = {
     "acceleration_std_m_s2": (1e-3, 100.0),
     "process_variance_cm2": (1e-6, 1e6),
     "measurement_variance_cm2": (1e-3, 1e6),
 }
-"""What the search may try; `KalmanParameters` allows as much."""
+"""Limits of the search, as in `KalmanParameters`."""
 NORMAL_95 = 1.959964
 
 Track = Sequence[tuple[float, float]]
@@ -38,17 +38,17 @@ Track = Sequence[tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FittedParameter:
     """One parameter.
 
     Attributes
     ----------
     name
-        As in the airframe file.
+        Name in the airframe file.
     before, value
-        What it was, and the most likely value.
+        Previous value, and the most likely value.
     low, high
-        95 % interval by the curvature of the likelihood; 0 or infinite where the readings set no limit.
+        95 % interval from the curvature of the likelihood; 0 or infinite if the readings set no limit.
     """
 
     name: str
@@ -68,16 +68,16 @@ class Tuned:
         The filter with the fitted values.
     fitted
         Q, then R.
-    innovations, wild
-        How many were counted, and how many readings were taken out as wild.
+    innovations, outliers
+        Numbers of innovations counted, and of readings removed as outliers.
     before, after
-        Log likelihood with the values that were given and with the fitted ones; their difference counts.
+        Log likelihood with the given and with the fitted values; only their difference is meaningful.
     """
 
     parameters: KalmanParameters
-    fitted: tuple[Fitted, Fitted]
+    fitted: tuple[FittedParameter, FittedParameter]
     innovations: int
-    wild: int
+    outliers: int
     before: float
     after: float
 
@@ -88,11 +88,11 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     Parameters
     ----------
     tracks
-        Each sensor's readings, corrected and not filtered.
+        Each sensor's readings, corrected but not filtered.
     parameters
-        The filter as it is; its model stays.
+        The present filter; its model is kept.
     variance_cm2
-        R where the parameters leave it to the sensor model [cm^2].
+        R if the parameters leave it to the sensor model [cm^2].
 
     Raises
     ------
@@ -112,8 +112,8 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     names = (of_q, "measurement_variance_cm2")
     given = (getattr(parameters, of_q), parameters.measurement_variance_cm2 or variance_cm2)
     readings = sum(len(track) for track in tracks)
-    tracks = [without_wild(track) for track in tracks]
-    wild = readings - sum(len(track) for track in tracks)
+    tracks = [without_outliers(track) for track in tracks]
+    outliers = readings - sum(len(track) for track in tracks)
     count = sum(max(len(track) - UNTOLD, 0) for track in tracks)
     if readings < FEWEST:
         raise ValueError(f"found {readings} readings with a range; expected {FEWEST} or more")
@@ -134,13 +134,15 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     best = np.asarray(found.x)
     reach = np.where(np.isclose(best, limits, atol=0.02).any(axis=0), np.inf, _reach(cost, best))
     low, high = np.exp(best - reach), np.exp(best + reach)
-    fitted = [Fitted(names[i], given[i], float(np.exp(best[i])), float(low[i]), float(high[i])) for i in range(2)]
+    fitted = [
+        FittedParameter(names[i], given[i], float(np.exp(best[i])), float(low[i]), float(high[i])) for i in range(2)
+    ]
     changed = parameters.model_copy(update={each.name: float(f"{each.value:.3g}") for each in fitted})
-    return Tuned(changed, (fitted[0], fitted[1]), count, wild, -cost(start), -float(found.fun))
+    return Tuned(changed, (fitted[0], fitted[1]), count, outliers, -cost(start), -float(found.fun))
 
 
-def without_wild(track: Track) -> Track:
-    """The track without readings that stick out from between their neighbours, where those agree with each other."""
+def without_outliers(track: Track) -> Track:
+    """The track without readings that differ from both neighbours while those agree."""
     kept = np.array(track, dtype=float).reshape(-1, 2)
     for _ in range(PASSES):
         if len(kept) < 5:
@@ -149,10 +151,10 @@ def without_wild(track: Track) -> Track:
         before_m, after_m = range_m[:-2], range_m[2:]
         share = (time_s[1:-1] - time_s[:-2]) / np.maximum(time_s[2:] - time_s[:-2], 1e-6)
         off_m = np.abs(range_m[1:-1] - before_m - share * (after_m - before_m))
-        usual_m = MAD_TO_STD * np.median(off_m)
-        sticks_out = (off_m > WILD_SIGMAS * max(usual_m, 0.005)) & (np.abs(after_m - before_m) < off_m)
+        typical_m = MAD_TO_STD * np.median(off_m)
+        is_outlier = (off_m > OUTLIER_SIGMAS * max(typical_m, 0.005)) & (np.abs(after_m - before_m) < off_m)
         neighbours_m = np.maximum(np.append(off_m[1:], 0.0), np.append(0.0, off_m[:-1]))
-        worst = np.flatnonzero(sticks_out & (off_m >= neighbours_m)) + 1
+        worst = np.flatnonzero(is_outlier & (off_m >= neighbours_m)) + 1
         if not worst.size:
             break
         kept = np.delete(kept, worst, axis=0)
@@ -160,7 +162,7 @@ def without_wild(track: Track) -> Track:
 
 
 def _differences(tracks: Sequence[Track]) -> float:
-    """Log of a first R [cm^2]: half the mean square of second differences over three, wild ones left out."""
+    """Log of a first R [cm^2]: half the mean square of second differences over three, outliers left out."""
     squares = [
         (c[1] - 2 * b[1] + a[1]) ** 2 / 6
         for track in tracks
@@ -188,7 +190,7 @@ def _reach(cost: Callable[[np.ndarray], float], best: np.ndarray) -> np.ndarray:
 
 
 def log_likelihood(track: Track, moving: bool, q: float, r_m2: float) -> float:
-    """Of a track's innovations under the filter of `msp_range.filters.kalman`, two states or one, in plain floats.
+    """Log likelihood of a track's innovations under the filter of `msp_range.filters.kalman`, with one or two states.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8))
 @settings(deadline=None, max_examples=40)
 @given(flight=walks, offset_cm=st.integers(-60, 60))
 def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple[float, int]], offset_cm: int) -> None:
-    """Up to what the sensor's limits make of it: 'nowhere' is uniform between them."""
+    """Up to what the sensor's limits make of it: 'unlocated' is uniform between them."""
     here, there = run_at([CHANGEPOINT], flight), run_at([CHANGEPOINT], flight, offset_cm=offset_cm)
     assert_alike(here, there, offset_cm / 100, 2e-3)
 

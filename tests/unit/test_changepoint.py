@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from msp_range.filters.base import Estimate
 from msp_range.filters.changepoint import Changepoint, ChangepointParameters
-from msp_range.filters.runs import Likelihood, Runs, rounding_bias_m2
+from msp_range.filters.runs import RangeLikelihood, RunHistories, rounding_bias_m2
 
 STD_M = 0.02
-GAUSSIAN = Likelihood(1.0, 0.0, 0.0, 0.5, 0.2, 7.65, STD_M**2, 0.0)
-WILD = Likelihood(0.95, 0.03, 0.02, 0.5, 0.2, 7.65, STD_M**2, 0.0)
+GAUSSIAN = RangeLikelihood(1.0, 0.0, 0.0, 0.5, 0.2, 7.65, STD_M**2, 0.0)
+WILD = RangeLikelihood(0.95, 0.03, 0.02, 0.5, 0.2, 7.65, STD_M**2, 0.0)
 
 
-def run(likelihood: Likelihood, ranges_m: Sequence[float] | NDArray[np.float64], interval_s: float = 0.1) -> np.ndarray:
+def run(
+    likelihood: RangeLikelihood, ranges_m: Sequence[float] | NDArray[np.float64], interval_s: float = 0.1
+) -> np.ndarray:
     """Ranges and variances, two columns; NaN where nothing is put out, or where a reading is missing (NaN)."""
     one = Changepoint(likelihood)
     out = []
@@ -118,7 +120,7 @@ def test_many_streams_are_as_many_single_ones() -> None:
     readings = noisy(np.tile(true_m, (5, 1)))
     readings[rng.random(readings.shape) < 0.05] = 0.7
     readings[rng.random(readings.shape) < 0.05] = np.nan
-    together = Runs(WILD, 5)
+    together = RunHistories(WILD, 5)
     last = np.full(5, -1)
     out = np.full(readings.shape, np.nan)
     variances = out.copy()
@@ -129,8 +131,8 @@ def test_many_streams_are_as_many_single_ones() -> None:
         posterior = some.update(elapsed_s, readings[heard, sample], np.full(heard.size, STD_M**2))
         together.put(heard, some)
         last[heard] = sample
-        out[heard, sample] = np.where(posterior.sure, posterior.range_m, np.nan)
-        variances[heard, sample] = np.where(posterior.sure, posterior.variance_m2, np.nan)
+        out[heard, sample] = np.where(posterior.converged, posterior.range_m, np.nan)
+        variances[heard, sample] = np.where(posterior.converged, posterior.variance_m2, np.nan)
     for stream in range(5):
         alone = run(WILD, readings[stream])
         np.testing.assert_allclose(out[stream], alone[:, 0], rtol=0, atol=2e-5)
@@ -138,11 +140,11 @@ def test_many_streams_are_as_many_single_ones() -> None:
 
 
 def test_probabilities_stay_probabilities() -> None:
-    runs = Runs(WILD, 3)
+    runs = RunHistories(WILD, 3)
     rng = np.random.default_rng(3)
     for _ in range(300):
         runs.update(rng.uniform(0.0, 2.0, 3), rng.uniform(0.2, 7.65, 3), np.full(3, STD_M**2))
-        total = runs.state[0].sum(axis=1) + runs.nowhere
+        total = runs.state[0].sum(axis=1) + runs.unlocated
         np.testing.assert_allclose(total, 1.0, rtol=1e-9)
         assert (runs.state[3] > 0).all()
         assert (runs.state[5] >= 0).all()

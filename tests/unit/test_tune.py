@@ -13,7 +13,7 @@ from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
-from msp_range.filters.tune import UNTOLD, log_likelihood, tune, without_wild
+from msp_range.filters.tune import UNTOLD, log_likelihood, tune, without_outliers
 from msp_range.recording.writer import Recorder
 from tests.support.bench import CONFIGS
 
@@ -80,12 +80,12 @@ def test_wild_readings_change_nothing_and_a_step_is_not_wild() -> None:
     track = flight(0.3, 0.02, 400, 5)
     wild = [(t, z - 2.0 if i % 25 == 7 else z) for i, (t, z) in enumerate(track)]
     found, clean = tune([wild], VELOCITY, 3.9), tune([track], VELOCITY, 3.9)
-    assert found.wild == 16
+    assert found.outliers == 16
     for one, other in zip(found.fitted, clean.fitted, strict=True):
         assert one.value == pytest.approx(other.value, rel=0.15)
     step = [(0.1 * i, 3.0 if i < 50 else 2.0) for i in range(100)]
-    assert without_wild(step) == step
-    assert without_wild(track[:3]) == track[:3]
+    assert without_outliers(step) == step
+    assert without_outliers(track[:3]) == track[:3]
 
 
 def test_what_the_readings_do_not_tell_has_no_interval() -> None:

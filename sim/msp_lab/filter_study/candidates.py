@@ -3,8 +3,7 @@
 import numpy as np
 
 from msp_lab.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, Array, Runs
-from msp_range.filters.runs import Likelihood, Posterior
-from msp_range.filters.runs import Runs as Hypotheses
+from msp_range.filters.runs import Posterior, RangeLikelihood, RunHistories
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 
@@ -13,9 +12,9 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
 
     The same class as in the bridge (`msp_range.filters.changepoint`), with one stream a run.
     """
-    likelihood = Likelihood.of(parameters, MINIMUM_CM, MAXIMUM_CM, 1)
+    likelihood = RangeLikelihood.of(parameters, MINIMUM_CM, MAXIMUM_CM, 1)
     runs, samples = reading_cm.shape
-    hypotheses = Hypotheses(likelihood, runs)
+    hypotheses = RunHistories(likelihood, runs)
     last = np.full(runs, -1)
     estimate_cm, variance_cm2 = np.full((2, runs, samples), np.nan)
     for sample in range(samples):
@@ -30,9 +29,9 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
         noise_m2 = np.full(heard.size, likelihood.variance_m2)
         posterior: Posterior = some.update(elapsed_s, reading_cm[heard, sample] / 100.0, noise_m2)
         hypotheses.put(heard, some)
-        sure = heard[posterior.sure]
-        estimate_cm[sure, sample] = 100.0 * posterior.range_m[posterior.sure]
-        variance_cm2[sure, sample] = 1e4 * posterior.variance_m2[posterior.sure]
+        sure = heard[posterior.converged]
+        estimate_cm[sure, sample] = 100.0 * posterior.range_m[posterior.converged]
+        variance_cm2[sure, sample] = 1e4 * posterior.variance_m2[posterior.converged]
     return estimate_cm, variance_cm2
 
 

@@ -25,8 +25,7 @@ from msp_lab.filter_study.scenarios import (
     wild_readings,
 )
 from msp_lab.filter_study.statistics import delay_samples, statistics
-from msp_range.filters.runs import Likelihood
-from msp_range.filters.runs import Runs as Hypotheses
+from msp_range.filters.runs import RangeLikelihood, RunHistories
 
 CHANGEPOINT, ORACLE = "changepoint", "oracle"
 STEP_CM, NEAR_CM, WILD_CM = 50.0, 10.0, 100.0
@@ -148,8 +147,8 @@ def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
     normal deviate of its cumulative probability. A run's 199 have a mean within 0.81 and 1.21 in 95 of 100 runs.
     """
     runs = report_readings(truth(name, seeds, rng), rng)
-    likelihood = Likelihood.of(gaussian_parameters(), 20, 765, 1)
-    hypotheses = Hypotheses(likelihood, seeds)
+    likelihood = RangeLikelihood.of(gaussian_parameters(), 20, 765, 1)
+    hypotheses = RunHistories(likelihood, seeds)
     noise_m2 = np.full(seeds, likelihood.variance_m2)
     total = np.zeros(seeds)
     for sample in range(runs.reading_cm.shape[1]):
