@@ -392,10 +392,13 @@ def correct(
 ) -> Reading:
     """The reading with its range calibrated, then for the air's temperature (report eq 7); its status and time stay.
 
-    In this order because an offset of the sensor is in its clock: it does not grow with the air's speed of sound.
+    In this order because an offset of the sensor is in its clock: it does not grow with the air's speed of sound. A
+    reading shorter than what the sensor reads at range 0 is a range of 0.
     """
     if reading.range_m is None:
         return reading
-    range_m = calibration.inverse(100.0 * reading.range_m) / 100.0 if not calibration.is_identity else reading.range_m
+    range_m = reading.range_m
+    if not calibration.is_identity:
+        range_m = max(calibration.inverse(100.0 * range_m) / 100.0, 0.0)
     range_m = compensate_range(range_m, temperature_c, calibration_temperature_c)
     return Reading(reading.time_s, reading.sensor, reading.status, range_m, reading.std_m, reading.raw, reading.suspect)

@@ -238,11 +238,6 @@ class SensorModel(Section):
             raise ValueError(
                 f"expected heard_on_axis_cm <= maximum_cm, found {self.heard_on_axis_cm:g} and {self.maximum_cm}"
             )
-        if not self.calibration_curve.inverse(float(max(self.minimum_cm, 1))) > 0.0:
-            raise ValueError(
-                f"expected a calibration by which the shortest reading, {self.minimum_cm} cm, is a range above 0 cm, "
-                f"found {self.calibration_curve.inverse(float(self.minimum_cm)):.4g} cm"
-            )
         saturates = self.reading_model.saturated_fraction > 0.0
         if saturates and not self.minimum_cm <= SATURATED_CM < self.maximum_cm:
             raise ValueError(

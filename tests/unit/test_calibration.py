@@ -86,7 +86,6 @@ def test_a_sensor_model_file_has_it(tmp_path: Path) -> None:
     [
         ([{"true_cm": 50, "reading_cm": 52}], "at least two"),
         ([{"true_cm": 50, "reading_cm": 52}, {"true_cm": 90, "reading_cm": 60}], "0.5 to 2 times"),
-        ([{"true_cm": 50, "reading_cm": 80}, {"true_cm": 150, "reading_cm": 180}], "above 0 cm, found -10 cm"),
     ],
 )
 def test_mistakes_in_the_file_are_told(tmp_path: Path, knots: list[dict[str, float]], message: str) -> None:
@@ -124,3 +123,10 @@ def test_the_bridge_takes_it_back_before_it_corrects_for_the_air() -> None:
     assert correct(reading, 0.0, 22.5, BENT).range_m == pytest.approx(1.0)
     no_echo = Reading(0.0, "a", Status.NO_ECHO)
     assert correct(no_echo, 0.0, 22.5, BENT) is no_echo
+
+
+def test_what_reads_less_than_at_range_0_is_a_range_of_0() -> None:
+    """A sensor that reads 5 cm too far and has a shortest reading of 1 cm: -4 cm is no range."""
+    far = Calibration((100.0, 500.0), (105.0, 505.0))
+    assert correct(Reading(0.0, "a", Status.OK, 0.01), 22.5, 22.5, far).range_m == 0.0
+    assert correct(Reading(0.0, "a", Status.OK, 0.06), 22.5, 22.5, far).range_m == pytest.approx(0.01)

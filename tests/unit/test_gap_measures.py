@@ -160,3 +160,25 @@ def test_of_three_runs_no_slice_is_sure() -> None:
     parts = partitions(table.contexts, pairs=False)
     slices = ranked(MODEL_GIVEN, table, parts, replicates(MODEL_GIVEN, table, parts, 3, rng), {}, rng)
     assert min(each.p_value or 1.0 for each in slices) > 0.05
+
+
+def test_what_few_runs_say_of_a_cell_is_not_noise_without_bounds() -> None:
+    """A cell of one run that has outliers where the model has none: its noise is that of its own readings."""
+    rng = np.random.default_rng(3)
+    n = 600
+    columns = {
+        "true_range_cm": rng.uniform(100.0, 300.0, n),
+        "throttle": np.where(np.arange(n) < 60, 1.0, 0.0),
+    }
+    reading_cm = np.rint(columns["true_range_cm"] + 1.9 * rng.standard_normal(n))
+    reading_cm[:60] = np.rint(rng.uniform(400.0, 700.0, 60))
+    unit = np.repeat(np.arange(10), 60).astype(np.intp)
+    table = HeldOutReadings(reading_cm, columns, unit)
+    parts = partitions(table.contexts)
+    drawn = replicates(MODEL_GIVEN, table, parts, 5, np.random.default_rng(1))
+    slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, np.random.default_rng(1))
+    (full,) = [each for each in slices if each.where == "throttle 1"]
+    assert full.nats is not None
+    assert 1.0 < full.nats < 10.0
+    assert full.p_value is not None
+    assert full.p_value < 0.01

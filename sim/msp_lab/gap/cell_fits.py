@@ -136,7 +136,7 @@ def one_step(
     Parameters
     ----------
     total
-        ScoreSums of the scores, (K, 5).
+        Sums of the scores, (K, 5).
     information
         Of each cell (K, 5, 5), from replicates: readings with few outliers say little about them.
     stack, sigma_cm

@@ -11,6 +11,8 @@ from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
 from msp_sim.model.model import Model, Term
 
 _Array = NDArray[np.float64]
+LEAST_READING_CM = 0.01
+"""What the first knot of a calibration reads at least: the file format asks for more than 0."""
 
 
 def extended(model: Model, base: _Array, effects: Sequence[Term]) -> Model:
@@ -22,29 +24,36 @@ def extended(model: Model, base: _Array, effects: Sequence[Term]) -> Model:
     least = dict(zip(factors, (0.0, *np.where(base[2:5] != 0.0, LEAST_SHARE, 0.0)), strict=True))
     odds = {name: max(getattr(weights, name), least[name]) * float(factor) for name, factor in factors.items()}
     total = sum(odds.values())
-    knots = sensor.calibration
-    if base[0] != 0.0:
-        # No knot reads below 0; the line through the next two says what lies there.
-        before = [(knot.true_cm, knot.reading_cm) for knot in knots] or [(100.0, 100.0), (500.0, 500.0)]
-        after = [(true, reading + float(base[0])) for true, reading in before]
-        after = [each for each in after if each[1] > 0.0] if len(after) > 2 else [(t, max(r, 1e-3)) for t, r in after]
-        knots = tuple(CalibrationKnot(true_cm=true, reading_cm=reading) for true, reading in after)
     factor = float(np.exp(base[1]))
     update: dict[str, Any] = {
         "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}).model_dump(),
-        "sigma_cm": mixture.sigma_cm * factor,
-        "sigma_growth_cm_per_m": mixture.sigma_growth_cm_per_m * factor,
-        "short_rate_per_m": mixture.short_rate_per_m * float(np.exp(base[5])),
+        "sigma_cm": float(np.clip(mixture.sigma_cm * factor, 0.01, 100.0)),
+        "sigma_growth_cm_per_m": min(mixture.sigma_growth_cm_per_m * factor, 100.0),
+        "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(base[5])), 1000.0),
         "saturated_fraction": float(np.clip(mixture.saturated_fraction + base[6], 0.0, 1.0)),
     }
     sensor = SensorModel.model_validate(
         {
             **sensor.model_dump(),
-            "calibration": [knot.model_dump() for knot in knots],
+            "calibration": [knot.model_dump() for knot in _shifted_knots(sensor, float(base[0]))],
             "reading_model": {**mixture.model_dump(), **update},
         }
     )
     return Model(sensor, (*model.effects, *effects))
+
+
+def _shifted_knots(sensor: SensorModel, offset_cm: float) -> tuple[CalibrationKnot, ...]:
+    """The calibration's knots with an offset; a knot has to read more than 0, so the first one may move outwards."""
+    if offset_cm == 0.0:
+        return sensor.calibration
+    curve = sensor.calibration_curve
+    first_cm = max(curve.inverse(LEAST_READING_CM - offset_cm), 0.0)
+    true_cm = [knot.true_cm for knot in sensor.calibration] or [100.0, 500.0]
+    if true_cm[0] < first_cm:
+        true_cm = [first_cm, *(each for each in true_cm if each > first_cm + 1.0)]
+    if len(true_cm) < 2:
+        true_cm.append(true_cm[0] + 100.0)
+    return tuple(CalibrationKnot(true_cm=each, reading_cm=curve.forward(each) + offset_cm) for each in true_cm)
 
 
 def entry_of(term: Term) -> dict[str, Any]:

@@ -149,7 +149,10 @@ def refit(
     low = np.concatenate([-rules.BASE_BOUND, [p.low for _, p in numbers]])
     high = np.concatenate([rules.BASE_BOUND, [p.high for _, p in numbers]])
     saturated = prepared.rows.saturated_fraction
+    # A sensor that never reads 255 for no echo does not start to.
     low[6], high[6] = min(LEAST_SATURATED - saturated, 0.0), max(1.0 - LEAST_SATURATED - saturated, 0.0)
+    if saturated == 0.0:
+        low[6] = high[6] = 0.0
     of_curves = [rules.CURVE_PRECISION if effects[k].shape is not None else 0.0 for k, _ in numbers]
     precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_curves])
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
@@ -169,7 +172,8 @@ def refit(
         scores = _scores(prepared, at[:nb], placed(at), numbers, here)
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)
-        held = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0)) | (np.diag(information) < 1e-9)
+        held = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
+        held |= (np.diag(information) < 1e-9) | (low == high)
         return scores, gradient, information, held
 
     best, here = total(theta)

@@ -124,6 +124,10 @@ whole comparison alone. Larger: the model is judged by what it is not."""
 MAX_MEASURED = 12_000
 """The measures are taken on every k-th held-out reading beyond so many. Their errors are then a tenth of the bounds.
 More: slower."""
+EXPANSION_FACTOR = 2.0
+"""Where a slice's free fit gains so many times more or less than one step from the model promises, its p-value is that
+of the likelihood. The score is then no longer a slope that means anything: readings so improbable that the model's
+likelihood is flat. Higher: a dead zone can have p 1; lower: the bootstrap by runs is set aside more often."""
 SLICE_DRAWS = 999
 """So many bootstrap draws correct the p-values of the slices. The smallest p-value is then 0.001. More: slower."""
 

@@ -12,9 +12,10 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from msp_lab.gap import rules
-from msp_lab.gap.bootstrap import unit_sums
+from msp_lab.gap.bootstrap import inflation_of_units, unit_sums
 from msp_lab.gap.cell_fits import CellFits, one_step, scores_of
 from msp_lab.gap.cells import Partition, Stack
 from msp_lab.gap.findings import Slice
@@ -76,13 +77,30 @@ def ranked(
     # A slice is listed with its own fit, not with the one step that only ranks it.
     wanted = {places[number][0].variables for number in first}
     fits = _fits(rows, readings, [part for part in parts if part.variables in wanted], known)
+    units_of_all = int(np.unique(readings.unit).size)
     found = []
     for number in first:
         part, k = places[number]
         j = int(channel[number])
         fit = fits[part.variables]
-        found.append(_slice(part, k, fit, CHANNELS[j], float(z[number, j]), float(p_value[number, j])))
+        p = float(p_value[number, j])
+        promised, gained = float(step.gain_nats[number]), float(fit.gain_nats[k])
+        if units_of_all >= rules.MIN_CELL_UNITS and not _within_factor(gained, promised, rules.EXPANSION_FACTOR):
+            p = min(p, _p_of_likelihood(fit, k, len(places)))
+        found.append(_slice(part, k, fit, CHANNELS[j], float(z[number, j]), p))
     return tuple(found)
+
+
+def _within_factor(one: float, other: float, factor: float) -> bool:
+    return one < factor * other and other < factor * one
+
+
+def _p_of_likelihood(fit: CellFits, k: int, slices: int) -> float:
+    """p-value of one of many slices by the likelihood that its free fit gains; not below the bootstrap's smallest."""
+    numbers = len(CHANNELS)
+    inflation = max(2.0 * fit.noise_nats[k] / numbers, 1.0)
+    p = slices * float(chi2.sf(2.0 * fit.gain_nats[k] / inflation, numbers))
+    return max(p, 1.0 / (rules.SLICE_DRAWS + 1.0))
 
 
 def remeasured(
@@ -116,10 +134,15 @@ def _contributions(
     expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
     # Units show no spread of a class that never came, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
-    few = there < rules.MIN_CELL_UNITS
-    deviation[few] = np.inf
-    statistic = per_cell.sum(axis=1) / deviation
-    return statistic, np.moveaxis(about_mean / deviation[:, None, :], 1, 2)
+    # A slice of few units: its single readings, with the dependence that the others show, as one unit.
+    few = np.flatnonzero(there < rules.MIN_CELL_UNITS)
+    squares = stack.sums(scores**2)
+    inflation = inflation_of_units(about_mean, there, squares)
+    deviation[few] = np.maximum(np.sqrt(squares * inflation)[few], expected[few])
+    shares = about_mean / deviation[:, None, :]
+    shares[few] = 0.0
+    shares[few, few % shares.shape[1]] = 1.0
+    return per_cell.sum(axis=1) / deviation, np.moveaxis(shares, 1, 2)
 
 
 def _information(fit: CellFits, scale: _Array) -> _Array:

@@ -103,6 +103,15 @@ class Steps:
         self, comparison: Comparison, findings: GapFindings, models: ExtendedModels, started_s: float
     ) -> GapFindings:
         findings = self._written(workflow.add(comparison, findings, models, self.report), started_s)
+        try:
+            self._write_models(findings, models)
+        except ConfigError as error:
+            # The findings are worth more than the file.
+            message = f"The extended model is not written: {error}."
+            findings = self._written(replace(findings, messages=(*findings.messages, message)), started_s)
+        return findings
+
+    def _write_models(self, findings: GapFindings, models: ExtendedModels) -> None:
         given = Path(findings.settings.model).name
         heading = f"{given}, extended by msp-lab gap on {findings.date}."
         write_model(self.folder / MODEL, models.held_out_fit, findings, heading)
@@ -110,7 +119,6 @@ class Steps:
             f"{given} with the values of the training runs, which held-out runs validated; to fly with, use {MODEL}."
         )
         write_model(self.folder / TRAINING_FIT, models.training_fit, findings, heading)
-        return findings
 
     def _draw(self, findings: GapFindings, comparison: Comparison) -> None:
         from msp_lab.gap.report import ReportModels, write_report

@@ -1,0 +1,72 @@
+"""The gap workflow ends with a model that loads and draws, for every shipped sensor, whatever its readings are."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from msp_lab.gap.findings import GapFindings, Settings, read_findings
+from msp_lab.gap.steps import Steps
+from msp_range.clock import VirtualClock
+from msp_range.recording.csv_form import write_csv
+from msp_sim.model.model import load_model
+from tests.support.measured import ROOT
+
+SENSORS = sorted((ROOT / "configs" / "sensors").glob("*.yaml"))
+N, RUNS = 300, 6
+
+
+def quiet(what: str, share: float) -> None:
+    pass
+
+
+def table(file: Path, offset_cm: float = 0.0, scale: float = 1.0, missed: float = 0.02) -> dict[str, Any]:
+    """Readings of a plain sensor with this file's limits and spread: hits and no echoes only."""
+    sensor = load_model(file).sensor
+    rng = np.random.default_rng(5)
+    true_cm = np.round(rng.uniform(sensor.minimum_cm + 15.0, min(0.8 * sensor.maximum_cm, 400.0), N), 1)
+    sigma_cm = sensor.reading_model.sigma_cm
+    reading_cm = np.rint(offset_cm + scale * true_cm + sigma_cm * rng.standard_normal(N))
+    reading_cm = np.clip(reading_cm, sensor.minimum_cm, sensor.maximum_cm)
+    reading_cm = np.where(rng.random(N) < missed, sensor.maximum_cm, reading_cm)
+    return {
+        "time_s": 0.1 * np.arange(N),
+        "sensor": np.full(N, "down"),
+        "run": np.array([f"run {i * RUNS // N}" for i in range(N)]),
+        "true_range_cm": true_cm,
+        "reading_cm": reading_cm,
+    }
+
+
+def added(folder: Path, file: Path, columns: dict[str, Any]) -> GapFindings:
+    write_csv(folder / "measured.csv", columns)
+    Steps(folder / "out", VirtualClock(), quiet).all([folder / "measured.csv"], Settings(str(file)), "add")
+    model = load_model(folder / "out" / "model.yaml")
+    drawn = model.sample(dict(columns), np.random.default_rng(1))
+    assert np.isfinite(drawn).all()
+    return read_findings(folder / "out")
+
+
+@pytest.mark.parametrize("offset_cm", [-5.0, 5.0])
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_five_centimetres_off(file: Path, offset_cm: float, tmp_path: Path) -> None:
+    found = added(tmp_path, file, table(file, offset_cm))
+    assert found.gap is not None
+    assert found.gap.bias_cm.before == pytest.approx(5.0, abs=1.5)
+    assert found.gap.bias_cm.after < 2.5
+    assert not any("is not written" in each for each in found.messages)
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.03])
+def test_three_per_cent_off(scale: float, tmp_path: Path) -> None:
+    found = added(tmp_path, ROOT / "configs" / "sensors" / "hcsr04.yaml", table(SENSORS[0], 0.0, scale))
+    assert found.gap is not None
+    assert found.gap.bias_cm.after < 2.5
+
+
+@pytest.mark.parametrize("missed", [0.0, 0.999])
+@pytest.mark.parametrize("file", [each for each in SENSORS if each.stem in ("mb1242", "tof_ranger")], ids=str)
+def test_one_kind_of_reading_only(file: Path, missed: float, tmp_path: Path) -> None:
+    found = added(tmp_path, file, table(file, missed=missed))
+    assert np.isfinite(found.gap.nats_per_reading.after)
