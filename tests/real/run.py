@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tests.closure.closure import Closure, describe, gap_closed
 from tests.real.analysis import data_folder
 from tests.real.commands import run_command
 from tests.real.names import Line, expected_names
@@ -38,6 +39,8 @@ class Outcome:
         Found although forbidden; required and not found.
     gap
         Nats per reading before and after, as the workflow measures it.
+    closed
+        The same by the measures of `tests.closure`; None where they were not asked.
     """
 
     command: str
@@ -47,9 +50,10 @@ class Outcome:
     forbidden: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     gap: tuple[float, float] | None = None
+    closed: Closure | None = None
 
 
-def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") -> Outcome:
+def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False) -> Outcome:
     """Characterise where the set has a bench session, then `msp-lab gap`.
 
     Parameters
@@ -60,8 +64,8 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") ->
         Folder of measured data.
     out
         Folder to work in; `gap` and `model.yaml` are left there.
-    until
-        Last step of the workflow; pictures are for people.
+    closure
+        Also measure how much of the gap is closed (half a minute more).
     """
     out.mkdir(parents=True, exist_ok=True)
     model = CONFIGS / "sensors" / f"{measured.sensor}.yaml"
@@ -69,6 +73,7 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") ->
     if measured.bench:
         bench = [data / each for each in measured.bench]
         characterised = out / "model.yaml"
+        characterised.unlink(missing_ok=True)  # of a run before this one: the command overwrites none
         command = (
             "characterise",
             *bench,
@@ -84,8 +89,9 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") ->
         if failed:
             return Outcome(_typed(command), failed)
         model = characterised
-    readings = [data / each for each in measured.readings] if measured.prepare is None else measured.prepare(data, out)
-    command = ("gap", *readings, "--model", model, *column_map, "--out", out / "gap", "--until", until)
+    raw = [data / each for each in measured.readings]
+    readings = measured.prepare(data, out / "form") if measured.column_map is None else raw
+    command = ("gap", *readings, "--model", model, *column_map, "--out", out / "gap", "--until", "add")
     failed = _run(command)
     if failed:
         return Outcome(_typed(command), failed)
@@ -94,7 +100,11 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, until: str = "add") ->
     forbidden, missing = compare_names(found, expected_names()[measured.name])
     measure = (gap.get("gap") or {}).get("nats_per_reading")
     nats = None if measure is None else (measure["before"], measure["after"])
-    return Outcome(_typed(command), "", gap["verdict"], found, forbidden, missing, nats)
+    closed = None
+    if closure:
+        form = measured.prepare(data, out / "form")
+        closed = gap_closed(form, model, out / "gap" / "model.yaml", gap["held_out_runs"])
+    return Outcome(_typed(command), "", gap["verdict"], found, forbidden, missing, nats, closed)
 
 
 def _run(arguments: tuple[object, ...]) -> str:
@@ -141,18 +151,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.real.run", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
     parser.add_argument("--out", type=Path, default=Path("build/real"))
+    parser.add_argument("--closure", action="store_true", help="measure independently how much of the gap is closed")
     given = parser.parse_args()
     data = data_folder()
     for measured in SETS:
         if given.names and measured.name not in given.names:
             continue
-        outcome = run_set(measured, data, given.out / measured.name)
+        outcome = run_set(measured, data, given.out / measured.name, closure=given.closure)
         print(f"{measured.name}: {outcome.failure or outcome.verdict}", flush=True)
         if outcome.failure:
             print(f"  {outcome.command}")
         else:
             gap = "" if outcome.gap is None else f"  gap {outcome.gap[0]:.3g} to {outcome.gap[1]:.3g} nats per reading"
             print(gap)
+            if outcome.closed is not None:
+                print(f"  {describe(outcome.closed)}")
             for one in outcome.found:
                 print(f"  found {'/'.join(sorted(one))}")
             print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
