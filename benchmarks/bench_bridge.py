@@ -26,8 +26,8 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_range.recording.writer import Recorder
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Timing
-from msp_sim.device.mb1242 import MB1242, NO_ECHO_CM, TIMING
+from msp_sim.device.device import DeviceTiming
+from msp_sim.device.mb1242 import NO_ECHO_CM, TIMING, EmulatedMB1242
 
 AIRFRAME = Path(__file__).parents[1] / "configs" / "quad_pallet.yaml"
 ROUNDS = 15
@@ -76,7 +76,7 @@ def latency() -> list[dict[str, Any]]:
             ends[0] = ping_s + TIMING.ranging_s(reading_cm, NO_ECHO_CM)
             return reading_cm
 
-        bus = EmulatedBus([MB1242(address, clock.now, echo) for address in range(0x70, 0x74)], clock.now)
+        bus = EmulatedBus([EmulatedMB1242(address, clock.now, echo) for address in range(0x70, 0x74)], clock.now)
         bridge = Bridge(load_airframe(AIRFRAME), bus, clock, transport)
         stop_s = clock.now() + LATENCY_S
         while clock.now() < stop_s:
@@ -110,8 +110,8 @@ def _bridge(sink: socket.socket, folder: Path) -> tuple[Callable[[], float], lis
     clock = VirtualClock()
     ranges = itertools.cycle(range(140, 161))
     # They are done when they are first asked: thirty tries in between would cool the caches, and the floors have none.
-    at_once = Timing(ready_s=0.0, s_per_cm=1e-6, no_echo_s=TIMING.no_echo_s)
-    devices = [MB1242(address, clock.now, lambda _: next(ranges), at_once) for address in range(0x70, 0x74)]
+    at_once = DeviceTiming(ready_s=0.0, s_per_cm=1e-6, no_echo_s=TIMING.no_echo_s)
+    devices = [EmulatedMB1242(address, clock.now, lambda _: next(ranges), at_once) for address in range(0x70, 0x74)]
     recorder = _Keeping(Recorder(folder / "bridge.mcap", clock))
     transport = open_transport(_url(sink), SystemClock())
     bridge = Bridge(load_airframe(AIRFRAME), EmulatedBus(devices, clock.now), clock, transport, recorder=recorder)

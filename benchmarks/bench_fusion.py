@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from msp_range.clock import VirtualClock
-from msp_range.config import Airframe, Fused, Send
+from msp_range.config import Airframe, FusedSettings, Send
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
@@ -114,7 +114,7 @@ def _fly(scenario: Scenario) -> list[FlightResult]:
 def _only(scenario: Scenario, sensor: str) -> Scenario:
     airframe: Airframe = scenario.airframe
     return scenario.model_copy(
-        update={"airframe": airframe.model_copy(update={"send": Send(fused=Fused(sensors=[sensor]))})}
+        update={"airframe": airframe.model_copy(update={"send": Send(fused=FusedSettings(sensors=[sensor]))})}
     )
 
 

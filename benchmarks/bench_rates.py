@@ -8,7 +8,7 @@ from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.mavlink.transport import TransportStats
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 
 FLOWN_S = 60.0
 LOOPBACK = AIRFRAME.with_name("loopback.yaml")
@@ -27,7 +27,7 @@ def run() -> list[dict[str, Any]]:
 
 def _rate_hz(airframe: str, reading_cm: int) -> float:
     clock = VirtualClock()
-    devices = [MB1242(address, clock.now, lambda _: reading_cm) for address in range(0x70, 0x74)]
+    devices = [EmulatedMB1242(address, clock.now, lambda _: reading_cm) for address in range(0x70, 0x74)]
     transport = _Counter()
     bridge = Bridge(load_airframe(airframe), EmulatedBus(devices, clock.now), clock, transport)
     while clock.now() < FLOWN_S:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from msp_range.bus import Bus
-from msp_range.config import Airframe, Sensor
+from msp_range.config import Airframe, SensorSettings
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import quaternion
 from msp_range.mavlink.distance_sensor import LASER, ULTRASOUND, Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 
 
 def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
@@ -39,7 +39,7 @@ def _ping_interval_s(airframe: Airframe) -> float:
     return max(sensor.sensor_model.timing.ping_interval_s for sensor in airframe.sensors)
 
 
-def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
+def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
     model = sensor.sensor_model
     timing = model.timing
     first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
@@ -48,7 +48,7 @@ def _polled(sensor: Sensor, bus: Bus, adaptive: bool) -> PolledSensor:
     return PolledSensor(
         sensor.name,
         sensor.driver(bus, sensor.address),
-        Timing(first_answer_s, timing.deadline_s, timing.s_per_cm * 100),
+        AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100),
         std_m,
         model.reading_model.sigma_growth_cm_per_m / 100,
     )
@@ -92,7 +92,7 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
     return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
 
 
-def _below_reference_m(airframe: Airframe, sensor: Sensor) -> float:
+def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
     """How far a downward sensor lies below the fused distance's reference point [m]."""
     fused = airframe.send.fused
     return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
@@ -150,6 +150,6 @@ def fused_stream(airframe: Airframe) -> Stream | None:
     )
 
 
-def _stream_type(sensors: Sequence[Sensor]) -> int:
+def _stream_type(sensors: Sequence[SensorSettings]) -> int:
     """What DISTANCE_SENSOR calls the sensors of a stream; one of sound among them decides."""
     return ULTRASOUND if any(sensor.sensor_model.medium == "sound" for sensor in sensors) else LASER

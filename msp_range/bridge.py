@@ -13,7 +13,7 @@ from msp_range.acoustics.air import NO_AIR, Air, compensate_range
 from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams, windows_of
 from msp_range.bus import Bus
 from msp_range.clock import Clock
-from msp_range.config import Airframe, Sensor
+from msp_range.config import Airframe, SensorSettings
 from msp_range.correction.air_temperature import AirTemperature
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import MavlinkSource
@@ -84,7 +84,7 @@ class Records(Protocol):
 class _Channel:
     """One sensor's way through the bridge."""
 
-    def __init__(self, sensor: Sensor, airframe: Airframe, memory_s: float) -> None:
+    def __init__(self, sensor: SensorSettings, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
         self.calibration_temperature_c = sensor.sensor_model.calibration_temperature_c
         self.by_sound = sensor.sensor_model.medium == "sound"

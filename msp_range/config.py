@@ -52,7 +52,7 @@ class RotationDeg(Section):
         return math.radians(self.roll), math.radians(self.pitch), math.radians(self.yaw)
 
 
-class Sensor(SensorOnBus):
+class SensorSettings(SensorOnBus):
     """One range finder of the vehicle."""
 
     id: int = Field(ge=1, le=254)
@@ -103,7 +103,7 @@ class Polling(Section):
     that does not acknowledge"""
 
 
-class Link(Section):
+class LinkSettings(Section):
     """The connection to the autopilot."""
 
     url: str
@@ -123,7 +123,7 @@ class Link(Section):
         return url
 
 
-class Fused(Section):
+class FusedSettings(Section):
     """One stream along the vehicle's down axis, from all sensors that look down."""
 
     id: int = Field(10, ge=1, le=254)
@@ -137,13 +137,13 @@ class Fused(Section):
 class Send(Section):
     """What goes out."""
 
-    fused: Fused | None = None
+    fused: FusedSettings | None = None
     """the fused downward stream; left out: none"""
     sensors: tuple[Name, ...] | Literal["all"] = ()
     """single sensors that have a stream of their own: a list of names, or all"""
 
 
-class Recording(Section):
+class RecordingSettings(Section):
     """Where flights are recorded."""
 
     folder: str
@@ -157,7 +157,7 @@ class Airframe(Section):
     """name of the vehicle"""
     bus: int | str = 1
     """I2C bus number (1 is /dev/i2c-1), or the path of the device file"""
-    sensors: list[Sensor] = Field(min_length=1, max_length=MOST_SENSORS)
+    sensors: list[SensorSettings] = Field(min_length=1, max_length=MOST_SENSORS)
     """the range finders"""
     polling: Polling = Polling()
     """who pings when"""
@@ -165,11 +165,11 @@ class Airframe(Section):
     """every sensor's filters, in order; [] for none; left out: the changepoint filter"""
     temperature: TemperatureParameters = TemperatureParameters()
     """where the air temperature comes from"""
-    link: Link
+    link: LinkSettings
     """the connection to the autopilot"""
     send: Send
     """what goes out"""
-    recording: Recording | None = None
+    recording: RecordingSettings | None = None
     """where flights are recorded; left out: only where the command line says so"""
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
@@ -303,7 +303,7 @@ class Airframe(Section):
         ]
 
     @property
-    def downward(self) -> list[Sensor]:
+    def downward(self) -> list[SensorSettings]:
         """Sensors of the fused stream."""
         return [sensor for sensor in self.sensors if sensor.name in self._fused_names]
 

@@ -88,7 +88,7 @@ class PacedClock:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ReplayOutcome:
     """What the bridge made of a record: readings, outputs and rejections by sensor, and messages by type."""
 
     counts: Mapping[str, Counts]
@@ -114,7 +114,7 @@ def replay(
     recorded_air: Sequence[tuple[float, Air]] = (),
     attitudes: Sequence[tuple[float, Angles]] = (),
     motion: Sequence[Moved] = (),
-) -> Outcome:
+) -> ReplayOutcome:
     """Play the pings through a bridge of their own, to the last one.
 
     Parameters
@@ -185,7 +185,7 @@ def replay(
     end_s = clock.now() + 0.1
     while clock.now() < end_s:
         bridge.step()
-    return Outcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
+    return ReplayOutcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
 
 
 def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | Moved], None] | None:
@@ -204,7 +204,7 @@ def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
         yield lambda count: progress.advance(task, count)
 
 
-def show(outcome: Outcome, source: Path, losses: Losses | None = None) -> None:
+def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:
     """Print the outcome as a table, and what of a damaged recording was left out."""
     table = Table(title=f"{source}: {outcome.duration_s:.1f} s", box=box.SIMPLE_HEAD)
     for heading in ("sensor", "readings", "used", "rejected, why"):

@@ -6,14 +6,14 @@ come of it, and verified afterwards. How a kind of sensor is recognised and move
 
 from msp_range.bus import Bus
 from msp_range.clock import Clock
-from msp_range.sensors.base import OTHERS, AddressError, Driver, Found, acknowledges
+from msp_range.sensors.base import OTHERS, AddressError, Driver, FoundDevice, acknowledges
 from msp_range.sensors.table import drivers_at, longest_busy_s
 
 FIRST_ADDRESS, LAST_ADDRESS = 0x03, 0x77
 """The 7-bit addresses that devices may have; the rest are reserved by the I2C specification."""
 
 
-def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None = None) -> list[Found]:
+def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None = None) -> list[FoundDevice]:
     """Every device that acknowledges.
 
     Parameters
@@ -37,14 +37,14 @@ def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None 
     return [
         _identify(bus, clock, address, drivers_at(address) if driver is None else [driver])
         if identify
-        else Found(address, False, OTHERS.get(address, ""))
+        else FoundDevice(address, False, OTHERS.get(address, ""))
         for address in sorted(there)
     ]
 
 
-def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]]) -> Found:
+def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]]) -> FoundDevice:
     """What the first of these kinds says that recognises the device; else what the first one says."""
-    first: Found | None = None
+    first: FoundDevice | None = None
     for driver in drivers:
         found = driver.identify(bus, clock, address)
         if found.ranged:
@@ -78,7 +78,7 @@ def check_new_address(new: int, driver: type[Driver]) -> None:
         raise AddressError(f"{driver.part} ignores the address 0x{new:02x}; choose another one")
 
 
-def change_address(bus: Bus, clock: Clock, old: int, new: int, driver: type[Driver]) -> Found:
+def change_address(bus: Bus, clock: Clock, old: int, new: int, driver: type[Driver]) -> FoundDevice:
     """Give the sensor at ``old`` the address ``new`` (both 7-bit), and verify it there.
 
     Raises

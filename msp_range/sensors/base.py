@@ -71,7 +71,7 @@ class RangeSensor(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundDevice:
     """A device that acknowledged.
 
     Attributes
@@ -178,7 +178,7 @@ class Driver(ABC):
 
     @classmethod
     @abstractmethod
-    def identify(cls, bus: Bus, clock: Clock, address: int) -> Found:
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
         """Let the device at ``address`` range once, and report whether it is such a sensor."""
 
     @classmethod
@@ -213,6 +213,6 @@ def acknowledges(bus: Bus, address: int) -> bool:
     return True
 
 
-def stranger(address: int, why: str) -> Found:
+def stranger(address: int, why: str) -> FoundDevice:
     """A device that is another kind of sensor or none, and what else is often at its address."""
-    return Found(address, False, f"{why}; {OTHERS.get(address, '')}".rstrip("; "))
+    return FoundDevice(address, False, f"{why}; {OTHERS.get(address, '')}".rstrip("; "))

@@ -22,7 +22,7 @@ from msp_range.sensors.base import (
     AddressError,
     Decoded,
     Driver,
-    Found,
+    FoundDevice,
     RecordedPing,
     acknowledges,
     stranger,
@@ -123,7 +123,7 @@ class LidarLiteV3(Driver):
         return address % 2 == 1
 
     @classmethod
-    def identify(cls, bus: Bus, clock: Clock, address: int) -> Found:
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
         """Such a sensor is busy right after the command to measure, and then answers what can be a range.
 
         Other devices take that command as a value for a register of theirs: ask only where such a sensor should be.
@@ -147,9 +147,11 @@ class LidarLiteV3(Driver):
         except BusError as error:
             return stranger(address, f"no answer to the command to measure (errno {error.errno})")
         if decoded.status.is_fault:
-            return Found(address, False, f"measures, but answers 0x{decoded.raw or 0:04x} ({decoded.status.value})")
+            return FoundDevice(
+                address, False, f"measures, but answers 0x{decoded.raw or 0:04x} ({decoded.status.value})"
+            )
         found = "no signal" if decoded.range_m is None else f"{decoded.raw} cm"
-        return Found(address, True, f"LIDAR-Lite v3: {found}")
+        return FoundDevice(address, True, f"LIDAR-Lite v3: {found}")
 
     @classmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:

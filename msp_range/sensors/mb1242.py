@@ -10,7 +10,7 @@ and keeps it without power.
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.sensors.base import POLL_INTERVAL_S, Decoded, Driver, Found, RecordedPing, acknowledges, stranger
+from msp_range.sensors.base import POLL_INTERVAL_S, Decoded, Driver, FoundDevice, RecordedPing, acknowledges, stranger
 
 COMMAND_RANGE = b"\x51"
 ANSWER_BYTES = 2
@@ -126,7 +126,7 @@ class MB1242(Driver):
         return address << 1 in ILLEGAL_8BIT
 
     @classmethod
-    def identify(cls, bus: Bus, clock: Clock, address: int) -> Found:
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
         """Such a sensor does not acknowledge for a while after the range command, and then answers what can be a range.
 
         Other devices may take that command, one byte, for one of theirs.
@@ -144,11 +144,15 @@ class MB1242(Driver):
         if not busy:
             return stranger(address, "not an MB1242: it answers while it should be ranging")
         if first not in (None, answer):
-            return Found(address, False, "its answer changes without a new ranging: are two sensors at this address?")
+            return FoundDevice(
+                address, False, "its answer changes without a new ranging: are two sensors at this address?"
+            )
         decoded = decode(answer)
         if decoded.status.is_fault:
-            return Found(address, False, f"ranges, but answers 0x{decoded.raw or 0:04x} ({decoded.status.value})")
-        return Found(address, True, f"MB1242: {decoded.raw} cm" + (" (no echo)" if decoded.range_m is None else ""))
+            return FoundDevice(address, False, f"ranges, but answers 0x{decoded.raw or 0:04x} ({decoded.status.value})")
+        return FoundDevice(
+            address, True, f"MB1242: {decoded.raw} cm" + (" (no echo)" if decoded.range_m is None else "")
+        )
 
     @classmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:

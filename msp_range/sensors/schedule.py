@@ -27,7 +27,7 @@ that acknowledges its ping and answers nonsense takes a slot from the others eac
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class AnswerTiming:
     """When a sensor can be asked, all after its ping [s].
 
     Attributes
@@ -54,7 +54,7 @@ class PolledSensor:
 
     name: str
     device: RangeSensor
-    timing: Timing
+    timing: AnswerTiming
     std_m: float | None = None
     std_growth: float = 0.0
 

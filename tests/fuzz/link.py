@@ -25,7 +25,7 @@ from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.fuzz.base import FuzzResult
 from tests.support.bench import CONFIGS
 from tests.support.transports import free_port
@@ -294,7 +294,7 @@ class _Flight:
     def __init__(self, kind: str) -> None:
         self._far_end: _FarEnd = _FAR_ENDS[kind](kind)
         self._clock = VirtualClock(100.0)
-        sonars = [MB1242(address, self._clock.now, lambda _: 300) for address in range(0x70, 0x74)]
+        sonars = [EmulatedMB1242(address, self._clock.now, lambda _: 300) for address in range(0x70, 0x74)]
         self._transport = open_transport(self._far_end.url, self._clock)
         airframe = load_airframe(CONFIGS / "quad_pallet.yaml")
         self._bridge = Bridge(airframe, EmulatedBus(sonars, self._clock.now), self._clock, self._transport)

@@ -16,7 +16,7 @@ from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import CONFIGS
 from tests.support.mavlink_ends import Component
 from tests.support.transports import free_port
@@ -111,7 +111,7 @@ def test_a_flood_does_not_hold_up_the_polling(kind: str, whose: str) -> None:
         pings_s.append(ping_s)
         return 300
 
-    sonars = [MB1242(address, clock.now, echo) for address in range(0x70, 0x74)]
+    sonars = [EmulatedMB1242(address, clock.now, echo) for address in range(0x70, 0x74)]
     port = free_port(socket.SOCK_STREAM if kind == "tcpin" else socket.SOCK_DGRAM)
     transport = open_transport(f"{kind}:127.0.0.1:{port}", clock)
     bridge = Bridge(load_airframe(CONFIGS / "quad_pallet.yaml"), EmulatedBus(sonars, clock.now), clock, transport)

@@ -15,7 +15,7 @@ from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import ThreadReader
 from msp_range.mavlink.transport import Nowhere
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
 
 HEIGHT_CM = 500
@@ -107,7 +107,7 @@ def readings_a_second(thermometer: Callable[[FileSource], float]) -> float:
     """Of four sensors in real time, with a file that is read like this."""
     clock = SystemClock()
     reader = ThreadReader(clock, thermometer)
-    devices = [MB1242(address, clock.now, lambda ping_s: 300) for address in range(0x70, 0x74)]
+    devices = [EmulatedMB1242(address, clock.now, lambda ping_s: 300) for address in range(0x70, 0x74)]
     vehicle = airframe(temperature={"sources": [{"source": "file", "path": "temp1_input"}]})
     bridge = Bridge(vehicle, EmulatedBus(devices, clock.now), clock, Nowhere(), thermometer=reader)
     start_s, readings = clock.now(), 0

@@ -10,7 +10,7 @@ from msp_range.clock import VirtualClock
 from msp_range.reading import Status
 from msp_range.sensors.mb1242 import MB1242, encode
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from tests.support.scripted_bus import Expected, ScriptedBus, read, reopen, scripted_bus, write
 
 RANGE = b"\x51"
@@ -20,7 +20,7 @@ FIRST_S, DEADLINE_S = 0.021, 0.080
 
 
 def make_poller(bus: Bus, clock: VirtualClock, *addresses: int, together: bool = False) -> Poller:
-    timing = Timing(FIRST_S, DEADLINE_S)
+    timing = AnswerTiming(FIRST_S, DEADLINE_S)
     sensors = [PolledSensor(f"at_{address:x}", MB1242(bus, address), timing, std_m=0.02) for address in addresses]
     groups = [sensors] if together else [[sensor] for sensor in sensors]
     return Poller(bus, clock, RoundRobin(groups, Spacing(0.100), clock.now()))

@@ -18,16 +18,15 @@ from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.replay import RecordedOrder
 from msp_range.sensors.addressing import change_address, check_new_address, scan
-from msp_range.sensors.base import AddressError, Found
+from msp_range.sensors.base import AddressError, FoundDevice
 from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Fault, PlainDevice
-from msp_sim.device.device import Timing as DeviceTiming
+from msp_sim.device.device import DeviceTiming, Fault, PlainDevice
 from msp_sim.device.emulated import emulated_bus
-from msp_sim.device.lidar_lite_v3 import LidarLiteV3 as Emulated
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
+from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.world.surfaces import Box, GroundSection
@@ -55,7 +54,7 @@ def poll(*script: Expected) -> Ranging:
     """What one ranging of a sensor on a scripted bus comes to; the first look is 20 ms after the ping."""
     clock = VirtualClock()
     with scripted_bus(clock, *script) as bus:
-        polled = PolledSensor("down", LidarLiteV3(bus, ADDRESS), Timing(0.020, 0.030, 6.67e-9))
+        polled = PolledSensor("down", LidarLiteV3(bus, ADDRESS), AnswerTiming(0.020, 0.030, 6.67e-9))
         poller = Poller(bus, clock, RoundRobin([[polled]], Spacing(0.1), clock.now()))
         while clock.now() < 0.09:
             for ranging in poller.step():
@@ -181,16 +180,18 @@ def test_one_of_four_that_is_stuck_is_found_in_a_climb() -> None:
 # --- its address ---
 
 
-def wires(*devices: tuple[int, int]) -> tuple[EmulatedBus, VirtualClock, list[Emulated]]:
+def wires(*devices: tuple[int, int]) -> tuple[EmulatedBus, VirtualClock, list[EmulatedLidarLiteV3]]:
     """Sensors by address and serial number."""
     clock = VirtualClock(10.0)
-    sensors = [Emulated(address, clock.now, lambda ping_s: 258, serial=serial) for address, serial in devices]
+    sensors = [
+        EmulatedLidarLiteV3(address, clock.now, lambda ping_s: 258, serial=serial) for address, serial in devices
+    ]
     return EmulatedBus(sensors, clock.now), clock, sensors
 
 
 def test_a_sensor_moves_until_its_power_is_switched_off() -> None:
     bus, clock, (first, other) = wires((ADDRESS, 0x3080), (0x66, 0x1234))
-    assert change_address(bus, clock, ADDRESS, OTHER, LidarLiteV3) == Found(OTHER, True, "LIDAR-Lite v3: 258 cm")
+    assert change_address(bus, clock, ADDRESS, OTHER, LidarLiteV3) == FoundDevice(OTHER, True, "LIDAR-Lite v3: 258 cm")
     assert (first.address, first.also_at, other.address) == (OTHER, None, 0x66)
     assert change_address(bus, clock, OTHER, 0x68, LidarLiteV3).address == 0x68
     first.power_cycle()
@@ -223,7 +224,10 @@ def test_a_change_that_is_refused(devices: list[tuple[int, int]], old: int, new:
 
 def test_a_scan_asks_for_one_where_one_should_be() -> None:
     clock = VirtualClock(10.0)
-    lidar, sonar = Emulated(ADDRESS, clock.now, lambda _: 4000), MB1242(0x70, clock.now, lambda _: 258)
+    lidar, sonar = (
+        EmulatedLidarLiteV3(ADDRESS, clock.now, lambda _: 4000),
+        EmulatedMB1242(0x70, clock.now, lambda _: 258),
+    )
     bus = EmulatedBus([lidar, sonar, PlainDevice(0x44)], clock.now)
     found = {each.address: each for each in scan(bus, clock, identify=True)}
     assert {address: each.ranged for address, each in found.items()} == {0x44: False, ADDRESS: True, 0x70: True}

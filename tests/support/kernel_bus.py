@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import pytest
 
-from msp_sim.device.device import Fault, Timing
+from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.mb1242 import DEFAULT_ADDRESS, TIMING
 
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -42,7 +42,7 @@ class Sonar:
     address: int = DEFAULT_ADDRESS
     readings_cm: Sequence[int] = (300,)
     faults: Sequence[Fault] = ()
-    timing: Timing = TIMING
+    timing: DeviceTiming = TIMING
     kind: str = "mb1242"
 
 

@@ -18,7 +18,7 @@ from collections import deque
 from typing import Any
 
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Fault, PlainDevice, Timing
+from msp_sim.device.device import DeviceTiming, Fault, PlainDevice
 from msp_sim.device.table import emulated_kind
 
 # linux/i2c-dev.h and linux/i2c.h
@@ -159,7 +159,7 @@ def make_device(spec, now, chance, echoes):
         return PlainDevice(spec["address"], bytes.fromhex(spec["answer"]), faults)
     echoes.append(Echo(spec["readings_cm"]))
     kind = emulated_kind(spec["kind"])
-    return kind(spec["address"], now, echoes[-1], Timing(**spec["timing"]), faults, chance)
+    return kind(spec["address"], now, echoes[-1], DeviceTiming(**spec["timing"]), faults, chance)
 
 
 def main():

@@ -8,18 +8,18 @@ import pytest
 from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
 from msp_range.sensors.addressing import change_address, check_new_address, scan
-from msp_range.sensors.base import AddressError, Found
+from msp_range.sensors.base import AddressError, FoundDevice
 from msp_range.sensors.mb1242 import MB1242 as DRIVER
 from msp_sim.device.bus import Device, EmulatedBus
 from msp_sim.device.device import Fault, NotAcknowledged, PlainDevice
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 
 NACK_ERRNOS = [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV]
 Making = Callable[[VirtualClock], Device]
 
 
 def sonar(address: int, reading_cm: int = 258, *faults: Fault) -> Making:
-    return lambda clock: MB1242(address, clock.now, lambda ping_s: reading_cm, faults=faults)
+    return lambda clock: EmulatedMB1242(address, clock.now, lambda ping_s: reading_cm, faults=faults)
 
 
 def other(address: int, answer: bytes = b"\x00\x00", *faults: Fault) -> Making:
@@ -49,7 +49,7 @@ def test_scan_tells_sonars_from_other_devices(nack_errno: int) -> None:
 def test_scan_without_identifying_only_reads() -> None:
     bus, clock, (device,) = wires(sonar(0x70))
     assert [(each.address, each.ranged) for each in scan(bus, clock, identify=False)] == [(0x70, False)]
-    assert isinstance(device, MB1242)
+    assert isinstance(device, EmulatedMB1242)
     assert device.pings == 0
 
 
@@ -78,7 +78,7 @@ def test_a_sensor_moves_and_is_verified_there(ranging: bool, nack_errno: int) ->
     bus, clock, (device, still) = wires(sonar(0x70), sonar(0x72, 100), nack_errno=nack_errno)
     if ranging:
         bus.write(0x70, b"\x51")
-    assert change_address(bus, clock, 0x70, 0x71, DRIVER) == Found(0x71, True, "MB1242: 258 cm")
+    assert change_address(bus, clock, 0x70, 0x71, DRIVER) == FoundDevice(0x71, True, "MB1242: 258 cm")
     assert (device.address, still.address) == (0x71, 0x72)
 
 
@@ -142,7 +142,7 @@ def test_a_refused_change_writes_nothing_but_pings(making: list[Making], old: in
     assert [device.address for device in devices] == addresses
 
 
-class Deaf(MB1242):
+class Deaf(EmulatedMB1242):
     """A sonar that acknowledges everything and takes range commands only."""
 
     def write(self, data: bytes) -> None:
@@ -150,7 +150,7 @@ class Deaf(MB1242):
             super().write(data)
 
 
-class Gone(MB1242):
+class Gone(EmulatedMB1242):
     """A sonar that an address change makes vanish."""
 
     def write(self, data: bytes) -> None:
@@ -163,11 +163,11 @@ class Gone(MB1242):
     ("kinds", "message"),
     [
         ([Deaf], "still answers at 0x70, and nothing is at 0x71"),
-        ([Deaf, MB1242], "still answers at 0x70, and a device is too at 0x71: were two sensors"),
+        ([Deaf, EmulatedMB1242], "still answers at 0x70, and a device is too at 0x71: were two sensors"),
         ([Gone], "neither at 0x70 nor at 0x71"),
     ],
 )
-def test_a_move_that_went_wrong_is_noticed(kinds: list[type[MB1242]], message: str) -> None:
+def test_a_move_that_went_wrong_is_noticed(kinds: list[type[EmulatedMB1242]], message: str) -> None:
     clock = VirtualClock()
     bus = EmulatedBus([kind(0x70, clock.now, lambda ping_s: 258) for kind in kinds], clock.now)
     with pytest.raises(AddressError, match=message):

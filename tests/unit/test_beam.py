@@ -48,7 +48,11 @@ def test_one_row_is_a_cone() -> None:
 @pytest.mark.parametrize(
     ("ranges_m", "half_angles_deg", "message"),
     [
-        ((0.5, 1.0), (18.0, 18.1), r"found 18\.1 deg at 100 cm after 18 deg at 50 cm, expected angles that do not increase"),
+        (
+            (0.5, 1.0),
+            (18.0, 18.1),
+            r"found 18\.1 deg at 100 cm after 18 deg at 50 cm, expected angles that do not increase",
+        ),
         ((1.0, 1.0), (18.0, 17.0), r"found 100 cm after 100 cm, expected ranges that grow"),
         ((0.5, 1.0), (18.0,), r"found 2 ranges and 1 half angles"),
         ((), (), r"at least one"),

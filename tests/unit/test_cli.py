@@ -21,7 +21,7 @@ from msp_range.extras import EXTRAS
 from msp_range.mistakes import tell_mistakes
 from msp_sim.cli import app as sim_app
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -141,9 +141,9 @@ def test_sample_draws_from_the_model(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def sonar(monkeypatch: pytest.MonkeyPatch) -> MB1242:
+def sonar(monkeypatch: pytest.MonkeyPatch) -> EmulatedMB1242:
     """One emulated MB1242 at 0x70 on every bus that a command opens."""
-    device = MB1242(0x70, time.monotonic, lambda ping_s: 258)
+    device = EmulatedMB1242(0x70, time.monotonic, lambda ping_s: 258)
 
     class Bus(EmulatedBus):
         path = Path("/dev/i2c-1")
@@ -155,14 +155,14 @@ def sonar(monkeypatch: pytest.MonkeyPatch) -> MB1242:
     return device
 
 
-def test_scan_pings_only_when_it_is_told_to(sonar: MB1242) -> None:
+def test_scan_pings_only_when_it_is_told_to(sonar: EmulatedMB1242) -> None:
     assert "0x70" in CliRunner().invoke(app, ["scan"], catch_exceptions=False).output
     assert sonar.pings == 0
     assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output
     assert sonar.pings == 1
 
 
-def test_address_asks_before_it_moves_a_sensor(sonar: MB1242) -> None:
+def test_address_asks_before_it_moves_a_sensor(sonar: EmulatedMB1242) -> None:
     result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="n\n")
     assert (result.exit_code, sonar.address) == (1, 0x70)
     result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="y\n", catch_exceptions=False)

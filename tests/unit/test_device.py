@@ -14,8 +14,8 @@ import pytest
 import msp_sim.device.device
 from msp_range.bus.base import Bus, BusError
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Fault, NotAcknowledged, PlainDevice, Timing
-from msp_sim.device.mb1242 import MB1242, NO_ECHO_CM, PART_INFO, RANGE_COMMAND
+from msp_sim.device.device import DeviceTiming, Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, RANGE_COMMAND, EmulatedMB1242
 
 AFTER_ANY_RANGING_S = 0.07
 FOR_EVER = float("inf")
@@ -28,7 +28,7 @@ class Bench:
         self.time_s = 0.0
         self.ping_times_s: list[float] = []
         self._readings_cm: Iterator[int] = iter(readings_cm)
-        self.sonar = MB1242(0x70, self.now, self.echo, faults=faults, chance=random.Random(seed))
+        self.sonar = EmulatedMB1242(0x70, self.now, self.echo, faults=faults, chance=random.Random(seed))
 
     def now(self) -> float:
         return self.time_s
@@ -298,7 +298,7 @@ def test_a_word_that_a_healthy_sensor_gives_is_not_impossible(word: int) -> None
 @pytest.mark.parametrize("fault", [Fault("silent", 0.0, 1.0, 0.5), Fault("noisy", 0.0, 1.0)])
 def test_chance_has_to_be_given(fault: Fault) -> None:
     with pytest.raises(ValueError, match=r"random\.Random"):
-        MB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])
+        EmulatedMB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])
 
 
 @pytest.mark.parametrize("reading_cm", [19, 766])
@@ -408,6 +408,6 @@ def test_a_lock_up_that_nobody_saw_begin_still_needs_a_reopen() -> None:
 
 
 def test_timing_is_a_parameter() -> None:
-    timing = Timing(ready_s=0.001, s_per_cm=1e-4, no_echo_s=0.5)
+    timing = DeviceTiming(ready_s=0.001, s_per_cm=1e-4, no_echo_s=0.5)
     assert timing.ranging_s(100, NO_ECHO_CM) == pytest.approx(0.011)
     assert timing.ranging_s(765, NO_ECHO_CM) == 0.5

@@ -17,7 +17,7 @@ from msp_lab.cli import app
 from msp_lab.filter_study.candidates import changepoint, oracle
 from msp_lab.filter_study.explain import Verdict, explain
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
-from msp_lab.filter_study.scenarios import Runs, gaussian_parameters, report_readings, truth
+from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, report_readings, truth
 from msp_lab.filter_study.statistics import delay_samples, mirrored, statistics
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
@@ -139,7 +139,7 @@ def test_the_changepoint_filter_beats_the_nine_in_all_scenarios() -> None:
         assert newest_cm < 1.25 * rms(oracle(runs), runs)
 
 
-def rms(estimate_cm: np.ndarray, runs: Runs) -> float:
+def rms(estimate_cm: np.ndarray, runs: ScenarioRuns) -> float:
     return float(statistics(estimate_cm - runs.true_cm)[0].mean())
 
 

@@ -17,7 +17,7 @@ from msp_range.config import load_airframe
 from msp_range.reading import Status
 from msp_range.sensors.base import Decoded
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from tests.support.scripted_bus import ScriptedBus
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -73,7 +73,7 @@ class Bench:
         self.clock = VirtualClock(71.3)
         self.start_s = self.clock.now()
         self.sonars = {name: Sonar(self.clock) for group in groups for name in group}
-        timing = Timing(first_answer_s, DEADLINE_S)
+        timing = AnswerTiming(first_answer_s, DEADLINE_S)
         polled = [[PolledSensor(name, self.sonars[name], timing) for name in group] for group in groups]
         self.schedule = RoundRobin(polled, spacing, self.start_s, **dead_after)
         self.poller = Poller(ScriptedBus(self.clock, ()), self.clock, self.schedule)
@@ -447,7 +447,7 @@ class Reopened:
 def broken(verb: str, number: int, until_s: float) -> tuple[Broken, list[float], list[Ranging]]:
     clock = VirtualClock(71.3)
     device, bus = Broken(verb, number), Reopened(clock)
-    sensor = PolledSensor("a", device, Timing(FIRST_S, DEADLINE_S))
+    sensor = PolledSensor("a", device, AnswerTiming(FIRST_S, DEADLINE_S))
     poller = Poller(bus, clock, RoundRobin([[sensor]], SAFE, clock.now()))
     ended: list[Ranging] = []
     while poller.next_event_s < 71.3 + until_s:

@@ -22,13 +22,13 @@ from msp_range.recording.writer import Recorder
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.mb1242 import COMMAND_RANGE, MB1242
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor
 
 LEFT, RIGHT = 0x70, 0x71
 near: Any = pytest.approx
 """A number that one of another type is compared with."""
 # Times of no answer are sums of binary fractions, which are exact.
-TIMING = Timing(first_answer_s=0.0212, deadline_s=80 / 1024)
+TIMING = AnswerTiming(first_answer_s=0.0212, deadline_s=80 / 1024)
 
 
 def played(pings: dict[int, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:

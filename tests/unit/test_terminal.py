@@ -12,7 +12,7 @@ from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.recording.flight_recorder import FlightRecorder
-from msp_range.replay import Outcome, show
+from msp_range.replay import ReplayOutcome, show
 from msp_range.terminal import PlainConsole
 from msp_sim.page.style import new_figure, png, style
 
@@ -58,7 +58,7 @@ def test_a_file_of_any_name_is_reported_and_replayed(tmp_path: Path, capsys: pyt
     assert result.exit_code == 3
     assert "\\x1b[31m[red]quad" in result.output
     assert "\x1b" not in result.output
-    show(Outcome({}, {}, 0, {}, 1.0, 0.0), Path(path.name))
+    show(ReplayOutcome({}, {}, 0, {}, 1.0, 0.0), Path(path.name))
     assert "\\x1b[31m[red]quad" in "".join(capsys.readouterr().out.split("\n"))
 
 

@@ -18,7 +18,7 @@ from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource
 from msp_range.correction.thermometer import Sample, ThreadReader
 from msp_range.sensors.base import Decoded, RangeSensor
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing, Timing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]
@@ -115,7 +115,7 @@ class KernelBench:
         self._bus.close()
 
 
-class Known(NamedTuple):
+class KnownRanging(NamedTuple):
     """A ranging, whether its ping went out, and what is known of it."""
 
     ranging: Ranging
@@ -164,7 +164,7 @@ class _Noted:
         return self._device.answer(since_ping_s)
 
 
-def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock: Clock) -> Iterator[Known]:
+def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock: Clock) -> Iterator[KnownRanging]:
     """Ping the sensors of a point for as long as the caller goes on asking.
 
     Parameters
@@ -191,7 +191,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         timing = model.timing
         devices[name] = _Noted(name, sensor.driver(bus, sensor.address), pings)
         first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm
-        asked = Timing(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
+        asked = AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
         polled.append(PolledSensor(name, devices[name], asked))
         interval_s = max(interval_s, timing.ping_interval_s)
     groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
@@ -203,7 +203,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         clock.sleep_until(poller.next_event_s)
         for ranging in poller.step():
             device = devices[ranging.reading.sensor]
-            yield Known(ranging, device.pinged, _columns(columns, ranging, device, rate_cm_s, start_s))
+            yield KnownRanging(ranging, device.pinged, _columns(columns, ranging, device, rate_cm_s, start_s))
 
 
 def _columns(

@@ -57,7 +57,7 @@ def _spread(given: Any) -> Any:
     return Span.model_validate(given).values if isinstance(given, dict) else given
 
 
-class Sensor(SensorOnBus):
+class BenchSensor(SensorOnBus):
     """One range finder on the bench."""
 
     simulator: str | None = None
@@ -66,7 +66,7 @@ class Sensor(SensorOnBus):
     _simulated_by: Path = PrivateAttr()
 
     @model_validator(mode="after")
-    def _name_simulator(self, info: ValidationInfo) -> "Sensor":
+    def _name_simulator(self, info: ValidationInfo) -> "BenchSensor":
         self._simulated_by = config_path(self.simulator or self.model, "sensors", folder_of(info))
         return self
 
@@ -85,7 +85,7 @@ class Reference(Section):
     """standard deviation of that [cm]; half the step of a ruler is about right. The simulator errs by as much"""
 
 
-class Target(Section):
+class BenchTarget(Section):
     """What the beam meets."""
 
     material: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_ -]{0,31}$")]
@@ -96,7 +96,7 @@ class Target(Section):
     """what a person has to know to put it up"""
 
 
-class Air(Section):
+class BenchAir(Section):
     """The air between sensor and target."""
 
     air_temperature_c: TemperatureC | None = None
@@ -109,7 +109,7 @@ class Air(Section):
     """how it is brought about: a box, a vent, a humidifier"""
 
     @model_validator(mode="after")
-    def _near_end_first(self) -> "Air":
+    def _near_end_first(self) -> "BenchAir":
         if self.target_temperature_c is not None and self.air_temperature_c is None:
             raise ValueError("target_temperature_c: found without air_temperature_c, expected both ends or none")
         return self
@@ -139,7 +139,7 @@ class Moving(Section):
     """how fast [cm/s]; the direction follows from the ranges"""
 
 
-class Condition(Section):
+class Experiment(Section):
     """One experiment: it is read at every combination of what it lists."""
 
     condition: Name
@@ -153,9 +153,9 @@ class Condition(Section):
     """perpendicular distances from sensor to target [cm]: a list, or {first, last, step}"""
     angles_deg: tuple[AngleDeg, ...] = Field((0.0,), min_length=1)
     """angles between the beam and the target's normal, signed [deg]: a list, or {first, last, step}"""
-    targets: tuple[Target, ...] = Field(min_length=1)
+    targets: tuple[BenchTarget, ...] = Field(min_length=1)
     """what the beam meets"""
-    air: tuple[Air, ...] = Field((), max_length=100)
+    air: tuple[BenchAir, ...] = Field((), max_length=100)
     """air between sensor and target; left out: the campaign's room"""
     vibrations_hz: tuple[Annotated[float, Field(ge=0, le=100_000)], ...] = Field((0.0,), min_length=1)
     """vibration of the sensor's housing [Hz]; 0: none"""
@@ -178,7 +178,7 @@ class Condition(Section):
         return _spread(given)
 
     @model_validator(mode="after")
-    def _once_each(self) -> "Condition":
+    def _once_each(self) -> "Experiment":
         for key in ("ranges_cm", "angles_deg", "targets", "air", "vibrations_hz", "sensors", "firing"):
             twice = [each for each, count in Counter(getattr(self, key)).items() if count > 1]
             if twice:
@@ -199,15 +199,15 @@ class Campaign(Section):
     """what it is for"""
     reference: Reference
     """what the readings are compared with"""
-    sensors: tuple[Sensor, ...] = Field(min_length=1)
+    sensors: tuple[BenchSensor, ...] = Field(min_length=1)
     """the range finders; the first one is read where a condition names none"""
-    room: Air = Air()
+    room: BenchAir = BenchAir()
     """the air where a condition says nothing else"""
     thermometer: FileSource | None = None
     """file of a thermometer next to the sensor; left out: a person types in what a thermometer says"""
     readings: int = Field(100, ge=1, le=10_000_000)
     """readings a point and sensor, where a condition says nothing else"""
-    conditions: tuple[Condition, ...] = Field(min_length=1)
+    conditions: tuple[Experiment, ...] = Field(min_length=1)
     """the experiments, in the order in which they are done"""
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
@@ -236,7 +236,7 @@ class Campaign(Section):
         """Text of the campaign file, as ``campaign.yaml``, and of the sensor model files by the names it gives them."""
         return self._files
 
-    def sensor(self, name: str) -> Sensor:
+    def sensor(self, name: str) -> BenchSensor:
         """The sensor of that name."""
         return next(each for each in self.sensors if each.name == name)
 

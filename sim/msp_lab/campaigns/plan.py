@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from msp_lab.campaigns.campaign import Air, Campaign, Condition, External, Firing, Target
+from msp_lab.campaigns.campaign import BenchAir, BenchTarget, Campaign, Experiment, External, Firing
 from msp_range.yaml_file import ConfigError
 
 Level = TypeVar("Level")
@@ -56,8 +56,8 @@ class Setup:
 
     sensors: tuple[str, ...]
     apart_cm: float | None
-    air: Air
-    target: Target
+    air: BenchAir
+    target: BenchTarget
     vibration_hz: float
     range_cm: float
     source: Source | None
@@ -155,7 +155,7 @@ def setup_s(before: Setup | None, after: Setup) -> float:
     return sum(SETUP_S[key] for key in changed)
 
 
-def _points_of(campaign: Campaign, condition: Condition, before: Setup | None) -> Iterator[Point]:
+def _points_of(campaign: Campaign, condition: Experiment, before: Setup | None) -> Iterator[Point]:
     sensors = condition.sensors or (campaign.sensors[0].name,)
     factors: list[tuple[str, Sequence[Any]]] = [
         ("air", _from(condition.air or (campaign.room,), before and before.air)),
@@ -192,7 +192,7 @@ def _sources(external: External | None) -> list[Source | None]:
     return [Source(duty=0.0), *on] if external.quiet else on
 
 
-def _movements(condition: Condition, standing: Setup, readings: int, interval_s: float) -> Iterator[tuple[Setup, int]]:
+def _movements(condition: Experiment, standing: Setup, readings: int, interval_s: float) -> Iterator[tuple[Setup, int]]:
     """The set-up itself, or one for each movement, with the number of readings that it gives."""
     if condition.moving is None:
         yield standing, readings
@@ -213,7 +213,7 @@ def _movements(condition: Condition, standing: Setup, readings: int, interval_s:
 def _from(levels: Sequence[Level], before: Level | None) -> list[Level]:
     """The levels in an order that begins where the condition before has stopped, or as near as their ends are."""
     ordered = list(levels)
-    if before in ordered and isinstance(before, (Air, Target)):
+    if before in ordered and isinstance(before, (BenchAir, BenchTarget)):
         ordered.remove(before)
         return [before, *ordered]
     first, last = ordered[0], ordered[-1]
@@ -300,7 +300,7 @@ def _sensors_words(setup: Setup) -> str:
     return f"Connect and mount {' and '.join(setup.sensors)} side by side{apart}, facing the same target."
 
 
-def _air_words(before: Air | None, air: Air) -> Iterator[str]:
+def _air_words(before: BenchAir | None, air: BenchAir) -> Iterator[str]:
     if before is not None and before.how:
         yield "Undo what was done to the air: fans off, boxes away."
     ends_c = (air.air_temperature_c, air.target_temperature_c)
@@ -315,7 +315,7 @@ def _air_words(before: Air | None, air: Air) -> Iterator[str]:
         yield air.how
 
 
-def _target_words(target: Target) -> str:
+def _target_words(target: BenchTarget) -> str:
     size = "" if target.size_cm is None else f", {target.size_cm[0]:g} by {target.size_cm[1]:g} cm"
     how = f" {target.how}" if target.how else ""
     return f"Take as target: {target.material}{size}.{how}"

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import orjson
 
-from msp_lab.campaigns.bench import Known
+from msp_lab.campaigns.bench import KnownRanging
 from msp_lab.campaigns.plan import Point
 from msp_range.clock import Clock
 from msp_range.reading import Status
@@ -141,7 +141,7 @@ class Store:
         self._run = attempt.runs[-1]
         self._write_event("begin", point, attempt)
 
-    def keep(self, known: Known) -> None:
+    def keep(self, known: KnownRanging) -> None:
         """Record a ranging of the attempt that has begun; raises RecordingError where the disk has failed."""
         assert self._now is not None
         ranging, _, columns = known

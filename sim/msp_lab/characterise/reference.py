@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceNumbers:
     """An earlier characterisation.
 
     Attributes

@@ -3,12 +3,12 @@
 Section, figure, table, equation and erratum numbers are those of the report and of the notes on it.
 """
 
-from msp_lab.characterise.reference import Reference
+from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 
-REPORT = Reference(
+REPORT = ReferenceNumbers(
     name="the report",
     sensor="MB1242",
     # Section 4.3.1, figure 4.4: apart from missed readings.

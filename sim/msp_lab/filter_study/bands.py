@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from msp_lab.filter_study.nine import Variant, apply
-from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, Array, Runs, report_readings, truth
+from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, Array, ScenarioRuns, report_readings, truth
 from msp_lab.filter_study.statistics import mirrored, statistics
 from msp_lab.filter_study.table import Row
 
@@ -133,12 +133,12 @@ def _values(setting: Setting, name: str, seeds: int) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _runs(name: str, seeds: int, noise_factor: float) -> Runs:
+def _runs(name: str, seeds: int, noise_factor: float) -> ScenarioRuns:
     """The same runs for every setting; the noise has the same random numbers for all of its variances."""
     rng = np.random.default_rng([SEARCH_SEED, NAMES.index(name)])
     return report_readings(_truth(name, seeds), rng, NOISE_CM2 * noise_factor)
 
 
 @lru_cache
-def _truth(name: str, seeds: int) -> Runs:
+def _truth(name: str, seeds: int) -> ScenarioRuns:
     return truth(name, seeds, np.random.default_rng([SEARCH_SEED, NAMES.index(name), 1]))

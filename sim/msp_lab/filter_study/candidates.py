@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msp_lab.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, Array, Runs
+from msp_lab.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, Array, ScenarioRuns
 from msp_range.filters.runs import Posterior, RangeLikelihood, RunHistories
 from msp_range.reading_model.sensor_model import MixtureParameters
 
@@ -35,7 +35,7 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
     return estimate_cm, variance_cm2
 
 
-def oracle(runs: Runs) -> Array:
+def oracle(runs: ScenarioRuns) -> Array:
     """Least squares from each segment's first reading to the newest, by one who knows where segments begin, and which
     are ramps [cm]. All readings are there.
 

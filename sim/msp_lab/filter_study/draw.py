@@ -9,7 +9,15 @@ from matplotlib.figure import Figure
 
 from msp_lab.filter_study.candidates import changepoint
 from msp_lab.filter_study.nine import AS_REPORTED, Family, apply
-from msp_lab.filter_study.scenarios import INTERVAL_S, NAMES, Array, Runs, gaussian_parameters, report_readings, truth
+from msp_lab.filter_study.scenarios import (
+    INTERVAL_S,
+    NAMES,
+    Array,
+    ScenarioRuns,
+    gaussian_parameters,
+    report_readings,
+    truth,
+)
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
@@ -37,7 +45,7 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
     return paths
 
 
-def _figure(runs: Runs, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
+def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
     time_s = np.arange(runs.true_cm.shape[1]) * INTERVAL_S
@@ -59,7 +67,7 @@ def _figure(runs: Runs, estimates: Mapping[str, Array], newest_cm: Array, title:
     return figure
 
 
-def _interesting_s(runs: Runs) -> float:
+def _interesting_s(runs: ScenarioRuns) -> float:
     """Half a second before the largest change after the first; the middle where there is none."""
     changes = np.abs(np.diff(runs.true_cm[0]))
     middle = changes.size // 2

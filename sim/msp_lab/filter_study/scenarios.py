@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Runs:
+class ScenarioRuns:
     """Runs of one scenario, shape (seeds, samples).
 
     Attributes
@@ -57,13 +57,13 @@ class Runs:
     reading_cm: Array
 
 
-def report_readings(runs: Runs, rng: np.random.Generator, variance_cm2: float = NOISE_CM2) -> Runs:
+def report_readings(runs: ScenarioRuns, rng: np.random.Generator, variance_cm2: float = NOISE_CM2) -> ScenarioRuns:
     """Runs with the report's noise: Gaussian, then rounded to whole centimetres."""
     noisy = runs.true_cm + rng.normal(0.0, np.sqrt(variance_cm2), runs.true_cm.shape)
     return replace(runs, reading_cm=np.rint(noisy))
 
 
-def wild_readings(runs: Runs, rng: np.random.Generator) -> Runs:
+def wild_readings(runs: ScenarioRuns, rng: np.random.Generator) -> ScenarioRuns:
     """Runs whose readings follow the mixture of `WILD_WEIGHTS`, behind the status gate: no echo is NaN."""
     model = ReadingModel(wild_parameters(), MINIMUM_CM, MAXIMUM_CM)
     reading_cm = model.sample({"true_range_cm": runs.true_cm.ravel()}, rng).reshape(runs.true_cm.shape)
@@ -91,7 +91,7 @@ def _parameters(weights: dict[str, float]) -> MixtureParameters:
     )
 
 
-def truth(name: str, seeds: int, rng: np.random.Generator) -> Runs:
+def truth(name: str, seeds: int, rng: np.random.Generator) -> ScenarioRuns:
     """A scenario's runs; the readings are the true ranges."""
     shape = (seeds, SAMPLES)
     segment, ramp = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
@@ -107,7 +107,7 @@ def truth(name: str, seeds: int, rng: np.random.Generator) -> Runs:
             _random(true_cm[row], segment[row], ramp[row], rng)
     else:
         raise ValueError(f"scenario {name!r}, expected one of {', '.join(NAMES)}")
-    return Runs(name, true_cm, segment, ramp, true_cm)
+    return ScenarioRuns(name, true_cm, segment, ramp, true_cm)
 
 
 def _random(true_cm: Array, segment: NDArray[np.int64], ramp: NDArray[np.bool_], rng: np.random.Generator) -> None:

@@ -17,7 +17,7 @@ from msp_lab.filter_study.scenarios import (
     INTERVAL_S,
     NAMES,
     Array,
-    Runs,
+    ScenarioRuns,
     gaussian_parameters,
     report_readings,
     truth,
@@ -92,7 +92,7 @@ def compare_wild(name: str, seeds: int, rng: np.random.Generator) -> Compared:
     return _compared(runs, estimates, variance_cm2)
 
 
-def _compared(runs: Runs, estimates: Mapping[str, Array], variance_cm2: Array) -> Compared:
+def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> Compared:
     counts = np.all([~np.isnan(each) for each in estimates.values()], axis=0)
     errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
     put_out = counts & ~np.isnan(variance_cm2)
@@ -134,7 +134,7 @@ def responses(rng: np.random.Generator, steps: int) -> Response:
         estimate_cm, _ = changepoint(quiet_cm, wild_parameters())
         moved.append(np.abs(estimate_cm[:, before] - estimate_cm[:, before - 1]).max())
         true_cm[:, before:] += sign * STEP_CM
-        stepping = Runs("step", true_cm, runs.segment, runs.ramp, true_cm)
+        stepping = ScenarioRuns("step", true_cm, runs.segment, runs.ramp, true_cm)
         estimate_cm, _ = changepoint(wild_readings(stepping, rng).reading_cm, wild_parameters())
         arrived.append((np.abs(estimate_cm - true_cm)[:, before:] < NEAR_CM).mean(axis=0))
     return Response(tuple(float(each) for each in np.mean(arrived, axis=0)), float(max(moved)))

@@ -19,7 +19,7 @@ class NotAcknowledged(Exception):
 
 
 @dataclass(frozen=True)
-class Timing:
+class DeviceTiming:
     """How long a sensor ranges, and for how long an address change keeps it busy.
 
     Attributes
@@ -153,7 +153,7 @@ class RangeFinder:
 
     minimum_cm: int
     no_echo_cm: int
-    default_timing: Timing
+    default_timing: DeviceTiming
     fault_kinds = frozenset(FAULT_KINDS)
 
     def __init__(
@@ -161,7 +161,7 @@ class RangeFinder:
         address: int,
         now: Callable[[], float],
         echo: Callable[[float], int],
-        timing: Timing | None = None,
+        timing: DeviceTiming | None = None,
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
     ) -> None:

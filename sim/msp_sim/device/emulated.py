@@ -11,10 +11,10 @@ from typing import Any, TypeAlias
 from numpy.random import Generator, SeedSequence, default_rng
 
 from msp_range.bus import Bus
-from msp_range.config import Airframe, Sensor
+from msp_range.config import Airframe, SensorSettings
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import Fault, Timing
+from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.table import EmulatedKind, emulated_kind
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
@@ -51,7 +51,7 @@ class EmulatedSensor:
 
     def __init__(
         self,
-        sensor: Sensor,
+        sensor: SensorSettings,
         model: SensorModel,
         world: World,
         pose: Callable[[float], Pose],
@@ -93,7 +93,7 @@ class EmulatedSensor:
         return reading_cm
 
 
-def ranging_timing(kind: EmulatedKind, model: SensorModel) -> Timing:
+def ranging_timing(kind: EmulatedKind, model: SensorModel) -> DeviceTiming:
     """How long a sensor of this kind and model is busy."""
     of_model = model.timing
     return replace(

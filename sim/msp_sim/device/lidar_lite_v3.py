@@ -8,7 +8,7 @@ seconds on the ``now`` clock that the device is given.
 import random
 from collections.abc import Callable, Sequence
 
-from msp_sim.device.device import FAULT_KINDS, Fault, RangeFinder, Timing
+from msp_sim.device.device import FAULT_KINDS, DeviceTiming, Fault, RangeFinder
 
 DEFAULT_ADDRESS = 0x62
 COMMAND, STATUS, DISTANCE, SERIAL = 0x00, 0x01, 0x0F, 0x16
@@ -20,11 +20,11 @@ BUSY, NO_PEAK, HEALTHY = 0x01, 0x08, 0x20
 NO_SIGNAL_CM = 1
 """What the distance registers hold where there was no signal: seen by users of the part, not in its manual."""
 MINIMUM_CM, NO_ECHO_CM = 5, 4000
-TIMING = Timing(ready_s=0.020, s_per_cm=0.0, no_echo_s=0.020)
+TIMING = DeviceTiming(ready_s=0.020, s_per_cm=0.0, no_echo_s=0.020)
 """The maker's default of 50 measurements a second, and light is there at once."""
 
 
-class LidarLiteV3(RangeFinder):
+class EmulatedLidarLiteV3(RangeFinder):
     """One sensor on the bus; parameters, attributes and errors are those of `RangeFinder`.
 
     ``serial`` is its serial number, which an address change needs; ``also_at`` its second address, if it has one.
@@ -54,7 +54,7 @@ class LidarLiteV3(RangeFinder):
         address: int,
         now: Callable[[], float],
         echo: Callable[[float], int],
-        timing: Timing | None = None,
+        timing: DeviceTiming | None = None,
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
         serial: int = 0x3080,

@@ -4,7 +4,7 @@ Commands, busy time and address change follow the datasheet; where it is silent 
 be a guess. Only the standard library is used.
 """
 
-from msp_sim.device.device import NotAcknowledged, RangeFinder, Timing
+from msp_sim.device.device import DeviceTiming, NotAcknowledged, RangeFinder
 
 DEFAULT_ADDRESS = 0x70
 """7-bit address from the factory; 0xE0 in the 8-bit form of the datasheet."""
@@ -15,12 +15,12 @@ ILLEGAL_ADDRESSES_8BIT = frozenset({0, 80, 164, 170})
 MINIMUM_CM, NO_ECHO_CM = 20, 765
 PART_INFO = b"\x01\x2c"
 """What is read before the first ranging. The real bytes are not documented: these look like 300 cm."""
-TIMING = Timing(ready_s=0.020, s_per_cm=58e-6, no_echo_s=0.067, address_change_s=0.125)
+TIMING = DeviceTiming(ready_s=0.020, s_per_cm=58e-6, no_echo_s=0.067, address_change_s=0.125)
 """58 us/cm is the way there and back at 22.5 deg C; the part's full cycle is about 67 ms, and the address change is
 from the datasheet. ``ready_s`` is an assumption."""
 
 
-class MB1242(RangeFinder):
+class EmulatedMB1242(RangeFinder):
     """One sensor on the bus; parameters, attributes and errors are those of `RangeFinder`.
 
     Examples

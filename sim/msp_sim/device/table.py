@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from typing import Protocol
 
-from msp_sim.device.device import Fault, Timing
-from msp_sim.device.lidar_lite_v3 import LidarLiteV3
-from msp_sim.device.mb1242 import MB1242
+from msp_sim.device.device import DeviceTiming, Fault
+from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
+from msp_sim.device.mb1242 import EmulatedMB1242
 
 GROUP = "msp_sim.devices"
 """Entry points of installed packages that are emulated range finders."""
@@ -36,7 +36,7 @@ class EmulatedKind(Protocol):
     """Makes one: address, time [s], reading [cm] by the time of a ping [s], timing, faults, chance of the faults."""
 
     @property
-    def default_timing(self) -> Timing:
+    def default_timing(self) -> DeviceTiming:
         """How long such a sensor is busy."""
         ...
 
@@ -49,15 +49,15 @@ class EmulatedKind(Protocol):
         address: int,
         now: Callable[[], float],
         echo: Callable[[float], int],
-        timing: Timing | None = ...,
+        timing: DeviceTiming | None = ...,
         faults: Sequence[Fault] = ...,
         chance: random.Random | None = ...,
     ) -> EmulatedRangeFinder: ...
 
 
 EMULATED: dict[str, EmulatedKind] = {
-    "mb1242": MB1242,
-    "lidar_lite_v3": LidarLiteV3,
+    "mb1242": EmulatedMB1242,
+    "lidar_lite_v3": EmulatedLidarLiteV3,
 }
 """By the driver's name in model files."""
 

@@ -16,7 +16,7 @@ from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.errors import Errors
 from msp_lab.characterise.page.text import plus
 from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
-from msp_lab.characterise.reference import Reference
+from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
@@ -67,7 +67,7 @@ class PictureData:
 
     data: MeasuredData
     model: SensorModel
-    reference: Reference | None = None
+    reference: ReferenceNumbers | None = None
 
     def number(self, name: str) -> _Array:
         """A column of numbers; NaN where it is absent, unknown, or holds words."""

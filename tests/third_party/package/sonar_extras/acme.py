@@ -3,7 +3,7 @@
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.sensors.base import Decoded, Driver, Found, RecordedPing, stranger
+from msp_range.sensors.base import Decoded, Driver, FoundDevice, RecordedPing, stranger
 
 RANGE_COMMAND = b"\x01"
 ADDRESS_COMMAND = 0x02
@@ -35,7 +35,7 @@ class Acme(Driver):
         return decode(int.from_bytes(self._bus.read(self.address, 2), "big"))
 
     @classmethod
-    def identify(cls, bus: Bus, clock: Clock, address: int) -> Found:
+    def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
         """Let it range once."""
         sensor = cls(bus, address)
         try:
@@ -44,7 +44,7 @@ class Acme(Driver):
             decoded = sensor.answer(2 * RANGING_S)
         except BusError as error:
             return stranger(address, f"no answer to the range command (errno {error.errno})")
-        return Found(address, not decoded.status.is_fault, f"answers {decoded.raw} mm")
+        return FoundDevice(address, not decoded.status.is_fault, f"answers {decoded.raw} mm")
 
     @classmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:

@@ -1,6 +1,6 @@
 """The emulated device of the driver `acme`, for simulated flights and benches."""
 
-from msp_sim.device.device import NotAcknowledged, RangeFinder, Timing
+from msp_sim.device.device import DeviceTiming, NotAcknowledged, RangeFinder
 
 RANGE_COMMAND = b"\x01"
 ADDRESS_COMMAND = 0x02
@@ -11,7 +11,7 @@ class EmulatedAcme(RangeFinder):
 
     minimum_cm = 3
     no_echo_cm = 600
-    default_timing = Timing(ready_s=0.02, s_per_cm=58e-6, no_echo_s=0.05)
+    default_timing = DeviceTiming(ready_s=0.02, s_per_cm=58e-6, no_echo_s=0.05)
     fault_kinds = frozenset(
         {"missed_read", "stuck", "no_echo", "noisy", "offset", "silent", "power_cycle", "locked_up"}
     )
