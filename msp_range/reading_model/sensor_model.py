@@ -134,6 +134,13 @@ class MixtureParameters(Section):
     missed_growth_per_m: float = Field(0.0, ge=-100.0, le=100.0)
     """Growth of the log odds of a missed echo against the other kinds with range; `weights` are those at 3 m [1/m]."""
 
+    correlation: float = Field(0.0, ge=0.0, le=0.98)
+    """Correlation of the errors of two hits that are `correlation_spacing_s` apart; over t it is this to the power of
+    t / `correlation_spacing_s`. The simulator and the gap workflow use it, the bridge does not."""
+
+    correlation_spacing_s: float = Field(0.1, gt=0.0, le=1000.0)
+    """The time to which `correlation` refers [s]."""
+
     @model_validator(mode="before")
     @classmethod
     def _refuse_old_keys(cls, content: Any) -> Any:

@@ -145,11 +145,11 @@ def test_a_model_of_a_fit_is_what_was_fitted(calibrated: bool) -> None:
         sensor = SensorModel.model_validate(sensor.model_dump() | {"calibration": knots, "reading_model": mixture})
     given = Model.of(sensor)
     contexts = flown(6)
-    base = np.array([1.5, 0.3, 0.8, -0.7, 1.2, 0.4, 0.1])
+    base = np.array([1.5, 0.3, 0.8, -0.7, 1.2, 0.4, 0.1, 0.0])
     effects = (EFFECTS["latency"], EFFECTS["curve"], EFFECTS["missed_by_target"])
     reading_cm = read(contexts, 6)
     wanted = Prepared.of(given, contexts, reading_cm).log_prob(base, effects)
-    model = extended(given, base, effects)
+    model = extended(given, base, effects, None)
     # What grows with range is taken at the range that is read, which the fit leaves where it was.
     near = 0.03 if calibrated else 1e-6
     np.testing.assert_allclose(model.log_prob(reading_cm, contexts), wanted, atol=near)

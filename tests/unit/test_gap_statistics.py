@@ -193,15 +193,17 @@ def test_a_shuffled_cause_has_no_name() -> None:
     assert "latency" not in [each.name for each in explained(contexts, reading_cm).effects]
 
 
-def test_dependent_readings_have_the_run_for_unit() -> None:
+def test_correlated_noise_is_a_number_of_the_base_and_no_effect() -> None:
     contexts = flown(8)
     rng = np.random.default_rng(8)
     drift = np.zeros(RUNS * ROWS)
     for i in range(1, drift.size):
         drift[i] = (0.9 * drift[i - 1] if i % ROWS else 0.0) + 0.6 * rng.standard_normal()
     found = explained(contexts, read(contexts, 8, bias_cm=drift))
-    assert found.unit == "run"
     assert not found.effects
+    (correlation,) = [each for each in found.calibration if each.name == "correlation"]
+    assert correlation.low > 0.2
+    assert found.models.held_out_fit.sensor.reading_model.correlation == pytest.approx(correlation.after)
 
 
 def test_offsets_between_runs_are_named() -> None:
@@ -290,7 +292,7 @@ def test_what_the_halves_disagree_about_is_no_calibration() -> None:
     assert "weights.missed" not in [each.name for each in in_one.calibration]
 
 
-def test_errors_of_dependent_readings_are_those_of_runs() -> None:
+def test_errors_of_correlated_readings_are_wider() -> None:
     contexts = flown(8)
     rng = np.random.default_rng(8)
     drift, rate = np.zeros(RUNS * ROWS), np.zeros(RUNS * ROWS)
@@ -299,7 +301,6 @@ def test_errors_of_dependent_readings_are_those_of_runs() -> None:
         rate[i] = (0.9 * rate[i - 1] if i % ROWS else 0.0) + 25.0 * rng.standard_normal()
     contexts["range_rate_cm_s"] = rate
     found = explained(contexts, read(contexts, 8, bias_cm=drift - 0.06 * rate))
-    assert found.unit == "run"
     latency = next(each for each in found.effects if each.name == "latency")
     value = latency.parameters["delay_ms"]
     assert value.low < 60.0 < value.high

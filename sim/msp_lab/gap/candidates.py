@@ -191,7 +191,7 @@ def score_of(
         moved = getattr(change, FIELDS[channel])
         if moved is not None:
             template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
-            score += here.by[:, i] * template
+            score += here.score(i, template)
     if change.component is not None:
         share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
         share = np.clip(share, 0.0, LARGEST_SHARE)

@@ -149,13 +149,19 @@ def calibrated(problem: Problem, state: State, training: JointFit, held_out: Hel
     found = []
     names = ("offset_cm", "sigma_cm", "weights.short", "weights.missed", "weights.random", "short_rate_per_m")
     given = (0.0, mixture.sigma_cm, shares.short, shares.missed, shares.random, mixture.short_rate_per_m)
-    for k, (name, before) in enumerate(zip(names, given, strict=True)):
+    numbers = [
+        *enumerate(zip(names, given, strict=True)),
+        (BASE.index("correlation"), ("correlation", mixture.correlation)),
+    ]
+    for k, (name, before) in numbers:
         error = float(np.sqrt(max(covariance[k, k], 0.0) / problem.scale))
         z = float(training.base[k] / error) if error > 0.0 else 0.0
         if abs(z) < rules.CALIBRATION_Z or np.sign(training.base[k]) != np.sign(base[k]):
             continue
         half = held_out.half_widths[k]
-        number = float if k == 0 else _times(before / total if name.startswith("weights") else before)
+        number = _times(before / total if name.startswith("weights") else before)
+        if name in ("offset_cm", "correlation"):
+            number = before.__add__
         value, low, high = (number(float(each)) for each in (base[k], base[k] - half, base[k] + half))
         if not low <= before <= high:
             found.append(_calibration(name, before, value, low, high, UNITS.get(name, "1")))

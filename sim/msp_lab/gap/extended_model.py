@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.prepared import LEAST_SHARE
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
+from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Model, Term
 
 _Array = NDArray[np.float64]
@@ -15,8 +16,11 @@ LEAST_READING_CM = 0.01
 """What the first knot of a calibration reads at least: the file format asks for more than 0."""
 
 
-def extended(model: Model, base: _Array, effects: Sequence[Term]) -> Model:
-    """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own."""
+def extended(model: Model, base: _Array, effects: Sequence[Term], spacing_s: float | None) -> Model:
+    """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own.
+
+    The correlation of neighbouring readings is that over `spacing_s`; None: there is none.
+    """
     sensor = model.sensor
     mixture = sensor.reading_model
     weights = mixture.weights
@@ -31,6 +35,8 @@ def extended(model: Model, base: _Array, effects: Sequence[Term]) -> Model:
         "sigma_growth_cm_per_m": min(mixture.sigma_growth_cm_per_m * factor, 100.0),
         "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(base[5])), 1000.0),
         "saturated_fraction": float(np.clip(mixture.saturated_fraction + base[6], 0.0, 1.0)),
+        "correlation": float(np.clip(mixture.correlation + base[7], 0.0, MAX_CORRELATION)),
+        "correlation_spacing_s": mixture.correlation_spacing_s if spacing_s is None else spacing_s,
     }
     sensor = SensorModel.model_validate(
         {

@@ -140,15 +140,17 @@ def replicates(
     rng
         Random generator.
     """
-    rows, stack = model.rows(readings.contexts), Stack.of(parts)
+    drawn_rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
+    rows = drawn_rows.marginal
     totals, variances, information = [], [], np.zeros(1)
+    depends = bool(drawn_rows.run_offsets) or drawn_rows.history is not None
     for _ in range(count):
-        _, scores = scores_of(rows, rows.sample(RandomStreams(rng)))
+        _, scores = scores_of(rows, drawn_rows.sample(RandomStreams(rng)))
         total, outer = apart(stack.sums(products(scores)))
         totals.append(total)
         information = information + outer / count
         # Replicates show what the model itself lets runs share.
-        shared = unit_variance(scores[stack.readings], readings.unit, stack, scores) if rows.run_offsets else None
+        shared = unit_variance(scores[stack.readings], readings.unit, stack, scores) if depends else None
         variances.append(shared)
 
     def fits(totals: Iterable[_Array], variances: Iterable[_Array | None]) -> list[CellFits]:
@@ -199,8 +201,9 @@ def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition],
     drawn
         Replicates of this model or one that is near it, at these contexts.
     """
-    rows, stack = model.rows(readings.contexts), Stack.of(parts)
-    log_p, scores = scores_of(rows, readings.reading_cm)
+    rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
+    _, scores = scores_of(rows, readings.reading_cm)
+    log_p = np.maximum(model.log_prob(readings.reading_cm, readings.contexts), np.log(MIN_PROBABILITY))
     step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
     kept = set(_kept(_by_variables(step, stack)))
     fits = free_fits(rows, readings, [each for each in parts if each.variables in kept])

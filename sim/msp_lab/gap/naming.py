@@ -133,7 +133,8 @@ def name_effects(
     report("validating on held-out runs", 0.85)
     some = np.flatnonzero(split.held_out)
     some = some[:: max(1, -(-some.size // rules.HELD_OUT_ROWS))]
-    held_out, held_out_unit = Prepared.of(model, _rows(columns, some), reading_cm[some]), numbered(split.runs[some])
+    held_out = Prepared.of(model, _rows(columns, some), reading_cm[some], problem.some.spacing_s)
+    held_out_unit = numbered(split.runs[some])
     selection, kept = _validated(problem, selection, held_out, held_out_unit)
     report("fitting the held-out runs", 0.92)
     return _named(problem, selection, kept, split, held_out, held_out_unit)
@@ -186,7 +187,11 @@ def _named(
             of_training = with_run_offsets(training, offsets[1], held_out)
             of_fit = with_run_offsets(fit, offsets[1], held_out)
     return NamedModel(
-        ExtendedModels(extended(model, *of_training), extended(model, *of_fit), path),
+        ExtendedModels(
+            extended(model, *of_training, problem.some.spacing_s),
+            extended(model, *of_fit, problem.some.spacing_s),
+            path,
+        ),
         tuple(effects),
         tuple(unknown),
         tuple(calibration),
@@ -212,12 +217,12 @@ def _score(prepared: Prepared, base: _Array) -> float:
 
 def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelStep, ...]:
     """The given model, the calibrated one, and one more for each term."""
-    fit, model = selection.base.fit, problem.model
-    steps = [ModelStep("", model), ModelStep("calibration", extended(model, fit.base, []))]
+    fit, model, spacing_s = selection.base.fit, problem.model, problem.some.spacing_s
+    steps = [ModelStep("", model), ModelStep("calibration", extended(model, fit.base, [], spacing_s))]
     for k, term in enumerate(state.terms):
         last = k == len(state.terms) - 1
         fit = state.fit if last else problem.refit([each.active for each in state.terms[: k + 1]], fit.base)
-        steps.append(ModelStep(term.label, extended(model, fit.base, fit.effects)))
+        steps.append(ModelStep(term.label, extended(model, fit.base, fit.effects, spacing_s)))
     return tuple(steps)
 
 

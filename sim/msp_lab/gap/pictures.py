@@ -373,7 +373,8 @@ def _pit(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> _
     found = np.empty(len(readings))
     for part, rows in model.chunks(readings.contexts):
         reading = readings.reading_cm[part]
-        found[part] = np.exp(rows.log_below(reading)) + rng.random(reading.size) * np.exp(rows.log_prob(reading))
+        given, _ = rows.given(reading)
+        found[part] = np.exp(given.log_below(reading)) + rng.random(reading.size) * np.exp(given.log_prob(reading))
     return np.clip(found, 0.0, 1.0)
 
 

@@ -18,7 +18,7 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.prepared import CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence
+from msp_lab.gap.runs import Dependence, dependence, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term
@@ -84,6 +84,10 @@ class Problem:
         thin = slice(None, None, -(-reading_cm.size // rules.TRAINING_ROWS))
         some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
         some = Prepared.of(model, some_contexts, reading_cm[thin])
+        if some.spacing_s is None:
+            neighbours = dependence(fit_base(some).here.by[:, 0], unit[thin], _time_s(some_contexts))
+            if neighbours.lag_z > rules.DEPENDENT_LAG_Z:
+                some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
         curves = curve_scan.curves_of(some_contexts)
         return cls(
             model,
@@ -113,13 +117,12 @@ class Problem:
 
     def information(self, fit: JointFit) -> _Array:
         """Information per reading at a fit, from simulated readings."""
-        drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng)
+        drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.some.spacing_s)
         return information_of(drawn, fit.base, fit.effects, self.candidates)
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
-        time_s = self.some_contexts.get("time_s")
-        return dependence(fit.here.by[:, 0], self.some_unit, None if time_s is None else np.asarray(time_s, float))
+        return dependence(fit.here.by[:, 0], self.some_unit, _time_s(self.some_contexts))
 
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
@@ -168,6 +171,10 @@ class State:
         return frozenset(each.key for each in self.terms)
 
 
+def _time_s(contexts: Mapping[str, Any]) -> _Array | None:
+    return np.asarray(contexts["time_s"], dtype=np.float64) if "time_s" in contexts else None
+
+
 def first_state(problem: Problem) -> State:
     """The base alone, refitted."""
     fit = fit_base(problem.some)
@@ -192,6 +199,7 @@ def screened(problem: Problem, state: State) -> Screen:
         problem.reading_cm,
         problem.unit,
         state.information,
+        problem.some.spacing_s,
     )
     return screen(sums, state.information, problem.candidates, accepted, state.by_run, problem.alpha, problem.rng)
 

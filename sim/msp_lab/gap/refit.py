@@ -16,6 +16,7 @@ from msp_lab.gap.candidates import change_of
 from msp_lab.gap.prepared import BASE, CHANNELS, ChannelSlopes, Prepared, channel_slopes
 from msp_sim.effects.base import Parameter, Scene
 from msp_sim.effects.curve import FIELDS, hats
+from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term, applies
 from msp_sim.model.slopes import log_prob
 
@@ -26,6 +27,10 @@ ENOUGH_NATS = 0.03
 """A fit that gains less in a step is done: a hundredth of what any decision asks."""
 LEAST_SATURATED = 1e-4
 """The saturated share stays so far from 0 and 1, where its score is infinite."""
+
+
+FIRST_CORRELATION = 0.2
+"""A fit of correlated readings starts here: at 0 the slope by readings farther apart than the spacing is 0."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +158,10 @@ def refit(
     low[6], high[6] = min(LEAST_SATURATED - saturated, 0.0), max(1.0 - LEAST_SATURATED - saturated, 0.0)
     if saturated == 0.0:
         low[6] = high[6] = 0.0
+    known = 0.0 if prepared.rows.history is None else prepared.rows.history.correlation
+    low[7], high[7] = (0.0, 0.0) if prepared.spacing_s is None else (-known, MAX_CORRELATION - known)
+    if prepared.spacing_s is not None and start is None:
+        base[7] = max(FIRST_CORRELATION - known, 0.0)
     of_curves = [rules.CURVE_PRECISION if effects[k].shape is not None else 0.0 for k, _ in numbers]
     precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_curves])
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
@@ -243,14 +252,14 @@ def _slope(
     if each.shape is not None:
         # Linear in its values: the weights of this knot.
         weights = knot_weights(prepared.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
-        return np.where(known, weights, 0.0) * here.by[:, CHANNELS.index(each.shape[0])]
+        return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
     one, other = change_of(prepared.scene, each), change_of(prepared.scene, there)
     slope = np.zeros(len(prepared))
     for i, channel in enumerate(CHANNELS):
         after = getattr(other, FIELDS[channel])
         if after is not None:
             template = np.where(known, after - getattr(one, FIELDS[channel]), 0.0) / step
-            slope += here.by[:, i] * np.nan_to_num(template)
+            slope += here.score(i, np.nan_to_num(template))
     return slope
 
 

@@ -23,8 +23,9 @@ DEPENDENT_P = 1e-3
 """Runs whose means differ with a smaller p-value make the run the unit of evidence. One table in 1,000 with independent
 readings may lose power by it. Higher: more such tables lose power; lower: offsets between runs make false names."""
 DEPENDENT_LAG_Z = 3.5
-"""Neighbouring residuals that correlate by more standard errors make the run the unit. As `DEPENDENT_P`, one-sided: p =
-2e-4. Lower: tables of independent readings lose power; higher: slow noise makes false names."""
+"""Neighbouring residuals that correlate by more standard errors make the correlation of the noise a number of the base;
+where they still do next to it, the run is the unit of evidence. As `DEPENDENT_P`, one-sided: p = 2e-4. Lower: tables of
+independent readings lose power; higher: slow noise makes false names."""
 INDEPENDENT_P = 0.02
 """Readings count as independent, next to a term that was tried, if the runs' means differ with a larger p-value. Twenty
 times `DEPENDENT_P`, since the term was chosen to make them so. Lower: slow noise passes for an effect."""
@@ -158,10 +159,10 @@ PRODUCT_ROWS = 20_000
 TRAINING_ROWS = 20_000
 """Refits use every k-th training reading beyond so many. At 20,000 a bias of 0.03 sigma is certain. More: slower, and
 smaller effects."""
-BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0])
-"""The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share. What
-is farther is another sensor. Wider: fits that end at nonsense."""
-BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2])
+BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0])
+"""The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the
+correlation. What is farther is another sensor. Wider: fits that end at nonsense."""
+BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0])
 """Standard deviations of the prior that holds the base near the model file. About how far a characterised base is off;
 a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration; wider: what the readings
 cannot tell drifts."""

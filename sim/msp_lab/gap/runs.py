@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from msp_lab.gap import rules
+from msp_sim.model.history import History
 
 _Array = NDArray[np.float64]
 
@@ -169,16 +170,13 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
 
 def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
     """The reading before each, of the same sensor in the same run; NaN for the first [cm]."""
-    n = reading_cm.size
-    words = [np.asarray(contexts[name]).astype(str) for name in ("run", "sensor") if name in contexts]
-    series = np.zeros(n, dtype=np.int64)
-    for column in words:
-        series = series * (n + 1) + np.unique(column, return_inverse=True)[1]
-        series = np.unique(series, return_inverse=True)[1].astype(np.int64)
-    time_s = np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n, dtype=float)
-    order = np.lexsort((np.arange(n), time_s, series))
-    before = np.full(n, np.nan)
-    if n > 1:
-        ordered = reading_cm[order]
-        before[order[1:]] = np.where(series[order][1:] == series[order][:-1], ordered[:-1], np.nan)
-    return before
+    before, _ = History.of(contexts, reading_cm.size, 0.0, 1.0).before(np.ones(reading_cm.size, dtype=bool))
+    return np.where(before >= 0, reading_cm[before], np.nan)
+
+
+def spacing_s(contexts: Mapping[str, Any]) -> float:
+    """Median time between neighbouring readings of a sensor in a run [s]."""
+    n = np.shape(contexts["true_range_cm"])[0]
+    _, age_s = History.of(contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    steps_s = age_s[np.isfinite(age_s) & (age_s > 0.0)]
+    return float(np.median(steps_s)) if steps_s.size else 1.0

@@ -6,7 +6,7 @@ where they are not. Readings are processed in chunks, so memory does not grow wi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,8 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, change_of, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, channel_slopes, chunks
 from msp_sim.effects.base import Scene
+from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term, applies
-from msp_sim.model.rows import ModelRows
 from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
@@ -28,6 +28,10 @@ SCORE_STEPS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
 """Steps along an efficient score at which its gain is computed, in its standard deviations."""
 ODDS_STEPS = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
 """Log odds, where an effect acts most, at which its gain is computed."""
+COPY_S = 1e7
+"""Copies of the same contexts are so far apart in time [s] that the noise of one says nothing about the next."""
+BLOCK_ROWS = 100
+"""Of correlated readings, replicates keep so many neighbours together."""
 ODDS = np.array([2, 3, 4])
 """Places of the three odds in `BASE`."""
 
@@ -39,9 +43,9 @@ class ScoreSums:
     Attributes
     ----------
     by_unit
-        (units, 7 + candidates).
+        (units, 8 + candidates).
     products
-        (7 + candidates, 7 + candidates): of the scores with each other, over single readings; of many from a part.
+        (8 + candidates, 8 + candidates): of the scores with each other, over single readings; of many from a part.
     profile
         (candidates,): for what mixes into the probability, and for odds, twice the largest gain with all else held
         [nat]; infinite for the others.
@@ -67,8 +71,9 @@ def score_sums(
     reading_cm: _Array,
     unit: NDArray[np.intp],
     information: _Array,
+    spacing_s: float | None = None,
 ) -> ScoreSums:
-    """Sums of scores by unit, in chunks."""
+    """Sums of scores by unit, in chunks; with a spacing, of correlated readings."""
     units = int(unit.max()) + 1
     total = np.zeros((units, len(BASE) + len(candidates)))
     products = np.zeros((total.shape[1], total.shape[1]))
@@ -84,10 +89,9 @@ def score_sums(
     gains = np.zeros((len(candidates), 2 * ODDS_STEPS.size))
     along = np.zeros((2 * SCORE_STEPS.size, own.size))
     for part, columns, reading in chunks(contexts, reading_cm):
-        prepared = Prepared.of(model, columns, reading)
-        rows = prepared.at(base, effects)
-        here = channel_slopes(rows, reading)
-        scores = _matrix(rows, prepared.scene, reading, here, candidates)
+        prepared = Prepared.of(model, columns, reading, spacing_s)
+        here = channel_slopes(prepared.at(base, effects), reading)
+        scores = _matrix(prepared.scene, reading, here, candidates)
         place = csr_matrix((np.ones(reading.size), (unit[part], np.arange(reading.size))), (units, reading.size))
         total += place @ scores
         some = scores[::stride]
@@ -164,19 +168,16 @@ def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, s
 def score_matrix(
     prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
-    """Scores of base and candidates, (n, 7 + candidates)."""
-    rows = prepared.at(base, effects)
-    here = channel_slopes(rows, prepared.reading_cm)
-    return _matrix(rows, prepared.scene, prepared.reading_cm, here, candidates)
+    """Scores of base and candidates, (n, 8 + candidates)."""
+    here = channel_slopes(prepared.at(base, effects), prepared.reading_cm)
+    return _matrix(prepared.scene, prepared.reading_cm, here, candidates)
 
 
-def _matrix(
-    rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]
-) -> _Array:
+def _matrix(scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
     matrix = np.empty((reading_cm.size, len(BASE) + len(candidates)))
     matrix[:, : len(BASE)] = here.by
     for j, candidate in enumerate(candidates):
-        matrix[:, len(BASE) + j] = score_of(candidate, rows, scene, reading_cm, here)
+        matrix[:, len(BASE) + j] = score_of(candidate, here.rows, scene, reading_cm, here)
     return matrix
 
 
@@ -187,20 +188,30 @@ def replicate(
     contexts: Mapping[str, Any],
     rng: np.random.Generator,
     rows: int = rules.REPLICATE_ROWS,
+    spacing_s: float | None = None,
 ) -> Prepared:
     """Readings simulated by the present fit at the measured contexts, the contexts repeated or thinned."""
     n = np.shape(contexts["true_range_cm"])[0]
     at = np.linspace(0, n - 1, rows).astype(np.intp) if n >= rows else np.tile(np.arange(n), -(-rows // n))
+    if spacing_s is not None and n >= rows:
+        # Neighbours stay neighbours: blocks of readings, spread over the whole.
+        blocks = np.linspace(0, n - BLOCK_ROWS, -(-rows // BLOCK_ROWS)).astype(np.intp)
+        at = (blocks[:, None] + np.arange(BLOCK_ROWS)).ravel()
     drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
-    prepared = Prepared.of(model, drawn, np.zeros(at.size))
+    prepared = Prepared.of(model, drawn, np.zeros(at.size), spacing_s)
+    if prepared.rows.history is not None and at.size > n and "time_s" in drawn:
+        # Each copy of the contexts is a series of its own.
+        later = {**drawn, "time_s": np.asarray(drawn["time_s"], float) + COPY_S * (np.arange(at.size) // n)}
+        history = History.of(later, at.size, prepared.rows.history.correlation, prepared.rows.history.spacing_s)
+        prepared = replace(prepared, rows=replace(prepared.rows, history=history))
     reading_cm = prepared.at(base, effects).sample(RandomStreams(rng))
-    return Prepared(model, prepared.scene, prepared.rows, reading_cm)
+    return replace(prepared, reading_cm=reading_cm)
 
 
 def information_of(
     prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
-    """Information per reading, (7 + candidates, 7 + candidates), from simulated readings."""
+    """Information per reading, (8 + candidates, 8 + candidates), from simulated readings."""
     scores = score_matrix(prepared, base, effects, candidates)
     information: _Array = scores.T @ scores / len(prepared)
     return information
@@ -259,7 +270,7 @@ def screen(
     measured
         Score sums of the readings.
     information
-        Per reading, (7 + candidates, 7 + candidates), from `information_of`.
+        Per reading, (8 + candidates, 8 + candidates), from `information_of`.
     candidates
         What is tested.
     accepted

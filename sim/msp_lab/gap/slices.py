@@ -55,7 +55,7 @@ def ranked(
     shown
         At most so many slices.
     """
-    rows, stack = model.rows(readings.contexts), Stack.of(parts)
+    rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
     _, scores = scores_of(rows, readings.reading_cm)
     step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
     z, shares = _contributions(scores, readings.unit, stack, step, rows.sigma_cm)
@@ -109,7 +109,7 @@ def remeasured(
     """The same slices with what they show of another model in `after`."""
     wanted = {each.variables for each in slices}
     asked = [part for part in parts if part.variables in wanted]
-    fits = _fits(model.rows(readings.contexts), readings, asked, known)
+    fits = _fits(model.rows(readings.contexts).marginal, readings, asked, known)
     numbers: dict[str, dict[str, float | None]] = {}
     for part in asked:
         numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}

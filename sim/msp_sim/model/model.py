@@ -22,6 +22,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
 from msp_sim.effects.curve import CURVE, MAX_VALUE, curve
 from msp_sim.effects.own import find_effect
+from msp_sim.model.history import HISTORY_COLUMNS, History
 from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
 from msp_sim.model.streams import RandomStreams
 
@@ -100,7 +101,8 @@ class Model:
     @property
     def columns(self) -> frozenset[str]:
         """Context columns that the model uses."""
-        return frozenset({TRUE_RANGE}).union(*(each.effect.columns for each in self.effects))
+        history = HISTORY_COLUMNS if self.sensor.reading_model.correlation > 0.0 else ()
+        return frozenset({TRUE_RANGE, *history}).union(*(each.effect.columns for each in self.effects))
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> _Array:
         """Draw one reading for each context.
@@ -183,7 +185,17 @@ class Model:
 def base_rows(model: Model, scene: Scene) -> ModelRows:
     """The base mixture for a scene, without effects."""
     base = vars(model.base.rows(scene.range_cm))
-    return ModelRows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)})
+    parameters = model.sensor.reading_model
+    history = None
+    if parameters.correlation > 0.0:
+        history = history_of(scene, parameters.correlation, parameters.correlation_spacing_s)
+    return ModelRows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)}, history=history)
+
+
+def history_of(scene: Scene, correlation: float, spacing_s: float) -> History:
+    """Which reading of a scene came before which."""
+    columns = {name: scene[name] for name in HISTORY_COLUMNS if name in scene}
+    return History.of(columns, int(np.size(scene.range_cm)), correlation, spacing_s)
 
 
 def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> ModelRows:

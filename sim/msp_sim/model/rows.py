@@ -14,6 +14,7 @@ from msp_range.reading_model.rows import MixtureRows, Part, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component, Hits
+from msp_sim.model.history import HIT_SIGMAS, History
 from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
@@ -44,6 +45,29 @@ class RunOffset(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Carry:
+    """What readings carry over from the last hit before them, each (n,); all zero where there is none.
+
+    Attributes
+    ----------
+    before
+        Place of the last hit.
+    factor
+        By how much a centre moves if that hit's centre moves back by one.
+    shift_cm
+        By how much the hit's error moves the centre [cm].
+    correlation_shift_cm, log_sigma_slope
+        Derivatives by the correlation, of the centre [cm] and of the logarithm of the spread.
+    """
+
+    before: NDArray[np.intp]
+    factor: _Array
+    shift_cm: _Array
+    correlation_shift_cm: _Array
+    log_sigma_slope: _Array
+
+
+@dataclass(frozen=True)
 class ModelRows(MixtureRows):
     """Distribution of n readings.
 
@@ -60,11 +84,16 @@ class ModelRows(MixtureRows):
         Standard deviation of the hits of all runs together, shape (n,).
     added, faults, run_offsets
         Contributions of the effects; faults in the order in which they are applied.
+    history
+        Which reading came before which, if the noise is correlated. Then a reading's probability is that after the
+        readings before it: with e_j the error of the last hit j and c their correlation, its hit is normal about
+        centre_i + c (sigma_i / sigma_j) e_j with the deviation sigma_i sqrt(1 - c^2).
     """
 
     added: tuple[AddedComponent, ...] = ()
     faults: tuple[AppliedFault, ...] = ()
     run_offsets: tuple[RunOffset, ...] = ()
+    history: History | None = None
 
     @property
     def between_cm2(self) -> Any:
@@ -79,10 +108,49 @@ class ModelRows(MixtureRows):
         within_cm2 = np.maximum(self.sigma_cm**2 - between_cm2, 0.0)
         return replace(self, sigma_cm=np.sqrt(within_cm2 * factor**2 + between_cm2))
 
+    @property
+    def marginal(self) -> Self:
+        """Each reading's distribution without what the readings before it say."""
+        return replace(self, history=None)
+
+    def given(self, reading_cm: _Array) -> tuple[Self, "Carry | None"]:
+        """The distribution of each reading after the readings before it, and what it carries over from them."""
+        history = self.history
+        if history is None:
+            return self, None
+        sigma_cm = np.broadcast_to(self.sigma_cm, self.centre_cm.shape)
+        error_cm = reading_cm - self.centre_cm
+        with np.errstate(invalid="ignore"):
+            is_hit = (np.abs(error_cm) < HIT_SIGMAS * sigma_cm) & (reading_cm < self.maximum_cm)
+        before, age_s = history.before(is_hit & (reading_cm > self.minimum_cm))
+        has = before >= 0
+        over = np.where(has, history.correlation_over(age_s), 0.0)
+        ratio = np.where(has, sigma_cm / sigma_cm[before], 0.0)
+        there_cm = np.where(has, ratio * np.where(has, error_cm[before], 0.0), 0.0)
+        slope = np.where(has, history.slope_over(np.where(has, age_s, 0.0)), 0.0)
+        carry = Carry(np.where(has, before, 0), over * ratio, over * there_cm, slope * there_cm, over * slope)
+        left = 1.0 - over**2
+        rows = replace(
+            self,
+            centre_cm=self.centre_cm + carry.shift_cm,
+            sigma_cm=sigma_cm * np.sqrt(left),
+            history=None,
+        )
+        return rows, replace(carry, log_sigma_slope=-carry.log_sigma_slope / left)
+
+    def log_prob(self, reading_cm: _Array) -> _Array:
+        """log of the probability of each reading, after those before it; -inf for what cannot be read."""
+        return super(ModelRows, self.given(reading_cm)[0]).log_prob(reading_cm)
+
+    def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
+        """What ``part`` is of each reading, after those before it, (m, n); 0 for what is no whole centimetre."""
+        return super(ModelRows, self.given(reading_cm)[0]).of_readings(reading_cm, part)
+
     def take(self, rows: Any) -> Self:
-        """A selection of the rows."""
+        """Some of the rows; their history is that of all and is left out."""
         return replace(
             super().take(rows),
+            history=None,
             added=tuple(AddedComponent(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
             faults=tuple(AppliedFault(take(share, rows), fault, stream) for share, fault, stream in self.faults),
             run_offsets=tuple(RunOffset(each, runs[rows], stream) for each, runs, stream in self.run_offsets),
@@ -94,6 +162,8 @@ class ModelRows(MixtureRows):
         centre_cm, sigma_cm = self._with_run_offsets(streams)
         hits = Hits(centre_cm, sigma_cm, self.minimum_cm, self.maximum_cm)
         normal, kind, place = streams["hit"].standard_normal(n), streams["kind"].random(n), streams["place"].random(n)
+        if self.history is not None:
+            normal = self.history.correlated(normal, streams)
         reading_cm = replace(self, centre_cm=centre_cm, sigma_cm=sigma_cm).draw(normal, kind, place)
         # Independent exponential waiting times with the parts' odds as rates: the first one selects the part.
         first = streams["race"].standard_exponential(n)

@@ -41,7 +41,7 @@ class Sampler:
         self._model = model
         self._columns = model.columns
         self._streams = RandomStreams(rng)
-        self._plain = not any(
+        self._plain = model.sensor.reading_model.correlation == 0.0 and not any(
             {"component", "code"} & set(each.effect.channels) or "run" in each.effect.requires for each in model.effects
         )
 

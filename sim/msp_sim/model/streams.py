@@ -24,6 +24,8 @@ class RandomStreams:
     def __init__(self, rng: np.random.Generator) -> None:
         self._entropy = [int(word) for word in rng.integers(2**32, size=4)]
         self._streams: dict[str, np.random.Generator] = {}
+        self.last_error: dict[str, tuple[float, float]] = {}
+        """Of correlated noise: time [s] and error [standard deviations] of each series' last hit."""
 
     def __getitem__(self, name: str) -> np.random.Generator:
         """The stream of this name; it continues from its present state."""
