@@ -306,7 +306,7 @@ def test_errors_of_correlated_readings_are_wider() -> None:
     assert value.low < 60.0 < value.high
     spread_cm = np.sqrt(SENSOR.reading_model.sigma_cm**2 + drift.var())
     independent_ms = 1000.0 * spread_cm / np.sqrt(0.96 * 1000) / rate.std()
-    assert value.high - value.low > 1.6 * 2.0 * 1.96 * independent_ms
+    assert value.high - value.low > 1.3 * 2.0 * 1.96 * independent_ms
 
 
 def test_a_refit_finds_the_base_and_stays_within_bounds() -> None:
