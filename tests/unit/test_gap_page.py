@@ -82,7 +82,7 @@ def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path
 
 def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: Path) -> None:
     told = page_of(FOUND, tmp_path)
-    assert "how much too long ranges read 0.8 % 0.7 to 0.9" in told
+    assert "relative error of the readings 0.8 % 0.7 to 0.9" in told
     assert "bend (0.3 nats better in total, correlation 0.97)" in told
     assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in told
     assert "To tell range_scale from bend: ranges in steps of 20 cm." in told
