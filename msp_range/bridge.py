@@ -289,7 +289,7 @@ class Bridge:
             self._output.on_usable(FUSED, now_s)
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
-        self._below.update(reading.sensor, fusion.object_m(reading.sensor))
+        self._below.update(reading.sensor, fusion.object_m(reading.sensor), fusion.is_ground_in_doubt(reading.sensor))
         if rejected == OUTLIER and outcome.fused is not None:
             self._schedule.again(reading.sensor)
         if rejected == OBJECT and self._below.is_object(reading.sensor):

@@ -65,6 +65,7 @@ class _Sensor:
         self.sight = Sight()
         self.below = Below()
         self.stuck = StuckWatch()
+        self.is_ground_in_doubt = False
 
 
 class Fusion:
@@ -124,6 +125,10 @@ class Fusion:
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
         return self._sensors[sensor].below.object_m
+
+    def is_ground_in_doubt(self, sensor: str) -> bool:
+        """Whether the ground that the others see may be what this sensor sees, with a byte lost on the bus."""
+        return self._sensors[sensor].is_ground_in_doubt
 
     def update(self, reading: Reading, now_s: float) -> Outcome:
         """Update with one reading.
@@ -344,6 +349,11 @@ class Fusion:
         time_s, windows = self._time_s, self._windows
         sensor.sight.off(time_s, off_m)
         sensor.below.off(time_s, off_m, self._support.is_seen(time_s))
+        if reading.raw and reading.range_m:
+            by_raw_m = reading.range_m / reading.raw
+            ground = round(view.expected_m / by_raw_m)
+            longer_m = [abs(word - reading.raw) * by_raw_m for word in sensor.mounted.garbled_from(ground)]
+            sensor.is_ground_in_doubt = min(longer_m, default=math.inf) < garbled.AGAIN_M
         known_object = sensor.below.is_object(off_m)
         self._support.on_other(reading.sensor, off_m, known_object)
         if sensor.sight.votes_ground(time_s - windows.held_s):

@@ -241,3 +241,15 @@ def test_one_outlier_that_hits_the_other_pairs_height_moves_nothing() -> None:
     sent_cm = bench.distances_cm(from_s=5.0)
     assert len(sent_cm) > 300
     assert all(abs(distance_cm - 300) < 15 for distance_cm in sent_cm)
+
+
+# Three against one that may be right.
+
+
+@pytest.mark.parametrize(
+    ("longer_cm", "text"), [(256, "Range d 2.6 m longer: garbled?"), (150, "Range d: hole below, 1.5 m deep")]
+)
+def test_a_sensor_that_sees_farther_by_a_lost_byte_puts_the_ground_in_doubt(longer_cm: int, text: str) -> None:
+    bench = Bench(airframe(), lambda name, time_s: 140 + (longer_cm if name == "d" and time_s > 2.0 else 0))
+    bench.fly(6.0)
+    assert text in bench.texts()

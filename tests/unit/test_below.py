@@ -25,3 +25,14 @@ def test_a_hole_is_no_object_and_an_autopilot_that_comes_gets_all_that_is_there(
         (Severity.WARNING, "Range a: object below, 0.5 m high"),
         (Severity.WARNING, "Range b: hole below, 1.2 m deep"),
     ]
+
+
+def test_a_hole_that_a_lost_byte_of_the_others_would_make_as_well_is_reported_as_doubt() -> None:
+    below = ObservationsBelow(lambda severity, text: None)
+    below.update("front_left", -2.54, is_ground_in_doubt=True)
+    below.update("b", 0.5, is_ground_in_doubt=True)
+    assert below.texts() == [
+        (Severity.WARNING, "Range front_left 2.5 m longer: garbled?"),
+        (Severity.WARNING, "Range b: object below, 0.5 m high"),
+    ]
+    assert not below.is_object("front_left")
