@@ -1,4 +1,4 @@
-"""Time as an argument: the bridge asks a Clock and never the operating system.
+"""Clocks: the bridge gets the time from a Clock, never from the operating system.
 
 ``SystemClock`` is the one place in msp_range that imports ``time``. The simulator passes a virtual clock instead,
 and an hour of flight takes seconds.
@@ -9,14 +9,14 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the bridge needs to know of time."""
+    """The interface of a clock."""
 
     def now(self) -> float:
         """Seconds on a clock that never goes backwards; its zero is arbitrary."""
         ...
 
     def sleep_until(self, time_s: float) -> None:
-        """Return when ``now() >= time_s``, at once where that has passed."""
+        """Return when ``now() >= time_s``, at once if that has passed."""
         ...
 
     def utc(self) -> float:
@@ -38,7 +38,7 @@ class SystemClock:
             time.sleep(delay_s)
 
     def utc(self) -> float:
-        """The operating system's idea of UTC; wrong on a computer without a clock until it has been set."""
+        """The operating system's UTC; wrong on a computer without a real-time clock until it has been set."""
         return time.time()
 
 
@@ -54,7 +54,7 @@ def date_of(utc_s: float) -> str:
 
 
 def stamp_of(utc_s: float) -> str:
-    """A time since 1970-01-01 UTC for a file's name, ISO 8601 without what some file systems refuse.
+    """A time since 1970-01-01 UTC for a file's name, ISO 8601 without characters that some file systems refuse.
 
     Examples
     --------
@@ -65,7 +65,7 @@ def stamp_of(utc_s: float) -> str:
 
 
 class VirtualClock:
-    """A clock that jumps: sleeping costs nothing, and the same calls give the same times on every run."""
+    """A virtual clock: sleeping takes no real time, and the same calls always give the same times."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s
@@ -80,5 +80,5 @@ class VirtualClock:
             self._now_s = time_s
 
     def utc(self) -> float:
-        """The virtual time itself: a virtual flight happens in 1970, the same second every time."""
+        """The virtual time itself, so virtual flights always take place in 1970."""
         return self._now_s

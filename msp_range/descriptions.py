@@ -1,7 +1,7 @@
-"""What the keys of configuration files mean: the strings below the attributes of their classes, read when asked for.
+"""Descriptions of the keys of configuration files, read from the strings below the attributes when needed.
 
-pydantic reads them too (``use_attribute_docstrings``), but for every class when it is made: 40 ms of each start of the
-bridge, which needs them only to explain a mistake.
+pydantic could read them too (``use_attribute_docstrings``), but for every class at import: 40 ms of each start of the
+bridge, which needs them only in error messages.
 """
 
 import ast
@@ -13,7 +13,7 @@ from functools import cache
 
 @cache
 def descriptions(section: type) -> dict[str, str]:
-    """Key -> description of a class and those that it extends; what has no string below it is left out."""
+    """Descriptions by key, of a class and its base classes; attributes without a string are left out."""
     found: dict[str, str] = {}
     for each in reversed(section.__mro__):
         if each.__module__.split(".")[0] not in ("builtins", "pydantic"):
@@ -24,7 +24,7 @@ def descriptions(section: type) -> dict[str, str]:
 def _of_class(section: type) -> dict[str, str]:
     try:
         source = inspect.getsource(section)
-    except OSError:  # typed in, or shipped without its source
+    except OSError:  # defined interactively, or installed without source
         return {}
     (definition,) = ast.parse(textwrap.dedent(source)).body
     assert isinstance(definition, ast.ClassDef)

@@ -1,4 +1,4 @@
-"""What is installed only on request: pip's extras, and the line that asks for one before the work begins."""
+"""Optional packages (pip's extras), and the error message of commands that need one."""
 
 from importlib.util import find_spec
 
@@ -9,15 +9,15 @@ EXTRAS = {
     "sim": ("matplotlib", "scipy"),
     "lab": ("jinja2", "matplotlib", "scipy"),
 }
-"""Extra -> the packages that it installs; a test holds it against pyproject.toml."""
+"""Packages of each extra; a test compares it with pyproject.toml."""
 
 
 DRAWING = "matplotlib"
-"""What draws: simulated flights do without where it is missing."""
+"""The package for drawing, without which simulated flights can still be flown."""
 
 
 def missing(extra: str, but: str = "") -> str | None:
-    """What of an extra is not installed, and how to install it; None where nothing is missing ``but`` one package.
+    """Missing packages of an extra with the command that installs them; None if all are there, ``but`` one.
 
     Examples
     --------
@@ -28,16 +28,16 @@ def missing(extra: str, but: str = "") -> str | None:
 
 
 def require(extra: str, command: str, but: str = "") -> None:
-    """Refuse a command before its work where an extra that it needs is not installed.
+    """Refuse a command before it starts if a required extra is not installed.
 
     Parameters
     ----------
     extra
         A key of `EXTRAS`.
     command
-        What needs it, such as ``msp-sim fly``.
+        The command, such as ``msp-sim fly``.
     but
-        A package of it that the command does without.
+        A package of the extra that the command does not require.
 
     Raises
     ------

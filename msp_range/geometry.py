@@ -32,7 +32,7 @@ def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix
 
 
 def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
-    """First column of `rotation_matrix`: the direction in which a sensor mounted so looks, body FRD."""
+    """First column of `rotation_matrix`: the direction in which the sensor looks, body FRD."""
     cp = math.cos(pitch_rad)
     return (math.cos(yaw_rad) * cp, math.sin(yaw_rad) * cp, -math.sin(pitch_rad))
 

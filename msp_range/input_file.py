@@ -1,8 +1,8 @@
-"""Files that a user names, opened so that nothing which stands under the name can do harm.
+"""Open files named by a user safely, whatever the name refers to.
 
-A path and a size limit enter, an open file or its text leaves. What is no regular file (a directory, a pipe on which an
-open would wait, a device without an end) and what is too large is refused with an OSError whose ``strerror`` says what
-was found and what was expected, so that callers report it as they report a missing file.
+A path and a size limit enter, an open file or its text leaves. Anything that is not a regular file (a directory, a pipe
+on which opening would wait, an endless device) or that is too large is refused with an OSError whose ``strerror`` says
+what was found and what was expected, so that callers can report it like a missing file.
 """
 
 import codecs
@@ -24,8 +24,8 @@ _KINDS = {
 }
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
-"""Characters that are no text: control characters but tab and line feed (a terminal obeys them, the escape character
-above all), halves of surrogate pairs (no encoding has them), and those that turn the direction of writing."""
+"""Characters that are not text: control characters except tab and line feed (terminals execute some of them), halves of
+surrogate pairs (no encoding has them), and those that change the direction of writing."""
 
 
 def open_input(path: Path | str, most_bytes: int) -> BufferedReader:
@@ -34,12 +34,12 @@ def open_input(path: Path | str, most_bytes: int) -> BufferedReader:
     Raises
     ------
     OSError
-        There is none, it is not a regular file, or it has more than ``most_bytes``.
+        There is no such file, it is not a regular file, or it is larger than ``most_bytes``.
     """
     try:
-        # Without O_NONBLOCK the open of a pipe waits until somebody writes to it.
+        # Without O_NONBLOCK opening a pipe waits for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except ValueError as error:  # a name with NUL, or one that the file system's encoding does not have
+    except ValueError as error:  # a name with NUL, or one that the file system's encoding cannot represent
         raise OSError(errno.EINVAL, f"no file can have this name: {error}") from None
     file = os.fdopen(descriptor, "rb") if _is_regular(descriptor) else None
     if file is None:
@@ -63,11 +63,11 @@ def read_text(path: Path | str, most_bytes: int) -> str:
     Raises
     ------
     OSError
-        As `open_input`, or it is not UTF-8.
+        As for `open_input`, or the file is not UTF-8.
     """
     with open_input(path, most_bytes) as file:
         content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:  # files of /proc say that they are empty
+    if len(content) > most_bytes:  # files in /proc have a size of 0
         raise OSError(errno.EFBIG, f"found more than {most_bytes / 1e6:g} MB, expected at most that")
     try:
         text = content.decode("utf-8-sig")
@@ -77,7 +77,7 @@ def read_text(path: Path | str, most_bytes: int) -> str:
 
 
 def not_utf8(content: bytes, error: UnicodeDecodeError) -> str:
-    """What to say of text that is not UTF-8; ``content`` is the text from its beginning on."""
+    """Error message for text that is not UTF-8; ``content`` is the text from its beginning."""
     if content.startswith(_UTF_16):
         return "found text in UTF-16, expected UTF-8"
     line = content.count(b"\n", 0, error.start) + 1
@@ -85,7 +85,7 @@ def not_utf8(content: bytes, error: UnicodeDecodeError) -> str:
 
 
 def printable(text: str) -> str:
-    """``text`` with every control character but tab and line feed as its escape sequence.
+    """``text`` with control characters except tab and line feed as escape sequences.
 
     Examples
     --------
@@ -108,12 +108,12 @@ def file_stem(name: str) -> str:
 
 @contextmanager
 def making(path: Path | str) -> Iterator[Path]:
-    """Where to write a new file: under another name in its folder, from which it is renamed once it is whole.
+    """Write a new file under a temporary name in its folder, and rename it when it is complete.
 
     Raises
     ------
     FileExistsError
-        There is a file at ``path``; none is overwritten.
+        ``path`` exists already; files are never overwritten.
     """
     path = Path(path)
     _refuse_existing(path)

@@ -1,4 +1,4 @@
-"""Log lines on standard error: an event with its values, for a person or for a machine.
+"""Log lines on standard error: an event with its values, as text or as JSON.
 
 ``text`` writes time, level, event and ``key=value``; ``json`` writes one object per line. systemd's journal keeps
 either.
@@ -14,16 +14,16 @@ from msp_range.clock import Clock, SystemClock
 
 
 class Log:
-    """Writes events; a stream that takes no more loses them, which is no reason to stop flying.
+    """Writes events; if the stream accepts no more they are lost, and the flight continues.
 
     Parameters
     ----------
     form
         ``text`` or ``json``.
     stream
-        Where the lines go; None: standard error.
+        Output stream; None: standard error.
     clock
-        Its UTC stands in every line.
+        Gives the UTC time of every line.
 
     Examples
     --------
@@ -38,20 +38,20 @@ class Log:
         self._clock = clock or SystemClock()
 
     def info(self, event: str, **values: object) -> None:
-        """Something that is as it should be."""
+        """Log normal operation."""
         self._write("info", event, values)
 
     def warning(self, event: str, **values: object) -> None:
-        """Something that does not work and may come back."""
+        """Log something that does not work and may recover."""
         self._write("warning", event, values)
 
     def error(self, event: str, **values: object) -> None:
-        """Something that is missed until it works again."""
+        """Log an error."""
         self._write("error", event, values)
 
     def _write(self, level: str, event: str, values: dict[str, object]) -> None:
         utc = datetime.fromtimestamp(self._clock.utc(), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        # A full disk, or nobody at the other end of the pipe.
+        # A full disk, or no reader at the other end of the pipe.
         with suppress(OSError):
             print(self._line(utc, level, event, values), file=self._stream, flush=True)
 

@@ -1,4 +1,4 @@
-"""Commands that have moved to another program: the old one names the new one."""
+"""Commands that have moved to another program: the old name prints the new one."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -6,18 +6,18 @@ from collections.abc import Callable, Mapping
 import typer
 
 EXIT_COMMAND_LINE = 2
-"""A wrong command line."""
+"""Exit code: invalid command line."""
 
 
 def add_moved(app: typer.Typer, moved: Mapping[str, str]) -> None:
-    """Let each command that has moved print what it is now, and end with exit code 2, whatever its arguments are.
+    """Make each moved command print its new name and end with exit code 2, with any arguments.
 
     Parameters
     ----------
     app
-        Where the commands were.
+        The application that had the commands.
     moved
-        Name of a command -> what it is now, such as ``msp-lab collect``.
+        New command by old name, such as ``msp-lab collect``.
     """
     anything = {"ignore_unknown_options": True, "allow_extra_args": True}
     for name, now in moved.items():

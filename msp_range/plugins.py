@@ -1,11 +1,11 @@
-"""Drivers, filters and effects of other packages, which name theirs as entry points of a group.
+"""Load drivers, filters and effects of other packages, which declare them as entry points of a group.
 
-An installed package's ``pyproject.toml`` says, for example::
+An installed package's ``pyproject.toml`` contains, for example::
 
     [project.entry-points."msp_range.filters"]
     my_filter = "my_package.my_filter:MyFilterParameters"
 
-Nothing is imported before a file names it, so that a package that cannot be used stops nobody else.
+Nothing is imported before a file names it, so an unusable package does not affect others.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def installed(group: str) -> "dict[str, EntryPoint]":
-    """Entry points of a group by name. The search takes 4 ms of a start, so it is only for what is not built in."""
+    """Entry points of a group by name. The search takes 4 ms, so it is done only for names that are not built in."""
     from importlib.metadata import entry_points
 
     return {entry.name: entry for entry in entry_points(group=group)}
@@ -31,21 +31,21 @@ def load_entry(entry: "EntryPoint", what: str, expected: type) -> Any:
     entry
         As `installed` returns it.
     what
-        What it is, for messages: "driver", "filter", "effect".
+        Kind of object, for messages: "driver", "filter", "effect".
     expected
-        A class: what is loaded is an object of it or a class derived from it.
+        A class; the loaded object has to be an instance of it or a class derived from it.
 
     Raises
     ------
     ConfigError
-        It cannot be imported, or is something else.
+        It cannot be imported, or has another type.
     """
     try:
         found = entry.load()
-    except Exception as error:  # Whatever somebody else's package does at its import is a mistake there.
+    except Exception as error:  # Any exception while importing another package is an error in that package.
         raise ConfigError(f"the {what} {entry.name!r} ({entry.value}) cannot be loaded: {error}") from error
     if isinstance(found, expected) or (isinstance(found, type) and issubclass(found, expected)):
         return found
     raise ConfigError(
-        f"the {what} {entry.name!r} ({entry.value}) is no {expected.__qualname__} and no class derived from it"
+        f"the {what} {entry.name!r} ({entry.value}) is not a {expected.__qualname__} or a class derived from it"
     )

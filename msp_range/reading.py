@@ -1,7 +1,7 @@
-"""The one value that travels from the sensor to the message.
+"""A reading: the value that is passed from the sensor to the message.
 
-A driver makes it, every stage returns a new one. A measurement that cannot be used is a reading with a status and
-no range; broken equipment at the start of a program raises instead. Zero metres never means 'unknown'.
+A driver creates it, and every stage returns a new one. An unusable measurement is a reading with a status and
+without a range; broken equipment at the start of a program raises instead. Zero metres never means 'unknown'.
 """
 
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from enum import Enum
 
 
 class Status(Enum):
-    """What a sensor's answer means.
+    """Status of a sensor's answer.
 
     Only ``OK`` and ``AT_MINIMUM`` carry a range. ``AT_MINIMUM`` is the sensor's shortest report: the surface is
-    there or nearer. ``NO_ECHO`` is a healthy sensor that heard nothing. The rest are faults; ``STUCK``
-    and ``GARBLED`` (bytes lost or mixed up on the bus) are found by comparison with the ground that is known and not in
-    the answer.
+    there or nearer. ``NO_ECHO``: the sensor works but received no echo. The others are faults; ``STUCK`` and
+    ``GARBLED`` (bytes lost or mixed up on the bus) are detected by comparison with the known ground, not from the
+    answer itself.
     """
 
     OK = "ok"
@@ -28,11 +28,11 @@ class Status(Enum):
     GARBLED = "garbled"
 
     has_range: bool
-    """True where a reading of this status carries a range."""
+    """True if a reading of this status has a range."""
     is_fault: bool
-    """True where the sensor or its wiring, and not the scene, is to blame."""
+    """True for faults of the sensor or its wiring."""
 
-    # Set once for each member: they are asked several times a reading.
+    # Set once for each member, because they are used several times per reading.
     def __init__(self, word: str) -> None:
         self.has_range = word in ("ok", "at_minimum")
         self.is_fault = word not in ("ok", "at_minimum", "no_echo")
@@ -40,25 +40,25 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One ranging of one sensor.
+    """One measurement of one sensor.
 
     Attributes
     ----------
     time_s
-        Time of the echo on the bridge's clock [s]: ping plus half the time of flight; time of the ping where there
-        was no echo.
+        Time of the echo on the bridge's clock [s]: ping plus half the time of flight; time of the ping if
+        there was no echo.
     sensor
         Name of the sensor in the airframe file.
     status
-        What the answer means.
+        Status of the answer.
     range_m
         Distance along the beam [m]; None unless ``status.has_range``.
     std_m
-        Standard deviation of ``range_m`` [m]; None where unknown.
+        Standard deviation of ``range_m`` [m]; None if unknown.
     raw
-        The sensor's 16-bit answer as it came; None where there was no answer.
+        The sensor's raw 16-bit answer; None without an answer.
     suspect
-        True where the answer is a legal range that is also a known fault code of this kind of sensor.
+        True if the answer is a valid range and also a known fault code of this kind of sensor.
     """
 
     time_s: float
@@ -72,5 +72,5 @@ class Reading:
     def __post_init__(self) -> None:
         if (self.range_m is not None) != self.status.has_range:
             raise ValueError(
-                f"status {self.status.value!r} with range {self.range_m!r}: ok and at_minimum have a range, others none"
+                f"status {self.status.value!r} with range {self.range_m!r}: expected a range for ok and at_minimum only"
             )

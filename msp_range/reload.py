@@ -1,7 +1,7 @@
-"""The airframe file that is flown, and how another one takes its place while the service runs (SIGHUP).
+"""Replace the airframe file while the service runs (SIGHUP).
 
-A valid file is taken at once, but never while the vehicle is armed; one that is not valid, or whose bus another process
-uses, changes nothing. Either is reported to the pilot and logged.
+A valid file is used at once, but never while the vehicle is armed; an invalid one, or one whose bus another process
+uses, changes nothing. Both are reported to the pilot and logged.
 """
 
 from collections.abc import Callable
@@ -14,30 +14,30 @@ from msp_range.log import Log
 
 
 class FlownAirframe:
-    """The airframe and its bus, which is locked against other processes from here on.
+    """The present airframe and its bus, which is locked against other processes from construction on.
 
     Parameters
     ----------
     airframe
-        What to fly at first.
+        The first airframe.
     load
         Reads the airframe file again.
     requests
-        One entry for each time that the file is to be read again; emptied here.
+        One entry for each request to read the file again; emptied here.
     log
-        Where the details go.
+        Log for the details.
 
     Attributes
     ----------
     airframe : Airframe
-        What is to be flown.
+        The present airframe.
     bus : KernelBus
-        Its bus.
+        The airframe's bus.
 
     Raises
     ------
     BusInUse
-        Another process works on the bus.
+        Another process uses the bus.
     """
 
     def __init__(self, airframe: Airframe, load: Callable[[], Airframe], requests: list[int], log: Log) -> None:
@@ -49,7 +49,7 @@ class FlownAirframe:
         self.bus.claim()
 
     def has_changed(self, bridge: Bridge) -> bool:
-        """Read the file again where that was asked for and can be done now; True: another airframe is to be flown."""
+        """Read the file again if that was requested and is allowed now; True if the airframe has changed."""
         if not self._requests:
             return False
         armed = bridge.link.autopilot_armed
@@ -65,7 +65,7 @@ class FlownAirframe:
                 bus.claim()
                 self.bus.close()
                 self.bus = bus
-        except Exception as error:  # whatever it is, the vehicle flies on with what it has
+        except Exception as error:  # after any error the vehicle continues with the present airframe
             self._log.error("airframe file not reloaded", error=str(error) or repr(error))
             bridge.notify(Severity.WARNING, "Range: airframe file not valid, old one flies")
             return False

@@ -1,7 +1,7 @@
-"""Where the command begins. Before anything is imported that takes its time, SIGINT is made to end it in silence.
+"""Entry point of the command. Before any slow import it arranges that SIGINT ends the program without a traceback.
 
-Python's own handler raises KeyboardInterrupt wherever the program is; in the middle of an import that is a traceback.
-This is done while this module is imported, and nothing but ``bin/msp-range`` imports it, which has blocked SIGINT.
+Python's own handler raises KeyboardInterrupt anywhere, and during an import that prints a traceback. This happens when
+this module is imported; only ``bin/msp-range`` imports it, with SIGINT blocked.
 """
 
 import signal

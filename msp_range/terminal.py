@@ -1,7 +1,7 @@
-"""The console that all commands print to: text from files is shown as it is, whatever it holds.
+"""The console of all commands: text from files is printed literally.
 
-rich takes ``[red]`` in a printed text for an instruction and ``:warning:`` for a picture, and a terminal obeys escape
-sequences. Names of vehicles, sensors, runs and files are none of these.
+rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminals execute escape sequences. Names of
+vehicles, sensors, runs and files must not be interpreted.
 """
 
 from typing import Any
@@ -12,21 +12,22 @@ from rich.text import Text
 from msp_range.input_file import printable
 
 WIDTH = 120
-"""Width of lines where there is no terminal [characters]: the widest table fits."""
+"""Line width without a terminal [characters]: the widest table fits."""
 
 
 class PlainConsole(Console):
-    """A rich console without markup, emoji codes and control characters in what is printed; styles are arguments."""
+    """A rich console that prints text literally, without markup, emoji codes and control characters; styles are
+    arguments."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Make a text of a string that is printed or stands in a table."""
+        """Convert a string that is printed or in a table to a literal text."""
         return super().render_str(printable(text), **options)
 
 
 def console() -> Console:
-    """Standard output, with room for a table also where there is no terminal."""
+    """A console on standard output, wide enough for tables even without a terminal."""
     found = PlainConsole()
     return found if found.is_terminal else PlainConsole(width=WIDTH)

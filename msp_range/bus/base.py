@@ -23,12 +23,12 @@ class BusError(OSError):
 
     @property
     def locked_up(self) -> bool:
-        """True where the bus itself, not one device, did not move within the kernel's timeout."""
+        """True if the bus itself, and not a single device, did not respond within the kernel's timeout."""
         return self.errno == errno_names.ETIMEDOUT
 
     @property
     def bus_at_fault(self) -> bool:
-        """True where the bus is locked up, gone, or not to be opened: no device could have answered."""
+        """True if the bus is locked up, missing, or cannot be opened, so that no device could answer."""
         return self.errno == errno_names.ETIMEDOUT or self.errno in _NO_BUS
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Bus(Protocol):
         ...
 
     def reopen(self) -> None:
-        """Close and open the bus again after a lock-up; raises BusError where that fails."""
+        """Close and open the bus again after a lock-up; raises BusError if that fails."""
         ...
 
     def close(self) -> None:

@@ -1,10 +1,10 @@
 """The kernel's I2C bus through smbus2.
 
-Every transfer is one ``I2C_RDWR`` call with one message: SMBus register reads would write a byte first and so start a
-new ranging, and calls of ``write_byte`` from two threads can go to the wrong address.
+Every transfer is one ``I2C_RDWR`` call with one message: SMBus register reads would write a byte first and so
+start a new measurement, and calls of ``write_byte`` from two threads can go to the wrong address.
 
-Two programs that poll the same sensors would start each other's rangings and read each other's answers. So the device
-file is locked (flock) while it is open, and the lock goes with the process, however it ends.
+Two programs that poll the same sensors would trigger each other's measurements and read each other's answers. Therefore
+the device file is locked (flock) while it is open. The lock is released when the process ends, for whatever reason.
 """
 
 import errno
@@ -24,7 +24,7 @@ def bus_of(text: str) -> int | str:
 
 
 class BusInUse(BusError):
-    """Another process works on the bus: one of these commands, for no other program takes the lock."""
+    """Another process uses the bus: one of these commands, because other programs do not use the lock."""
 
     def __init__(self, path: Path, holder: str) -> None:
         super().__init__(errno.EBUSY, f"open {path}", 0)
@@ -45,8 +45,8 @@ class KernelBus:
     Parameters
     ----------
     bus
-        Bus number, or the path of the device file. It is opened at the first transfer, so that a bus that is not
-        there yet is a fault that can heal and not the end of the program.
+        Bus number, or the path of the device file. It is opened at the first transfer, so that a missing bus is a
+        temporary fault and does not end the program.
     """
 
     def __init__(self, bus: int | str) -> None:
@@ -78,7 +78,7 @@ class KernelBus:
             raise BusError(error.errno or errno.EIO, verb, address) from None
 
     def reopen(self) -> None:
-        """Close and open the device file; raises BusInUse where another process has locked it."""
+        """Close and open the device file; raises BusInUse if another process has locked it."""
         self.close()
         try:
             smbus: Any = SMBus(str(self.path))
@@ -93,7 +93,7 @@ class KernelBus:
         self._smbus = smbus
 
     def claim(self) -> None:
-        """Open and lock the device file now, where there is one; raises BusInUse where another process has it."""
+        """Open and lock the device file now if it exists; raises BusInUse if another process uses it."""
         try:
             self.reopen()
         except BusInUse:
@@ -109,7 +109,7 @@ class KernelBus:
 
 
 def _holder(file: os.stat_result) -> str:
-    """Who has locked a file, by /proc/locks: its process and command, as far as this user may see them."""
+    """The process that has locked a file, from /proc/locks, with its command if this user may see it."""
     place = f"{os.major(file.st_dev):02x}:{os.minor(file.st_dev):02x}:{file.st_ino}"
     try:
         locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]

@@ -1,9 +1,9 @@
-"""The air's temperature for the speed of sound, and how well it is known.
+"""The air temperature for the speed of sound, with its uncertainty.
 
-Values of the airframe's sources enter, an `Air` leaves: the first source in the order of trust that has a new and good
-value; else the best value that a source had, with a deviation that grows with its age; else the airframe's fixed
-temperature with its own. A source that jumps is believed when another source or the raw ranges confirm it, or after it
-was steady for long. What the pilot should know of all this are `conditions`.
+Values of the airframe's sources enter, an `Air` leaves: that of the first source, in the order of trust, with a new and
+good value; otherwise the best old value, with a standard deviation that grows with its age; otherwise the airframe's
+fixed temperature. A source that jumps is used when another source or the raw ranges confirm it, or after a long steady
+time. `conditions` returns what is reported to the pilot.
 """
 
 import math
@@ -18,33 +18,34 @@ from msp_range.health import Condition
 from msp_range.reading import Reading, Status
 
 GRACE_S = 5.0
-"""Sources may be silent for this long before it is reported [s]."""
+"""Time for which all sources may be silent before it is reported [s]; shorter reports a rebooting autopilot."""
 JUMP_REPORTED_S = 2.0
-"""A jump that is over sooner is not reported [s]: one damaged value."""
+"""A jump that ends sooner is not reported [s]: a single damaged value."""
 AGREE_STDS = 2.0
-"""Two sources agree where they differ by no more than this many standard deviations of their difference."""
+"""Two sources agree if they differ by at most this many standard deviations of their difference. Larger confirms more
+jumps, also wrong ones."""
 WORTH_REPORTING_M = 0.10
-"""A missing thermometer is reported where ranges may be off by more than this [m]: 4 C at the maximum of an MB1242.
-Smaller: it is also reported where the pilot states the temperature before each flight."""
+"""A missing thermometer is reported if the error of ranges may exceed this [m]: 4 C at the maximum of an MB1242. With
+less it is also reported if somebody states the temperature before each flight."""
 BACK = "Range: air temp is back"
 
 _NO_SOURCE = {("HIGHRES_IMU", "temperature"): 15.0, "temperature_press_diff": 0.0}
-"""Values that autopilots send where they have no such sensor."""
+"""Values that autopilots send if they have no such sensor."""
 
 
 class AirTemperature:
-    """The best value that there is.
+    """Selects the best value of the air temperature.
 
     Parameters
     ----------
     parameters
-        Sources and fixed temperature.
+        Temperature sources and fixed temperature.
     start_s
-        Now [s].
+        Present time [s].
     reader
-        Reads the sources that are files.
+        Reads the file sources.
     maximum_m
-        Longest range of the vehicle's sensors of sound, for the reports to the pilot [m]; 0: none, and no reports.
+        Longest range of the vehicle's ultrasonic sensors, for the reports to the pilot [m]; 0: none, and no reports.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class AirTemperature:
         self._settled = BACK
 
     def on_message(self, now_s: float, message: Any) -> None:
-        """Take a message from the autopilot, whatever it is."""
+        """Update with any message from the autopilot."""
         kind = message.get_type()
         for source, track in self._tracks:
             if isinstance(source, MavlinkSource) and source.message == kind:
@@ -69,12 +70,12 @@ class AirTemperature:
                     track.update(now_s, reported_c)
 
     def record_range(self, reading: Reading) -> None:
-        """Take a reading of a downward sensor as it came, for comparison where a thermometer jumps."""
+        """Record a raw reading of a downward sensor, for comparison if a thermometer jumps."""
         if self._tracks and reading.status is Status.OK and reading.range_m is not None and not reading.suspect:
             self._history.record(reading.time_s, reading.sensor, reading.range_m)
 
     def now(self, now_s: float) -> Air:
-        """The air at ``now_s``; reads the files that are due."""
+        """The air temperature at ``now_s``; reads the files that are due."""
         self._settled = BACK
         for source, track in self._tracks:
             if isinstance(source, FileSource) and (sample := self._reader.newest(source, now_s)) is not None:
@@ -98,7 +99,7 @@ class AirTemperature:
         return track.air(good)
 
     def _settle(self, track: TemperatureTrack, now_s: float) -> None:
-        """Decide on a jump, where that is possible now."""
+        """Decide whether to use a jump, if that is possible now."""
         jump, good, new = track.jump, track.good(now_s), track.reported(now_s)
         if jump is None or good is None or new is None:
             return
@@ -124,7 +125,7 @@ class AirTemperature:
             track.confirm(track.doubt_c)
 
     def conditions(self, now_s: float) -> list[Condition]:
-        """What the pilot should know, after the last call of `now`."""
+        """Conditions to report to the pilot, as of the last call of `now`."""
         if not self._maximum_m:
             return []
         fixed_error_m = air_error_m(self._maximum_m, self._fixed)
@@ -134,7 +135,7 @@ class AirTemperature:
         is_without = bool(self._tracks) and self._air.source in (FIXED, HELD)
         jumps = [track.jump for _, track in self._tracks if track.jump is not None]
         wrong = next((jump for jump in jumps if jump.refused), None)
-        # While another source has a value, it decides on the jump.
+        # If another source has a value, that decides.
         is_open = is_without and jumps and wrong is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
         is_silent = is_without and not jumps and now_s - self._had_value_s > GRACE_S
         return [
@@ -159,12 +160,12 @@ class AirTemperature:
 
 
 def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
-    """What the sources of an airframe file are worth, for a person: a line each.
+    """Describe the accuracy of an airframe file's temperature sources, one line each.
 
     Parameters
     ----------
     maximum_m
-        Longest range of the vehicle's sensors of sound [m]; 0 where it has none.
+        Longest range of the vehicle's ultrasonic sensors [m]; 0 if there are none.
 
     Examples
     --------
@@ -174,7 +175,7 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     """
 
     if not maximum_m:
-        return ["air: no sensor depends on it"]
+        return ["air temperature: no sensor depends on it"]
 
     def off(air: Air) -> str:
         return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
@@ -184,7 +185,7 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     margin_c = TWO_SIDED_95_PERCENT * fixed.std_c
     held_c = f"{fixed.temperature_c - margin_c:.0f} to {fixed.temperature_c + margin_c:.0f} C"
     return [
-        "air: the first of these that has a value" if sources else "air: no thermometer",
+        "air temperature: the first of these with a value is used" if sources else "air: no thermometer",
         *sources,
         f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
     ]

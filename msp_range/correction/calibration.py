@@ -1,9 +1,9 @@
-"""A sensor's calibration: what it reads on average over true range, as straight pieces between knots, and backwards.
+"""A sensor's calibration: its mean reading as a piecewise linear function of true range, and the inverse.
 
 Knots of a sensor model file enter; readings for true ranges (`forward`, for the simulator and the likelihood) and
-ranges for readings (`inverse`, for the bridge) leave. Piecewise linear because that is what range finders of this kind
-have been corrected with in the literature that the report follows (Gontean and others). Knots hold in air of the
-sensor's calibration temperature: what it adds or scales happens in its clock and not in the air.
+ranges for readings (`inverse`, for the bridge) leave. Piecewise linear, because the literature that the report follows
+corrects such range finders in this way (Gontean and others). Knots are valid for air at the sensor's calibration
+temperature: offset and scale arise in the sensor's clock and not in the air.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SLOPES = (0.5, 2.0)
-"""A piece that is flatter or steeper than this is a mistake and no calibration [cm reading a cm of range]."""
+"""Limits of the slope [cm of reading per cm of range]; a flatter or steeper segment is an error and not a
+calibration."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Mean reading over true range, linear between knots; the first and last piece go on outside of them.
+    """Mean reading as a function of true range, linear between knots and extrapolated beyond them.
 
     Parameters
     ----------
     true_cm
-        True ranges of the knots [cm], strictly growing: none, which is a reading equal to the range, or at least two.
+        True ranges of the knots [cm], strictly increasing: none (the reading is the range) or at least two.
     reading_cm
         Mean reading at each [cm], strictly growing.
 
     Raises
     ------
     ValueError
-        One knot alone, different lengths, knots that do not grow, or a piece whose slope is outside of `SLOPES`.
+        A single knot, different lengths, knots that do not increase, or a slope outside `SLOPES`.
 
     Examples
     --------
@@ -64,7 +65,7 @@ class Calibration:
 
     @property
     def is_identity(self) -> bool:
-        """True where there are no knots: the reading is the range."""
+        """True if there are no knots: the reading is the range."""
         return not self.true_cm
 
     @overload
@@ -72,7 +73,7 @@ class Calibration:
     @overload
     def forward(self, true_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def forward(self, true_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
-        """Mean reading [cm], before rounding and limits, at a true range [cm]; NaN and infinity stay."""
+        """Mean reading [cm], before rounding and limits, at a true range [cm]; NaN and infinity are kept."""
         return true_cm if self.is_identity else self._forward(true_cm)
 
     @overload
@@ -80,7 +81,7 @@ class Calibration:
     @overload
     def inverse(self, reading_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def inverse(self, reading_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
-        """Range [cm] whose mean reading this is; `forward` backwards."""
+        """Range [cm] with this mean reading: the inverse of `forward`."""
         return reading_cm if self.is_identity else self._inverse(reading_cm)
 
     @cached_property
@@ -97,7 +98,7 @@ IDENTITY = Calibration()
 
 
 class _Pieces:
-    """Straight pieces through points, the outer ones extended."""
+    """Piecewise linear function through points, extrapolated beyond them."""
 
     def __init__(self, x: tuple[float, ...], y: tuple[float, ...]) -> None:
         self._inner = x[1:-1]
@@ -110,7 +111,7 @@ class _Pieces:
     def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def __call__(self, x: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
         if not isinstance(x, int | float):
-            import numpy as np  # A vehicle asks for one range at a time, and starts sooner without this package.
+            import numpy as np  # A vehicle needs single ranges only, and starts faster without this package.
 
             starts, values, slopes = (np.array(each) for each in (self._x, self._y, self._slope))
             piece = np.searchsorted(self._inner, x, side="right")

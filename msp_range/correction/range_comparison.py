@@ -1,8 +1,8 @@
-"""Raw ranges before and after a thermometer jumps: did the air change, or the thermometer alone?
+"""Compare raw ranges before and after a jump of a thermometer: did the air change, or only the thermometer?
 
 A range finder times its echo: when the air goes from T1 to T2 all raw ranges change together by sqrt(T1 / T2), in
-kelvin, with the air and not after it. Raw downward ranges enter; True where they changed by that, False where they did
-not change, and None where that is open leaves. They decide nothing while the vehicle climbs.
+kelvin, with the air and not after it. Raw downward ranges enter; the result is True if they changed accordingly, False
+if they did not change, and None if that is undecided, as while the vehicle climbs.
 """
 
 import math
@@ -13,28 +13,30 @@ from statistics import median
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 
 HISTORY_S = 20.0
-"""Ranges are kept for this long [s]. A source that is read less often than every 15 s has no ranges from before its
-jump, and its jumps are left open."""
+"""Time for which ranges are kept [s]. For a source that is read less often than every 15 s there are no ranges from
+before a jump, and its jumps stay undecided."""
 GUARD_S = 2.0
-"""Ranges of this time before the last good value are left out [s]: the air changes before a thermometer shows it."""
+"""Ranges within this time before the last good value are left out [s], because the air changes before a thermometer
+does."""
 FEWEST_BEFORE, MOST_BEFORE = 24, 64
-"""Readings that make the level before a jump: at least a second of four sensors in turn, at most 6 s. With fewer their
-noise (2 cm each) would show as a climb."""
+"""Number of readings for the level before a jump: at least a second of four sensors in turn, at most 6 s. With fewer,
+noise (2 cm each) would look like a climb."""
 READINGS = 16
-"""Readings of one comparison with the level before: a median of so many has a standard error of 0.6 cm."""
+"""Number of readings in a comparison with the level before; their median has a standard error of 0.6 cm."""
 STAYS_S = 5.0
-"""The ranges must show the same for this long before they decide [s]."""
+"""Time for which the comparison must give the same result before it decides [s]."""
 READINGS_OF_A_DIP, DIP = 5, 0.5
-"""Where the median of so many readings in a row has moved by this share of the expected change, the ranges have not
-stayed: an autopilot that holds its height by these distances brings them back within two seconds. Fewer readings or a
-smaller share: noise leaves more jumps open. More: a jump of the air that an autopilot has corrected is refused."""
+"""If the median of this many successive readings has moved by this share of the expected change, the ranges have not
+stayed constant: an autopilot that holds its height by these distances brings them back within two seconds. With fewer
+readings or a smaller share noise leaves more jumps undecided; with more, a change of the air that an autopilot has
+corrected is refused."""
 OVERLAP_S = 1.0
-"""Readings are looked at again for this long [s], since a median takes several of them."""
+"""Time for which readings are compared again [s], because a median needs several of them."""
 SMALLEST_M = 0.05
-"""Changes of the air that move the ranges by less than this are left open [m]: 7 deg C at 4 m, 28 at 1 m. Medians of
-whole centimetres are good to one. Smaller: noise decides."""
+"""Changes of the air that change the ranges by less than this stay undecided [m]: 7 deg C at 4 m, 28 at 1 m. Medians of
+whole centimetres are accurate to 1 cm. With less, noise decides."""
 TOLERANCE = 1 / 3
-"""Share of the expected change by which the ranges may differ from it, or from none."""
+"""Tolerance as a share of the expected change, for 'changed accordingly' and for 'not changed'."""
 
 Readings = list[tuple[str, float]]
 """Sensor and logarithm of the raw range."""
@@ -60,12 +62,12 @@ class RangeHistory:
 
 
 class RangeComparison:
-    """The ranges since a jump against those before it.
+    """Comparison of the ranges since a jump with those before it.
 
     Parameters
     ----------
     history
-        Goes on being kept up to date by its owner.
+        Kept up to date by its owner.
     good_s, jump_s
         Times of the last good value and of the first one at the new level [s].
     """
@@ -110,7 +112,7 @@ class RangeComparison:
         Returns
         -------
         bool or None
-            True: all along since the jump, by that; False: not at all; None: it is open.
+            True: changed accordingly all the time since the jump; False: not changed; None: undecided.
         """
         expected = 0.5 * math.log((from_c + ZERO_CELSIUS_K) / (to_c + ZERO_CELSIUS_K))
         tolerance = TOLERANCE * abs(expected)

@@ -1,8 +1,8 @@
-"""Reading the files of thermometers without ever waiting for them in the loop that polls the sensors.
+"""Read the files of thermometers without making the polling loop wait.
 
-A file source enters, its newest value with its time leaves, or nothing. On a vehicle a thread reads the files
-(`ThreadReader`): a DS18B20 takes 0.75 s for each value. Under a virtual clock they are read in the loop
-(`LoopReader`), so that the same flight gives the same bytes each time.
+A file source enters, its newest value with its time leaves, if there is a new one. On a vehicle a thread reads the
+files (`ThreadReader`), because a DS18B20 takes 0.75 s per value. With a virtual clock they are read in the loop
+(`LoopReader`), so that a flight can be repeated exactly.
 """
 
 import glob
@@ -17,48 +17,48 @@ from msp_range.clock import Clock
 from msp_range.correction.temperature import FileSource
 
 LONGEST_NUMBER_BYTES = 64
-"""A file with more than this holds no single number [bytes]: hwmon and iio files have at most 12."""
+"""Largest size of a file [bytes]: hwmon and iio files have at most 12."""
 HANGS_S = 5.0
-"""A read that takes longer than this is reported [s]: seven times as long as a DS18B20 takes."""
+"""A read that takes longer is reported as hanging [s]: seven times the time of a DS18B20."""
 
 LONGEST_WAIT_S = 0.25
-"""The thread looks for sources that were added after this long at the latest [s]."""
+"""Longest time until the thread notices a new source [s]."""
 
 
 class Sample(NamedTuple):
-    """A value as a source reported it [deg C], and when the read of it began [s]."""
+    """A value of a source [deg C], and the time at which the read started [s]."""
 
     time_s: float
     reported_c: float
 
 
 class ThermometerReader(Protocol):
-    """Whoever reads the files."""
+    """The interface of a reader of files."""
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
-        """A value that was not returned before; None where there is none. Never waits on a vehicle."""
+        """A new value, or None. Never waits on a vehicle."""
         ...
 
     def hangs(self, now_s: float) -> bool:
-        """True where a read has begun long ago and does not end."""
+        """True if a read started long ago and has not ended."""
         ...
 
 
 def read_thermometer(source: FileSource) -> float:
-    """The number in a source's file, in the file's unit.
+    """Read the number in a source's file, in the file's unit.
 
     Raises
     ------
     OSError, ValueError
-        There is no such file, it is a pipe or a device, or it holds no number.
+        There is no such file, it is a pipe or a device, or it does not contain a number.
     """
     paths = sorted(glob.glob(source.path))
     path = paths[0] if paths else source.path
-    # A pipe that nobody writes to would hold an open without O_NONBLOCK for ever.
+    # Without O_NONBLOCK, opening a pipe without a writer would wait for ever.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise ValueError(f"{path}: is a pipe, a device or a folder; expected a file that holds a number")
+            raise ValueError(f"{path}: is a pipe, a device or a folder; expected a file that contains a number")
         content = os.read(descriptor, LONGEST_NUMBER_BYTES + 1)
     finally:
         os.close(descriptor)
@@ -79,7 +79,7 @@ class LoopReader:
     Parameters
     ----------
     read
-        The number in a source's file, in the file's unit; OSError or ValueError where there is none.
+        The number in a source's file, in the file's unit; raises OSError or ValueError.
     """
 
     def __init__(self, read: Callable[[FileSource], float] = read_thermometer) -> None:
@@ -87,7 +87,7 @@ class LoopReader:
         self._next_s: dict[FileSource, float] = {}
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
-        """Read the file where that is due."""
+        """Read the file if that is due."""
         if now_s < self._next_s.get(source, now_s):
             return None
         self._next_s[source] = now_s + source.period_s
@@ -97,15 +97,15 @@ class LoopReader:
             return None
 
     def hangs(self, now_s: float) -> bool:
-        """Never: the loop itself would hang."""
+        """Always False: the loop itself would hang."""
         return False
 
 
 class ThreadReader:
-    """Reads all files in one thread of its own; the loop takes the newest values.
+    """Reads all files in a separate thread; the loop gets the newest values.
 
-    The thread starts with the first source that is asked for. It is a daemon: a read that never ends does not keep the
-    program from ending.
+    The thread starts with the first source. It is a daemon thread, so a hanging read does not keep the program from
+    ending.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class ThreadReader:
     read
         As for `LoopReader`.
     on_error
-        Called in the thread with what is wrong with a file when that changes, for the log.
+        Called in the thread with an error message when a file's state changes, for the log.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class ThreadReader:
         self._thread = threading.Thread(target=self._run, name="thermometers", daemon=True)
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
-        """The newest value since the last call; the first call for a source has it read from now on."""
+        """The newest value since the last call; the first call for a source starts reading it."""
         if source not in self._next_s:
             self._next_s[source] = now_s
             if len(self._next_s) == 1:
@@ -142,12 +142,12 @@ class ThreadReader:
         return self._newest.pop(source, None)
 
     def hangs(self, now_s: float) -> bool:
-        """True where the thread has waited for a file for longer than `HANGS_S`."""
+        """True if the thread has waited for a file for longer than `HANGS_S`."""
         since_s = self._reading_since_s
         return since_s is not None and now_s - since_s > HANGS_S
 
     def close(self) -> None:
-        """End the thread; one that hangs in a read ends with the program."""
+        """End the thread; if it hangs in a read, it ends with the program."""
         self._closing.set()
 
     def _run(self) -> None:

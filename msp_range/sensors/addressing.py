@@ -1,7 +1,7 @@
-"""What is on the bus, and changing a sensor's address without losing it.
+"""List the devices on the bus, and change a sensor's address without losing it.
 
-Two sensors at one address answer together and cannot be told apart again, so a change is refused wherever that could
-come of it, and verified afterwards. How a kind of sensor is recognised and moved is its driver's.
+Two sensors at one address answer together and cannot be separated again, so a change that could lead to that is
+refused, and every change is verified. The drivers contain how their kind of sensor is recognised and moved.
 """
 
 from msp_range.bus import Bus
@@ -10,19 +10,19 @@ from msp_range.sensors.base import OTHERS, AddressError, Driver, FoundDevice, ac
 from msp_range.sensors.table import drivers_at, longest_busy_s
 
 FIRST_ADDRESS, LAST_ADDRESS = 0x03, 0x77
-"""The 7-bit addresses that devices may have; the rest are reserved by the I2C specification."""
+"""First and last 7-bit address of a device; the others are reserved by the I2C specification."""
 
 
 def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None = None) -> list[FoundDevice]:
-    """Every device that acknowledges.
+    """List every device that acknowledges.
 
     Parameters
     ----------
     identify
-        Let every device that acknowledges range, to see whether it is a range finder. Other devices may take that for
-        a command of theirs; False only reads.
+        Trigger a measurement of every device that acknowledges, to find out whether it is a range finder. Other devices
+        may interpret that as a command of theirs; False only reads.
     driver
-        The kind of sensor to look for; None: at each address those that come with it, and then the default kind.
+        The kind of sensor to look for; None: at each address those with this default address, then the default kind.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None 
     """
     addresses = range(FIRST_ADDRESS, LAST_ADDRESS + 1)
     there = {address for address in addresses if acknowledges(bus, address)}
-    # A sensor that was ranging did not acknowledge.
+    # A sensor that is measuring does not acknowledge.
     clock.sleep_until(clock.now() + longest_busy_s())
     there |= {address for address in addresses if address not in there and acknowledges(bus, address)}
     return [
@@ -43,7 +43,7 @@ def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None 
 
 
 def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]]) -> FoundDevice:
-    """What the first of these kinds says that recognises the device; else what the first one says."""
+    """The result of the first of these kinds that recognises the device; otherwise the result of the first kind."""
     first: FoundDevice | None = None
     for driver in drivers:
         found = driver.identify(bus, clock, address)
@@ -67,7 +67,7 @@ def check_new_address(new: int, driver: type[Driver]) -> None:
     Raises
     ------
     AddressError
-        It is reserved, or one of those that this kind of sensor ignores.
+        The address is reserved, or this kind of sensor ignores it.
     """
     if not FIRST_ADDRESS <= new <= LAST_ADDRESS:
         raise AddressError(
@@ -84,7 +84,7 @@ def change_address(bus: Bus, clock: Clock, old: int, new: int, driver: type[Driv
     Raises
     ------
     AddressError
-        ``new`` is illegal or taken, nothing that behaves as this kind of sensor is at ``old``, or it did not move.
+        ``new`` is invalid or in use, there is no such sensor at ``old``, or it did not move.
     BusError
         The bus itself does not work.
     """
@@ -94,7 +94,7 @@ def change_address(bus: Bus, clock: Clock, old: int, new: int, driver: type[Driv
     if not _present(bus, clock, old):
         raise AddressError(f"nothing acknowledges at 0x{old:02x}; 'msp-range scan' shows what is on the bus")
     if _present(bus, clock, new):
-        raise AddressError(f"0x{new:02x} is taken already; two devices there could not be told apart again")
+        raise AddressError(f"0x{new:02x} is in use; two devices at one address could not be separated again")
     before = driver.identify(bus, clock, old)
     if not before.ranged:
         raise AddressError(f"the device at 0x{old:02x} is left alone: {before.answer}")

@@ -1,8 +1,7 @@
-"""What a kind of range finder is to the bridge: a `Driver`, in one file of its own and one line of `sensors.table`.
+"""The interface of a kind of range finder: a `Driver`, in a file of its own and with a line in `sensors.table`.
 
-A driver holds everything that is particular to its kind: how it is pinged and asked, what its answers mean and which of
-them a faulty bus makes of others, where it answers on the bus, how its address is changed, and how it behaves while a
-record of its answers is played.
+A driver contains everything specific to its kind: how to ping and read it, what its answers mean, how a faulty bus
+changes them, its default address, how its address is changed, and how it behaves in a replay.
 """
 
 from abc import ABC, abstractmethod
@@ -14,9 +13,9 @@ from msp_range.clock import Clock
 from msp_range.reading import Status
 
 POLL_INTERVAL_S = 0.003
-"""Between two tries to read a sensor that still ranges [s]. A distance goes out by half of it later on average and by
-all of it at most; 5 ms is the goal for 99 of 100. With less, bus and processor are busier with tries: with 2 ms they
-were a sixth of what a flight costs."""
+"""Time between two attempts to read a sensor that is still measuring [s]. On average it delays a distance by half of it
+(goal: 5 ms in 99 of 100). With less, bus and processor are busier: with 2 ms these attempts were a sixth of the cost of
+a flight."""
 OTHERS = {
     0x62: "also the address of an SCD4x",
     0x70: "also the address of an SHTC3, a PCA9685 (all call) or a TCA9548A",
@@ -25,26 +24,26 @@ OTHERS = {
     0x77: "also an address of a BME280",
 }
 """Devices that are often on the same bus, by the 7-bit address that they share with range finders, from their data
-sheets: a hint for the reader of a scan."""
+sheets: a hint in the output of a scan."""
 
 
 class AddressError(ValueError):
-    """An address change that was refused, or whose outcome is not the one wanted."""
+    """An address change that was refused or did not succeed."""
 
 
 class Decoded(NamedTuple):
-    """What an answer says.
+    """A decoded answer.
 
     Attributes
     ----------
     status
-        What the answer means.
+        Status of the reading.
     range_m
         Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``.
     raw
-        The answer as a number; None where there was none.
+        The answer as a number; None if there was none.
     suspect
-        The value is legal, but also known as a fault code.
+        The value is a valid range, but also a known fault code.
     """
 
     status: Status
@@ -54,7 +53,7 @@ class Decoded(NamedTuple):
 
 
 class RangeSensor(Protocol):
-    """One range finder on a bus: ping it, and ask for the answer until it gives one."""
+    """One range finder on a bus: ping it, then read until it answers."""
 
     @property
     def address(self) -> int:
@@ -62,11 +61,11 @@ class RangeSensor(Protocol):
         ...
 
     def ping(self) -> None:
-        """Start a ranging; raises BusError where the sensor does not acknowledge."""
+        """Start a measurement; raises BusError if the sensor does not acknowledge."""
         ...
 
     def answer(self, since_ping_s: float) -> Decoded:
-        """The ranging's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
+        """The measurement's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
         ...
 
 
@@ -79,9 +78,9 @@ class FoundDevice:
     address
         7-bit address.
     ranged
-        True where it behaved as its driver's kind of sensor does, and answered what can be a range.
+        True if it behaved like its driver's kind of sensor and its answer can be a range.
     answer
-        What it answered, in words.
+        Its answer in words.
     """
 
     address: int
@@ -90,16 +89,16 @@ class FoundDevice:
 
 
 class RecordedPing(NamedTuple):
-    """One ping and what came of it.
+    """A recorded ping and its answer.
 
     Attributes
     ----------
     ping_s
         Time of the ping [s].
     word
-        The sensor's 16-bit answer; None where there was none.
+        The sensor's 16-bit answer; None if there was none.
     ready_s
-        From the ping until the sensor answers again [s]. Zero and no answer: the ping was not acknowledged.
+        Time from the ping until the sensor answers again [s]. Zero without an answer: the ping was not acknowledged.
     """
 
     ping_s: float
@@ -108,23 +107,24 @@ class RecordedPing(NamedTuple):
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the sensor took the range command."""
+        """Whether the sensor acknowledged the range command."""
         return self.word is not None or self.ready_s > 0
 
 
 class Playback(Protocol):
-    """How one sensor takes part in transfers while a record of it is played; its driver knows.
+    """The behaviour of one sensor in a replay of its recorded answers; made by its driver.
 
     Attributes
     ----------
     first_raw
-        What it answers before its first ping.
+        Its answer before its first ping.
     """
 
     first_raw: int
 
     def starts(self, data: bytes, ranging: bool) -> bool | None:
-        """Whether ``data``, written while it is ``ranging`` or not, starts a ranging; None: not acknowledged."""
+        """Whether writing ``data`` starts a measurement, depending on whether one is running; None: not
+        acknowledged."""
         ...
 
     def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
@@ -133,25 +133,25 @@ class Playback(Protocol):
 
 
 class Driver(ABC):
-    """One kind of range finder; an object of it is one such sensor on a bus, a `RangeSensor`.
+    """A kind of range finder; an object of the class is one such sensor on a bus, a `RangeSensor`.
 
     Parameters
     ----------
     bus
-        Where it answers.
+        The bus.
     address
-        Its 7-bit address there.
+        Its 7-bit address.
 
     Attributes
     ----------
     part
         The part's name with its article, for messages.
     default_address
-        7-bit address that it has from the factory.
+        7-bit address when delivered.
     keeps_address
-        Whether a changed address outlasts its power.
+        Whether a changed address is kept without power.
     busy_s
-        For how long it may not acknowledge while it ranges [s]; 0 where it always does.
+        Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges.
     """
 
     part: ClassVar[str]
@@ -165,11 +165,11 @@ class Driver(ABC):
 
     @abstractmethod
     def ping(self) -> None:
-        """Start a ranging; raises BusError where the sensor does not acknowledge."""
+        """Start a measurement; raises BusError if the sensor does not acknowledge."""
 
     @abstractmethod
     def answer(self, since_ping_s: float) -> Decoded:
-        """The ranging's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
+        """The measurement's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:
@@ -179,31 +179,31 @@ class Driver(ABC):
     @classmethod
     @abstractmethod
     def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
-        """Let the device at ``address`` range once, and report whether it is such a sensor."""
+        """Trigger one measurement of the device at ``address``, and report whether it is such a sensor."""
 
     @classmethod
     @abstractmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
-        """Give the sensor at ``old`` the address ``new``; returns when it can be asked there. Checks nothing."""
+        """Give the sensor at ``old`` the address ``new``, and wait until it answers there. Without checks."""
 
     @classmethod
     def garbled_from(cls, raw: int) -> tuple[int, ...]:
-        """Answers [cm] of which a fault of the bus would make ``raw``; none where the driver knows of no such fault."""
+        """Answers [cm] that a bus fault would change into ``raw``; none if the driver knows no such fault."""
         return ()
 
     @classmethod
     @abstractmethod
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """The ping of an answer of which only ``raw`` and the time of its echo [s] were recorded."""
+        """The ping of an answer if only ``raw`` and the time of its echo [s] were recorded."""
 
     @classmethod
     @abstractmethod
     def playback(cls) -> Playback:
-        """How such a sensor takes part in transfers while a record of it is played."""
+        """The behaviour of such a sensor in a replay."""
 
 
 def acknowledges(bus: Bus, address: int) -> bool:
-    """Whether a device acknowledges a read of one byte; raises BusError where the bus itself does not work."""
+    """Whether a device acknowledges a read of one byte; raises BusError if the bus itself does not work."""
     try:
         bus.read(address, 1)
     except BusError as error:
@@ -214,5 +214,5 @@ def acknowledges(bus: Bus, address: int) -> bool:
 
 
 def stranger(address: int, why: str) -> FoundDevice:
-    """A device that is another kind of sensor or none, and what else is often at its address."""
+    """A device that is not such a sensor, with other devices that often have this address."""
     return FoundDevice(address, False, f"{why}; {OTHERS.get(address, '')}".rstrip("; "))

@@ -1,10 +1,10 @@
-"""MaxBotix MB1242 (I2CXL-MaxSonar-EZ4) and its series, which shares the protocol: other models are a model file only.
+"""MaxBotix MB1242 (I2CXL-MaxSonar-EZ4) and its series, which shares the protocol: other models need only a model file.
 
-Source: the maker's data sheet of the I2CXL-MaxSonar-EZ series. The sensor ranges on the one-byte command 0x51, does
-not acknowledge while it ranges, and answers a plain two-byte read (no register) with whole centimetres, most
-significant byte first, 20 to 765. It has no status byte, so everything that can be known of a fault is in the value
-and in the time at which it came. It takes a new address from one write of 0xAA 0xA5 and the address in its 8-bit form,
-and keeps it without power.
+Source: the maker's data sheet of the I2CXL-MaxSonar-EZ series. The sensor measures on the one-byte command 0x51, does
+not acknowledge while it measures, and answers a plain two-byte read (no register) with whole centimetres, most
+significant byte first, 20 to 765. It has no status byte, so a fault can be recognised only by the value and by
+the time of the answer. A write of 0xAA 0xA5 and an address in 8-bit form changes its address, which it keeps
+without power.
 """
 
 from msp_range.bus import Bus, BusError
@@ -15,47 +15,48 @@ from msp_range.sensors.base import POLL_INTERVAL_S, Decoded, Driver, FoundDevice
 COMMAND_RANGE = b"\x51"
 ANSWER_BYTES = 2
 MINIMUM_CM = 20
-"""Objects nearer than this read this."""
+"""Shortest report [cm]: nearer objects give it too."""
 NO_ECHO_CM = 765
-"""Nothing heard within the cycle reads this."""
+"""Answer if no echo arrived within the cycle [cm]."""
 DOUBTFUL_CM = frozenset({253, 255})
 """765 whose high byte is lost (0xFD), whose two bytes are OR-ed (0x02 | 0xFD), or that is saturated to eight bits; also
 legal distances."""
 CLOCK_FAULT_BIT = 0x8000
-"""Set where the master sampled the first bit while the sensor still stretched the clock."""
+"""Bit that is set if the master sampled the first bit while the sensor still stretched the clock."""
 ECHO_S_PER_CM = 58e-6
-"""Time of flight of one centimetre of range, there and back."""
+"""Two-way time of flight per centimetre of range [s]."""
 EARLIEST_ANSWER_S = 0.010
-"""No ranging is over sooner than this plus its time of flight; half of what the maker's timing suggests."""
+"""No measurement ends before this time plus its time of flight [s]; half of what the data sheet's timing suggests.
+Larger would reject valid answers, smaller would accept information that is not a range."""
 
 UNLOCK = b"\xaa\xa5"
 ILLEGAL_8BIT = frozenset({0, 80, 164, 170})
 """Addresses in 8-bit form that the sensor ignores."""
 CHANGE_S = 0.125
-"""Time that the sensor needs to store a new address."""
+"""Time that the sensor needs to store a new address [s]."""
 RANGING_S = 0.080
-"""A ranging is over by then."""
+"""By this time after the ping a measurement has ended [s]."""
 RANGES_STILL_S = 0.008
-"""No ranging is over by then."""
+"""At this time after the ping no measurement has ended [s]."""
 
 PART_INFO = 0x012C
-"""What a sensor answers before its first ping; the real bytes are not documented, these look like 300 cm."""
+"""Answer before the first ping; the real bytes are not documented, these look like 300 cm."""
 READY_S = 0.020
-"""A ranging is over this long, and the time of flight, after its ping: an assumption that the simulator shares."""
+"""A measurement ends this long plus the time of flight after its ping [s]; assumed, also by the simulator."""
 NO_ECHO_READY_S = 0.067
-"""The full cycle, after which a sensor that heard nothing says so."""
+"""Duration of a full cycle, after which a sensor without an echo answers [s]."""
 
 
 def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
-    """What a two-byte answer means.
+    """Decode a two-byte answer.
 
     Parameters
     ----------
     answer
-        The two bytes as read.
+        The two bytes read.
     pinged
-        False where the sensor has not been told to range since it was powered: the bytes are then part information
-        that only looks like a distance.
+        False if the sensor has not been pinged since it was powered: the bytes are then information about the part that
+        only looks like a distance.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
 
 
 def encode(reading_cm: int) -> bytes:
-    """The two bytes of a reading in whole centimetres: `decode` backwards."""
+    """Encode a reading in whole centimetres as two bytes: the inverse of `decode`."""
     return reading_cm.to_bytes(ANSWER_BYTES, "big")
 
 
@@ -103,15 +104,15 @@ class MB1242(Driver):
         self._pinged = False
 
     def ping(self) -> None:
-        """Start a ranging."""
+        """Start a measurement."""
         self._bus.write(self.address, COMMAND_RANGE)
         self._pinged = True
 
     def answer(self, since_ping_s: float) -> Decoded:
         """Read the result of the last ping.
 
-        An answer that comes before its own echo could have is not an answer to this ping (the sensor lost its power
-        and shows part information, or repeats the ranging before): it is impossible.
+        An answer that arrives sooner than its own echo could is not the answer to this ping (the sensor lost its power
+        and sends part information, or repeats the previous answer), so its status is impossible.
         """
         decoded = decode(self._bus.read(self.address, ANSWER_BYTES), pinged=self._pinged)
         if decoded.raw is not None and not decoded.status.is_fault:
@@ -122,14 +123,15 @@ class MB1242(Driver):
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:
-        """Some addresses are commands or parts of them."""
+        """Some addresses equal commands or parts of them."""
         return address << 1 in ILLEGAL_8BIT
 
     @classmethod
     def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
-        """Such a sensor does not acknowledge for a while after the range command, and then answers what can be a range.
+        """Such a sensor does not acknowledge for some time after the range command, and then answers with a possible
+        range.
 
-        Other devices may take that command, one byte, for one of theirs.
+        Other devices may interpret that one-byte command differently.
         """
         try:
             bus.write(address, COMMAND_RANGE)
@@ -156,13 +158,13 @@ class MB1242(Driver):
 
     @classmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
-        """One write, and the time to store it."""
+        """Write the command, and wait until the address is stored."""
         bus.write(old, UNLOCK + bytes([new << 1]))
         clock.sleep_until(clock.now() + CHANGE_S)
 
     @classmethod
     def garbled_from(cls, raw: int) -> tuple[int, ...]:
-        """Answers of which a fault of the bus would make ``raw``: the high byte lost, or OR-ed into the low one.
+        """Answers that a bus fault would change into ``raw``: the high byte lost, or OR-ed into the low one.
 
         Examples
         --------
@@ -177,21 +179,21 @@ class MB1242(Driver):
 
     @classmethod
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """Half the time of flight before the echo, where there was one."""
+        """The ping was half the time of flight before the echo, if there was one."""
         is_range = raw is not None and MINIMUM_CM <= raw < NO_ECHO_CM
         ping_s = echo_s - (0.5 * ECHO_S_PER_CM * raw if raw is not None and is_range else 0.0)
-        # A clock fault sets one bit of an answer that came when it should.
+        # A clock fault sets one bit of an answer, but not its time.
         echo_cm = (raw or 0) % CLOCK_FAULT_BIT
         return RecordedPing(ping_s, raw, READY_S + ECHO_S_PER_CM * echo_cm if echo_cm < NO_ECHO_CM else NO_ECHO_READY_S)
 
     @classmethod
     def playback(cls) -> "_Playback":
-        """It acknowledges nothing while it ranges."""
+        """It acknowledges nothing while it measures."""
         return _Playback()
 
 
 class _Playback:
-    """Two bytes to a plain read."""
+    """It answers a plain read with two bytes."""
 
     first_raw = PART_INFO
 
@@ -203,7 +205,7 @@ class _Playback:
 
 
 def _first_answer(bus: Bus, clock: Clock, address: int, until_s: float) -> bytes | None:
-    """What is read as soon as somebody acknowledges: of two sensors the one that is nearer to something."""
+    """The answer of the first sensor that acknowledges: of two sensors the one with the shorter range."""
     while clock.now() < until_s:
         try:
             return bus.read(address, ANSWER_BYTES)

@@ -1,6 +1,6 @@
-"""Range finders are pinged in the order of a schedule and asked for their answers.
+"""Ping range finders in the order of a schedule, and read their answers.
 
-A sensor that ranges has no answer yet, so it is asked again every `POLL_INTERVAL_S` from the moment at which
+A sensor that is measuring has no answer yet, so it is read again every `POLL_INTERVAL_S` from the moment at which
 it could first be done, and never later than its deadline.
 """
 
@@ -16,22 +16,22 @@ from msp_range.sensors.base import POLL_INTERVAL_S
 from msp_range.sensors.schedule import PolledSensor, Schedule
 
 LATE_S = 0.1
-"""An answer that is asked for this long after the deadline is too old to be told [s]."""
+"""An answer that is read this long after the deadline is too old to be used [s]."""
 REOPEN_INTERVAL_S = 1.0
-"""Between two attempts to open a bus again that has locked up or gone."""
+"""Time between two attempts to reopen a bus that is locked up or missing [s]."""
 
 
 class Ranging(NamedTuple):
-    """One ping and what came of it.
+    """A ping and its result.
 
     Attributes
     ----------
     reading
         The result.
     ping_s, answered_s
-        Times of the ping and of the last try to read, on the bridge's clock [s].
+        Times of the ping and of the last attempt to read, on the bridge's clock [s].
     error
-        The last transfer's error where there was no answer.
+        The last transfer's error if there was no answer.
     """
 
     reading: Reading
@@ -41,7 +41,7 @@ class Ranging(NamedTuple):
 
 
 class _Pending:
-    """A sensor that has been pinged and not yet answered."""
+    """A sensor that was pinged and has not answered yet."""
 
     __slots__ = ("next_try_s", "ping_s", "sensor")
 
@@ -55,24 +55,24 @@ _next_try_s = attrgetter("next_try_s")
 
 
 class Poller:
-    """Pings sensors in the order of a schedule, and asks them for their answers.
+    """Pings sensors in the order of a schedule, and reads their answers.
 
-    Each step makes one transfer at most: on a bus that has locked up it takes a second until the kernel gives up, and
-    between two steps the bridge does what else is due.
+    Each step makes at most one transfer: on a locked-up bus it takes a second until the kernel gives up, and between
+    two steps the bridge does everything else that is due.
 
     Parameters
     ----------
     bus
-        Only to open it again after a lock-up; transfers go through the sensors.
+        Used only to reopen it after a lock-up; transfers go through the sensors.
     clock
         Time of pings and answers.
     schedule
-        Who pings next, and when.
+        Decides which sensor pings next, and when.
 
     Attributes
     ----------
     next_event_s
-        When `step` has something to do [s]: in the past where the next transfer is to follow at once.
+        Time at which `step` has something to do [s]; in the past if the next transfer should follow at once.
     """
 
     def __init__(self, bus: Bus, clock: Clock, schedule: Schedule) -> None:
@@ -90,7 +90,8 @@ class Poller:
         self.next_event_s = self._turn_s
 
     def step(self) -> list[Ranging]:
-        """Make the transfer that is due, if there is one: a ping, a read or a reopening; returns what it ended."""
+        """Make the transfer that is due, if any (a ping, a read or reopening the bus); returns the measurement that it
+        ended."""
         now_s = self._clock.now()
         if now_s < self.next_event_s:
             return []
@@ -129,7 +130,7 @@ class Poller:
         else:
             self._pending.append(_Pending(sensor, self._clock.now()))
             self._acknowledged = True
-        # After the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
+        # Taken after the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
         self._last_ping_s = self._clock.now()
         return ranging
 
@@ -137,14 +138,14 @@ class Poller:
         sensor = pending.sensor
         timing = sensor.timing
         if now_s > pending.ping_s + timing.deadline_s + LATE_S:
-            # The program or the bus stood still: what the sensor would answer is true of then and not of now.
+            # The program or the bus was blocked: the sensor's answer would be old.
             self._pending.remove(pending)
             late = BusError(errno.ETIME, "read", sensor.device.address)
             return self._no_answer(sensor, pending.ping_s, now_s, late)
         try:
             decoded = sensor.device.answer(now_s - pending.ping_s)
         except BusError as error:
-            # Sums and not differences of times: in virtual time a try at the deadline must be seen to be there.
+            # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
             deadline_s = pending.ping_s + timing.deadline_s
             if now_s < deadline_s and not error.bus_at_fault:
                 try_s = now_s + POLL_INTERVAL_S
@@ -160,7 +161,7 @@ class Poller:
         return Ranging(reading, pending.ping_s, self._clock.now())
 
     def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
-        """The ranging that has failed; None where the bus is to be opened again first, in a step of its own."""
+        """The failed measurement; None if the bus has to be reopened first, in a separate step."""
         ranging = Ranging(Reading(ping_s, sensor.name, Status.NO_ANSWER), ping_s, now_s, error)
         # An adapter that was unplugged and one whose device does not acknowledge can give the same ENODEV.
         doubtful = error.bus_at_fault or error.errno == errno.ENODEV

@@ -1,7 +1,7 @@
-"""The order in which range finders ping, and how far apart.
+"""The order in which range finders ping, and the time between pings.
 
-Groups of sensors ping in turn; the members of a group ping together, which is right only where they cannot hear each
-other. The turns of sensors that do not answer go to those that do.
+Groups of sensors ping in turn; the members of a group ping together, which is allowed only if they cannot receive each
+other's echoes. The turns of sensors that do not answer are given to those that do.
 """
 
 import math
@@ -14,30 +14,30 @@ from msp_range.reading import Reading
 from msp_range.sensors.base import RangeSensor
 
 DEAD_AFTER = 3
-"""A sensor gives its slot to the others after this many faults in a row: when the pilot reads of it too, see
-`msp_range.health`. With fewer, sensors that fail now and then lose their slots; with more, the others get a dead one's
-slot later, by a round each. Four sensors that each fail in 40 % of their readings give 517 fused distances a minute
-with 2, 542 with 3, 550 with 4; in 20 %, 592, 593 and 594."""
+"""Number of successive faults after which a sensor's turns are given to the others; the pilot is told at the same time
+(`msp_range.health`). With fewer, sensors that sometimes fail lose their turns; with more, the turns of a dead sensor
+are given away later, by one cycle each. Four sensors that each fail in 40 % of their readings give 517 fused distances
+per minute with 2, 542 with 3, 550 with 4; with 20 % faults 592, 593 and 594."""
 AGAIN, AGAIN_EVERY_S = 2, 2.0
-"""A sensor whose reading does not fit gets so many turns before its own next one, and no more within this time [s]: an
-object is found in half the time, and a noisy sensor takes one slot in ten from the others."""
+"""Number of extra turns for a sensor whose reading does not fit, and the time within which it gets no more [s]: objects
+are detected in half the time, and a noisy sensor takes one turn in ten from the others."""
 RETRY_S = 2.0
-"""A sensor without a slot is pinged again after this time [s]: one that is back waits for so long until it is used. One
-that acknowledges its ping and answers nonsense takes a slot from the others each time, one in twenty at 100 ms."""
+"""Time after which a dead sensor is tried again [s], and so the delay until a recovered one is used. A dead sensor that
+acknowledges its ping takes a turn from the others each time, one in twenty at 100 ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerTiming:
-    """When a sensor can be asked, all after its ping [s].
+    """Times at which a sensor can be read, relative to its ping [s].
 
     Attributes
     ----------
     first_answer_s
-        The soonest that an answer can be there.
+        Earliest possible answer.
     deadline_s
-        The last try to read.
+        Last attempt to read.
     echo_s_per_m
-        Time of flight that the sensor counts for one metre of range, there and back [s/m].
+        Two-way time of flight that the sensor assumes per metre of range [s/m].
     """
 
     first_answer_s: float
@@ -47,7 +47,7 @@ class AnswerTiming:
 
 @dataclass(frozen=True, slots=True)
 class PolledSensor:
-    """A sensor with its name in the airframe, its timing, and how its readings scatter.
+    """A sensor with its name in the airframe, its timing, and the spread of its readings.
 
     The standard deviation of a reading of range z is sqrt(std_m^2 + (std_growth z)^2) [m]; None: unknown.
     """
@@ -59,7 +59,7 @@ class PolledSensor:
     std_growth: float = 0.0
 
     def std_at(self, range_m: float | None) -> float | None:
-        """Standard deviation of a reading of this range [m]; None where there is no range."""
+        """Standard deviation of a reading of this range [m]; None without a range."""
         if range_m is None or self.std_m is None:
             return None
         return math.hypot(self.std_m, self.std_growth * range_m) if self.std_growth else self.std_m
@@ -67,14 +67,14 @@ class PolledSensor:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """How far apart pings are.
+    """The time between pings.
 
     Attributes
     ----------
     ping_interval_s
-        From one group's ping to the next one's [s]: the time in which the echoes of a ping die away.
+        Time from one group's ping to the next one's [s], in which the echoes die away.
     near_below_m, near_interval_s
-        While every sensor's last answer was a range below ``near_below_m``, pings follow at ``near_interval_s``;
+        While every sensor's last answer is a range below ``near_below_m``, pings follow after ``near_interval_s``;
         None: never.
     """
 
@@ -84,49 +84,49 @@ class Spacing:
 
 
 class Schedule(Protocol):
-    """Who pings next, and when."""
+    """Decides which sensors ping next, and when."""
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
-        """The next turn: when, at the earliest [s], and the sensors that ping together.
+        """The next turn: its earliest time [s], and the sensors that ping together.
 
-        Called once for each turn, when the turn before has ended. Time infinity: there is no next turn.
+        Called once for each turn, when the previous one has ended. An infinite time means that there is no next turn.
 
         Parameters
         ----------
         last_ping_s
-            Time of the last ping of the turn before [s].
+            Time of the last ping of the previous turn [s].
         acknowledged
-            Whether a sensor acknowledged a ping of the turn before: where none did, there was no sound.
+            Whether any sensor acknowledged a ping of the previous turn; if not, there was no sound.
         """
         ...
 
     def hear(self, reading: Reading) -> None:
-        """Take note of a reading."""
+        """Record a reading."""
         ...
 
     def again(self, sensor: str) -> None:
-        """A sensor's reading did not fit what is known: give it another turn soon, where there are turns to give."""
+        """Give a sensor whose reading did not fit an extra turn soon, if there are other sensors."""
         ...
 
 
 class RoundRobin:
-    """Groups in turn, for ever, as far apart as `Spacing` says; dead sensors give their slots to the living ones.
+    """Endless turns of all groups, with the times of `Spacing`; turns of dead sensors are given to the others.
 
-    A sensor is dead after ``dead_after`` faults in a row, until it gives an answer that is no fault. A round has a turn
-    for each group with a living sensor, and at most one for a dead group that is due for a retry; a dead sensor of a
-    living group is retried in the group's turn. A retry that is not acknowledged takes no time from the next turn.
-    Where all sensors are dead, all of them have their turns.
+    A sensor is dead after ``dead_after`` successive faults, until it gives an answer that is not a fault. A cycle has a
+    turn for each group with a working sensor, and at most one for a dead group that is due for a retry; a dead sensor
+    of a working group is retried in the group's turn. A retry that is not acknowledged takes no time from the next
+    turn. If all sensors are dead, all of them keep their turns.
 
     Parameters
     ----------
     groups
-        Sensors that ping together, in the order of their turns.
+        Groups of sensors that ping together, in the order of their turns.
     spacing
-        How far apart the turns are.
+        Time between turns.
     start_s
         Time of the first turn [s].
     dead_after
-        Faults in a row; infinity: every sensor keeps its slot, whatever it answers.
+        Number of successive faults; infinity: every sensor keeps its turns.
     """
 
     def __init__(
@@ -155,21 +155,21 @@ class RoundRobin:
 
     @property
     def turn_s(self) -> float:
-        """The longest time between two pings of a living sensor, as things are now [s].
+        """Present longest time between two pings of a working sensor [s].
 
-        One slot for each group with a living sensor and one for a retry; where all are dead, one for each group. A slot
-        counts as long as it is away from the ground, and never shorter than the deadline for an answer.
+        One turn for each group with a working sensor plus one for a retry; if all are dead, one for each group. A turn
+        counts with its duration away from the ground, and at least with the deadline for an answer.
         """
         living = len(self._living_groups())
         return self._slot_s * (min(living + 1, len(self._groups)) if living else len(self._groups))
 
     def interval_s(self, sensor: str) -> float:
-        """Time between two pings of this sensor, as things are now [s]: `turn_s`, longer where it is dead."""
+        """Present time between two pings of this sensor [s]: `turn_s`, longer if it is dead."""
         is_retried = self._is_dead(sensor) and self._living_groups()
         return max(RETRY_S, self.turn_s) if is_retried else self.turn_s
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
-        """The next group; sooner while all living sensors are near the ground, where the airframe allows it."""
+        """The next group; sooner while all working sensors are near the ground, if the airframe allows it."""
         if self._start_s is not None:
             at_s, self._start_s = self._start_s, None
         else:
@@ -184,7 +184,7 @@ class RoundRobin:
         return at_s, group
 
     def hear(self, reading: Reading) -> None:
-        """Note whether the sensor is alive, and whether it is near the ground."""
+        """Record whether the sensor works, and whether it is near the ground."""
         name = reading.sensor
         below_m = self._spacing.near_below_m or 0.0
         self._near[name] = reading.range_m is not None and reading.range_m < below_m
@@ -192,12 +192,12 @@ class RoundRobin:
             self._faults[name] += 1
             return
         if self._is_dead(name):
-            # What brought it back (a plug, the supply, the bus) may have brought others: their retries are due now.
+            # The cause of its recovery (a plug, the supply, the bus) may have affected others too: retry them now.
             self._pinged_s = dict.fromkeys(self._pinged_s, float("-inf"))
         self._faults[name] = 0
 
     def again(self, sensor: str) -> None:
-        """Give the sensor the turn after the next one, alone, where other sensors have turns."""
+        """Give the sensor the turn after the next one, alone, if other sensors have turns."""
         since_s, count = self._again.get(sensor, (float("-inf"), 0))
         now_s = self._pinged_s[sensor]
         if now_s - since_s > AGAIN_EVERY_S:
@@ -220,7 +220,7 @@ class RoundRobin:
         if not living:
             return self._groups
         due = [group for group in self._groups if self._is_dead_group(group) and self._is_due(group[0], at_s)]
-        # One retry in a round: where retries are acknowledged, more of them would keep the living waiting.
+        # One retry per cycle: if retries are acknowledged, more of them would delay the working sensors.
         retried = sorted(due, key=lambda group: self._pinged_s[group[0].name])[:1]
         return retried + [
             [each for each in group if not self._is_dead(each.name) or self._is_due(each, at_s)] for group in living
@@ -230,7 +230,7 @@ class RoundRobin:
         return at_s - self._pinged_s[sensor.name] >= RETRY_S
 
     def _spacing_s(self) -> float:
-        """From the turn before to the next one [s]."""
+        """Time from the previous turn to the next one [s]."""
         near_interval_s = self._spacing.near_interval_s
         living = [name for name in self._near if not self._is_dead(name)]
         if near_interval_s is not None and living and all(self._near[name] for name in living):

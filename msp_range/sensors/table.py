@@ -1,7 +1,7 @@
 """The kinds of range finders that a sensor model file may name as its ``driver``.
 
-A new one is a file next to this one and a line in `DRIVERS`. A package of somebody else's adds its own without a change
-here, as an entry point of the group `GROUP`: the name is what model files say, the value a class that is a `Driver`.
+A new one is a file next to this one and a line in `DRIVERS`. Other packages add theirs by an entry point of the group
+`GROUP`, whose name is used in model files and whose value is a class derived from `Driver`.
 """
 
 from collections.abc import Iterator
@@ -12,25 +12,25 @@ from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.mb1242 import MB1242
 
 GROUP = "msp_range.drivers"
-"""Entry points of installed packages that are drivers."""
+"""Group of the entry points of installed packages with drivers."""
 NONE = "none"
-"""In a model file: there is no driver, so its readings are characterised and it does not fly."""
+"""Name in a model file for a sensor without a driver, whose readings can be characterised but which cannot fly."""
 
 DRIVERS: dict[str, type[Driver]] = {
     "mb1242": MB1242,
     "lidar_lite_v3": LidarLiteV3,
 }
-"""By the name in model files. The first one is asked for where nothing says which kind a sensor is: a table of readings
-without an airframe, a device at an address that is no driver's default one."""
+"""Drivers by their name in model files. The first one is the default if the kind of sensor is not stated: for a table
+of readings without an airframe, or a device at an address that is not any driver's default."""
 
 
 def default_driver() -> type[Driver]:
-    """The driver of sensors of which nothing says what they are."""
+    """The default driver, for sensors whose kind is not stated."""
     return next(iter(DRIVERS.values()))
 
 
 def driver_names() -> list[str]:
-    """What a model file may name."""
+    """Names that a model file may use."""
     return [*DRIVERS, *sorted(installed(GROUP).keys() - DRIVERS.keys()), NONE]
 
 
@@ -42,7 +42,7 @@ def find_driver(name: str) -> type[Driver] | None:
     ValueError
         No driver has the name.
     ConfigError
-        The package that offers it cannot be used.
+        The package with the driver cannot be used.
     """
     if name == NONE:
         return None
@@ -57,13 +57,13 @@ def find_driver(name: str) -> type[Driver] | None:
 
 
 def drivers_at(address: int) -> list[type[Driver]]:
-    """Kinds of sensors that may be at an address: those that come with it, then the default one."""
+    """Kinds of sensors that may be at an address: those with this default address, then the default driver."""
     kinds = [kind for kind in _all_drivers() if kind.default_address == address]
     return list(dict.fromkeys([*kinds, default_driver()]))
 
 
 def longest_busy_s() -> float:
-    """The longest time for which a sensor of any kind may not acknowledge while it ranges [s]."""
+    """Longest time for which a sensor of any kind may not acknowledge while it measures [s]."""
     return max(kind.busy_s for kind in _all_drivers())
 
 

@@ -105,7 +105,7 @@ def test_no_move_to_an_address_that_is_taken(there: Making, busy: bool) -> None:
     bus, clock, (device, _) = wires(sonar(0x70), there)
     if busy:
         bus.write(0x71, b"\x51")
-    with pytest.raises(AddressError, match="0x71 is taken"):
+    with pytest.raises(AddressError, match="0x71 is in use"):
         change_address(bus, clock, 0x70, 0x71, DRIVER)
     assert device.address == 0x70
 

@@ -79,7 +79,7 @@ def test_check_shows_what_would_fly(path: Path) -> None:
     maximum_m = airframe.maximum_by_sound_m or 0.0
     off_cm = 100 * maximum_m * ((317.15 / 293.15) ** 0.5 - 1)
     of_sound = rf"fixed_c 20 C \+-12 C: up to {off_cm:.0f} cm off at {maximum_m:.2f} m; right for air of -4 to 44 C"
-    of_light = "air: no sensor depends on it"
+    of_light = "air temperature: no sensor depends on it"
     assert re.search(of_sound if airframe.maximum_by_sound_m else of_light, result.output)
 
 

@@ -90,7 +90,7 @@ def test_a_driver_of_another_package_flies_on_its_own_emulated_device(installed:
     ("driver", "message"),
     [
         ("broken", r"the driver 'broken' \(somebodys_sensor:Missing\) cannot be loaded"),
-        ("number", r"the driver 'number' .* is no Driver and no class derived from it"),
+        ("number", r"the driver 'number' .* is not a Driver or a class derived from it"),
         ("absent", r"driver: found 'absent'; expected 'mb1242', .*'doubled', 'number' or 'none'"),
     ],
 )

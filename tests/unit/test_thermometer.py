@@ -38,7 +38,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
     """A pipe that nobody writes to would hold the reader for ever, and /dev/zero never ends."""
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
-        with pytest.raises(ValueError, match="a pipe, a device or a folder; expected a file that holds a number"):
+        with pytest.raises(ValueError, match="a pipe, a device or a folder; expected a file that contains a number"):
             read_thermometer(source(path))
 
 
