@@ -1,4 +1,4 @@
-"""From an airframe to the parts that `msp_range.bridge.Bridge` puts together: sensors, their order, fusion, streams."""
+"""Make the parts of `msp_range.bridge.Bridge` from an airframe: sensors, polling order, fusion, streams."""
 
 import math
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
     model = sensor.sensor_model
     timing = model.timing
     first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
-    # Whole centimetres add the variance of their rounding.
+    # Rounding to whole centimetres adds its variance.
     std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.resolution_cm**2 / 12) / 100
     return PolledSensor(
         sensor.name,
@@ -55,9 +55,9 @@ def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
 
 
 def windows_of(airframe: Airframe) -> Windows:
-    """How long what a downward sensor saw counts, by the airframe's polling order."""
+    """For how long a downward sensor's readings count, from the airframe's polling order."""
     groups = _polling_groups(airframe)
-    # A ping waits for the answer of the one before.
+    # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
     interval_s = max(_ping_interval_s(airframe), ranging_s)
     downward = {sensor.name for sensor in airframe.downward}
@@ -67,14 +67,14 @@ def windows_of(airframe: Airframe) -> Windows:
 
 
 def intervals_s(airframe: Airframe) -> dict[str, float]:
-    """Time between two messages of each stream that always speaks, by its name; ``fused`` for the fused one [s]."""
+    """Time between two messages of each permanent stream, by its name; ``fused`` for the fused one [s]."""
     windows = windows_of(airframe)
     intervals = dict.fromkeys(airframe.sent_names, windows.turn_s)
     return intervals if airframe.send.fused is None else intervals | {"fused": windows.gap_s}
 
 
 def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | None = None) -> Fusion | None:
-    """The airframe's downward sensors as one; None where it sends no fused stream."""
+    """The fusion of the airframe's downward sensors; None without a fused stream."""
     if airframe.send.fused is None:
         return None
     sensors = {
@@ -92,14 +92,19 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
     return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
 
 
+<<<<<<< HEAD
 def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
     """How far a downward sensor lies below the fused distance's reference point [m]."""
+=======
+def _below_reference_m(airframe: Airframe, sensor: Sensor) -> float:
+    """Distance of a downward sensor below the fused distance's reference point [m]."""
+>>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     fused = airframe.send.fused
     return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
 
 
 def single_streams(airframe: Airframe) -> dict[str, Stream]:
-    """The streams of the sensors that have one of their own, by name."""
+    """The streams of sensors with a stream of their own, by name."""
     return {
         sensor.name: make_stream(
             sensor.id,
@@ -115,10 +120,10 @@ def single_streams(airframe: Airframe) -> dict[str, Stream]:
 
 
 def object_streams(airframe: Airframe) -> dict[str, Stream]:
-    """Streams for what lies below single sensors of the fused stream that have no stream of their own, by name.
+    """Streams for objects below single sensors of the fused stream that have no stream of their own, by name.
 
-    Their orientation is CUSTOM, with the mounting as a quaternion: as one more stream that looks down they would be
-    mixed with the fused one, by ArduPilot and by PX4.
+    Their orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4
+    would mix another downward stream with the fused one.
     """
     return {
         sensor.name: make_stream(
@@ -135,10 +140,10 @@ def object_streams(airframe: Airframe) -> dict[str, Stream]:
 
 
 def fused_stream(airframe: Airframe) -> Stream | None:
-    """The fused downward stream, where there is one."""
+    """The fused downward stream, or None."""
     if airframe.send.fused is None:
         return None
-    # Counted from the reference point: a sensor below it sees farther, and not as near.
+    # Counted from the reference point: for a sensor below it both limits are larger.
     models = [(sensor.sensor_model, round(100 * _below_reference_m(airframe, sensor))) for sensor in airframe.downward]
     return make_stream(
         airframe.send.fused.id,
@@ -150,6 +155,11 @@ def fused_stream(airframe: Airframe) -> Stream | None:
     )
 
 
+<<<<<<< HEAD
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:
     """What DISTANCE_SENSOR calls the sensors of a stream; one of sound among them decides."""
+=======
+def _stream_type(sensors: Sequence[Sensor]) -> int:
+    """Sensor type in DISTANCE_SENSOR for a stream: ultrasound if one of its sensors is ultrasonic."""
+>>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     return ULTRASOUND if any(sensor.sensor_model.medium == "sound" for sensor in sensors) else LASER

@@ -1,4 +1,4 @@
-"""msp-range: the commands of what flies."""
+"""msp-range: the commands of the bridge."""
 
 import gc
 import json
@@ -28,13 +28,14 @@ app = typer.Typer(
 )
 
 FILE_KINDS = "msp_range.file_kinds"
-"""Group of entry points: kind of file -> its section. The laboratory's kinds are among them, which is not imported."""
+"""Group of entry points: section class by kind of file, including those of the laboratory, which is not imported
+here."""
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
 DriverOption = Annotated[
     str | None,
-    typer.Option("--driver", help="kind of sensor, as sensor model files name it; left out: by the sensor's address"),
+    typer.Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
 ]
 
 
@@ -42,7 +43,7 @@ DriverOption = Annotated[
 @tell_mistakes
 def run(
     airframe_file: AirframeFile,
-    log: Annotated[Literal["text", "json"], typer.Option(help="log lines for a person or for a machine")] = "text",
+    log: Annotated[Literal["text", "json"], typer.Option(help="format of log lines")] = "text",
     record: Annotated[Path | None, typer.Option(help="folder for the recording, instead of the airframe's")] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="record nothing")] = False,
     link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
@@ -50,18 +51,18 @@ def run(
 ) -> None:
     """Fly: read the sensors and send DISTANCE_SENSOR until SIGTERM. SIGHUP reads the airframe file again.
 
-    Exit codes: 0 stopped by SIGTERM or SIGINT, 1 a mistake in the program, 2 a wrong command line, 3 a file that
-    cannot be used, or a bus that another process works on. Sensors, bus, link or disk that do not work are reported to
-    the pilot and tried again, for ever.
+    Exit codes: 0 stopped by SIGTERM or SIGINT, 1 an error in the program, 2 invalid command line, 3 an unusable file,
+    or a bus that another process uses. Failing sensors, bus, link or disk are reported to the pilot and retried for
+    ever.
     """
-    # The imports take a while, and a service that is stopped meanwhile has ended well too.
+    # The imports take some time; a service that is stopped meanwhile has also ended normally.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
-    # The file that is to be read again has not been read yet.
+    # The file has not been read yet, so there is nothing to reload.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    # Matrices here are 3 x 3: numpy's own threads would take processors from others and 25 ms from the start.
+    # Matrices are 3 x 3: numpy's threads would only use other processors and delay the start by 25 ms.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Imports make no garbage; looking for some takes 15 ms.
+    # Imports produce no garbage; collecting takes 15 ms.
     gc.disable()
     try:
         from msp_range import service
@@ -80,12 +81,12 @@ def run(
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:
-    # At once: an exception in the middle of an import may be swallowed or be printed as a traceback.
+    # Exit at once: an exception during an import may be swallowed or printed as a traceback.
     os._exit(0)
 
 
 def driver_of(text: str) -> "type[Driver]":
-    """The driver that a command line names."""
+    """The driver named on the command line."""
     from msp_range.sensors.table import find_driver
 
     try:
@@ -102,7 +103,7 @@ def driver_of(text: str) -> "type[Driver]":
 @app.command()
 @tell_mistakes
 def check(airframe_file: AirframeFile) -> None:
-    """Read an airframe file and show what would fly: sensors, directions, streams. Touches no hardware."""
+    """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
     from rich.table import Table
 
     from msp_range.assembly import fused_stream, intervals_s
@@ -154,11 +155,11 @@ def check(airframe_file: AirframeFile) -> None:
 def schema(
     kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:
-    """Print the JSON Schema of a kind of file, with which editors complete and check it.
+    """Print the JSON Schema of a kind of file, for completion and checks in editors.
 
     Kinds: airframe, sensor model, campaign at the bench, campaign of flights.
 
-    Save it beside the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
+    Save it next to the files and name it in their first line: # yaml-language-server: $schema=airframe.schema.json
     """
     from importlib.metadata import entry_points
 
@@ -174,11 +175,11 @@ def schema(
 def scan(
     bus: BusOption = "1",
     ping: Annotated[
-        bool, typer.Option("--ping", help="let each range, to tell range finders from other devices")
+        bool, typer.Option("--ping", help="trigger a measurement of each device, to find the range finders")
     ] = False,
     driver: DriverOption = None,
 ) -> None:
-    """List what acknowledges on an I2C bus. Only reads, unless --ping is given."""
+    """List the devices that acknowledge on an I2C bus. Only reads, unless --ping is given."""
     from rich.table import Table
 
     from msp_range.bus.smbus import KernelBus, bus_of
@@ -203,13 +204,13 @@ def scan(
 @app.command()
 @tell_mistakes
 def address(
-    old: Annotated[str, typer.Argument(help="the sensor's 7-bit address now, e.g. 0x70")],
-    new: Annotated[str, typer.Argument(help="the 7-bit address that it is to have, e.g. 0x71")],
+    old: Annotated[str, typer.Argument(help="the sensor's present 7-bit address, e.g. 0x70")],
+    new: Annotated[str, typer.Argument(help="its new 7-bit address, e.g. 0x71")],
     bus: BusOption = "1",
     yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
     driver: DriverOption = None,
 ) -> None:
-    """Change a sensor's address: shows the bus, refuses what could lose the sensor, verifies."""
+    """Change a sensor's address: shows the bus, refuses changes that could lose the sensor, verifies the result."""
     from msp_range.bus.smbus import KernelBus, bus_of
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import change_address, check_new_address
@@ -243,14 +244,16 @@ def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
     airframe_file: Annotated[
         Path | None,
-        typer.Option("--airframe", help="airframe file; left out: the one in the recording. A CSV file needs it"),
+        typer.Option("--airframe", help="airframe file; default: the one in the recording. Required for a CSV file"),
     ] = None,
-    run_name: Annotated[str | None, typer.Option("--run", help="which run of a CSV file with several")] = None,
-    record: Annotated[Path | None, typer.Option(help="new recording to make (.mcap)")] = None,
-    link: Annotated[str | None, typer.Option(help="link URL to send on; left out: nowhere")] = None,
-    realtime: Annotated[bool, typer.Option("--realtime", help="at the pace at which it happened")] = False,
+    run_name: Annotated[
+        str | None, typer.Option("--run", help="the run to replay, for a CSV file with several")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="new recording to write (.mcap)")] = None,
+    link: Annotated[str | None, typer.Option(help="link URL to send on; default: none")] = None,
+    realtime: Annotated[bool, typer.Option("--realtime", help="replay in real time")] = False,
 ) -> None:
-    """Run recorded or measured readings through the bridge again, and show what it made of them."""
+    """Play recorded or measured readings through the bridge again, and show the results."""
     from msp_range import replay as replaying
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
@@ -266,7 +269,7 @@ def replay(
     elif recording is not None:
         airframe = load_airframe_from(recording.files, file)
     else:
-        raise ConfigError(f"{file}: a table does not say which airframe it is of; name its file with --airframe")
+        raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
     pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
     transport = Nowhere() if link is None else open_transport(link, SystemClock())
@@ -285,11 +288,12 @@ def replay(
 def tune(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
     airframe_file: Annotated[
-        Path | None, typer.Option("--airframe", metavar="AIRFRAME.yaml", help="instead of the one that was flown")
+        Path | None,
+        typer.Option("--airframe", metavar="AIRFRAME.yaml", help="airframe file; default: the one that was flown"),
     ] = None,
     model: Annotated[
         Literal["constant", "constant_velocity"] | None,
-        typer.Option(help="model of the Kalman filter; left out: the airframe's"),
+        typer.Option(help="model of the Kalman filter; default: the airframe's"),
     ] = None,
 ) -> None:
     """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
@@ -305,9 +309,9 @@ def tune(
 @tell_mistakes
 def recover(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the closed copy to make")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the repaired copy to write")],
 ) -> None:
-    """Close a recording that a power cut left open, so that Foxglove and other tools open it."""
+    """Repair a recording that a power cut left incomplete, so that Foxglove and other tools can open it."""
     from msp_range.recording.recover import recover as recover_recording
 
     kept = recover_recording(recording, out)
@@ -321,7 +325,7 @@ def export(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
     out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
 ) -> None:
-    """Write a recording's readings as CSV: time_s, sensor, reading_cm, and context where it is known."""
+    """Write a recording's readings as CSV: time_s, sensor, reading_cm, and known context."""
     from msp_range.recording.export import export as export_recording
     from msp_range.recording.reader import Recording
 

@@ -1,7 +1,7 @@
-"""The airframe file: all that differs between vehicles, validated.
+"""The airframe file: everything that differs between vehicles, validated.
 
-YAML enters, an `Airframe` leaves; every mistake is named with its place (`msp_range.yaml_file`). What one key cannot
-tell alone, such as two sensors at one address or two streams that an autopilot would mix up, is checked here too.
+YAML enters, an `Airframe` leaves; every error is reported with its place (`msp_range.yaml_file`). Conditions on several
+keys are checked here too, such as two sensors at one address or two streams that an autopilot would mix up.
 """
 
 import math
@@ -29,8 +29,8 @@ from msp_range.yaml_file import ConfigError, Section, config_path, load, load_na
 AIRFRAME_NAME = "airframe.yaml"
 
 MOST_SENSORS = 117
-"""Sensors on one bus: it has so many 7-bit addresses from 0x03 to 0x77. Files with more are refused before all the
-models that they name are read."""
+"""Largest number of sensors on a bus: the number of 7-bit addresses from 0x03 to 0x77. Files with more are refused
+before the models that they name are read."""
 
 Metres = Annotated[float, Field(ge=-50, le=50)]
 _DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
@@ -40,7 +40,7 @@ class RotationDeg(Section):
     """Euler angles [deg], intrinsic yaw, pitch, roll in body FRD; the sensor looks along its own x axis."""
 
     roll: float = Field(0.0, ge=-360, le=360)
-    """about the beam [deg]; of no effect on a round one"""
+    """rotation about the beam [deg]; no effect for a round beam"""
     pitch: float = Field(0.0, ge=-360, le=360)
     """-90 looks straight down, 0 forward, 90 up [deg]"""
     yaw: float = Field(0.0, ge=-360, le=360)
@@ -64,7 +64,7 @@ class SensorSettings(SensorOnBus):
 
     @property
     def boresight(self) -> Vector:
-        """Unit vector along which it looks, body FRD."""
+        """Unit vector of its axis, body FRD."""
         return boresight(*self.rotation_deg.radians)
 
     @cached_property
@@ -74,13 +74,13 @@ class SensorSettings(SensorOnBus):
 
     @cached_property
     def orientation(self) -> Orientation:
-        """What its messages say of where it looks; the narrowest characterised angle decides."""
+        """Orientation in its messages; the narrowest characterised half angle decides."""
         narrowest_rad = math.radians(min(point.half_angle_deg for point in self._model.breakaway))
         return orientation_of(*self.rotation_deg.radians, breakaway_rad=narrowest_rad)
 
 
 class Near(Section):
-    """Faster pings close to the ground, where a ping has died away sooner."""
+    """Faster pings near the ground, where echoes die away sooner."""
 
     below_m: float = Field(gt=0, le=10)
     """while all sensors read less than this [m]"""
@@ -89,32 +89,33 @@ class Near(Section):
 
 
 class Polling(Section):
-    """Who pings when."""
+    """Order and timing of pings."""
 
     groups: list[list[Name]] | None = None
-    """sensors that ping together, group after group; left out: each alone, in the order of the file. Sensors of one
-    group must not be able to hear each other"""
+    """groups of sensors that ping together; default: each sensor alone, in the order of the file. Sensors of one group
+    must not receive each other's echoes"""
     ping_interval_s: float | None = Field(None, ge=0.03, le=10)
-    """time between pings, for the sound to die away [s]; left out: the sensor model's (100 ms)"""
+    """time between pings, in which the sound dies away [s]; default: the sensor model's (100 ms)"""
     near: Near | None = None
-    """faster pings below a height, where the vehicle's builder has found that they do no harm"""
+    """faster pings below a height, if tests on the vehicle have shown that they do no harm"""
     adaptive: bool = True
-    """read as soon as a sensor answers; false: wait its full deadline, for a bus master that cannot take a sensor
-    that does not acknowledge"""
+    """read as soon as a sensor answers; false: wait until its deadline, for a bus master that has problems with a
+    sensor that does not acknowledge"""
 
 
 class LinkSettings(Section):
     """The connection to the autopilot."""
 
     url: str
-    """as pymavlink writes it: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, serial:PATH:BAUD"""
+    """URL in the form of pymavlink: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT,
+    serial:PATH:BAUD"""
     autopilot: Autopilot = "ardupilot"
-    """ardupilot or px4: they differ in what they make of DISTANCE_SENSOR"""
+    """ardupilot or px4: they interpret DISTANCE_SENSOR differently"""
     component_id: int = Field(191, ge=2, le=254)
     """MAVLink component id of the bridge; 191 is the first onboard computer"""
     system_id: int | None = Field(None, ge=1, le=255)
     """MAVLink system id of the autopilot (ArduPilot MAV_SYSID, SYSID_THISMAV before 4.7; PX4 MAV_SYS_ID), for a link on
-    which others can be received; left out: that of the first one"""
+    which several autopilots can be received; default: that of the first one"""
 
     @field_validator("url")
     @classmethod
@@ -129,16 +130,21 @@ class FusedSettings(Section):
     id: int = Field(10, ge=1, le=254)
     """DISTANCE_SENSOR.id of the stream"""
     sensors: list[Name] | None = None
-    """sensors in it; left out: all that look down within their beam"""
+    """sensors in it; default: all that look down within their beam"""
     reference_down_m: float = Field(0.0, ge=-50, le=50)
     """how far below the vehicle's reference point the distance starts [m]: RNGFND1_POS_Z, EKF2_RNG_POS_Z"""
 
 
 class Send(Section):
-    """What goes out."""
+    """Streams to send."""
 
+<<<<<<< HEAD
     fused: FusedSettings | None = None
     """the fused downward stream; left out: none"""
+=======
+    fused: Fused | None = None
+    """the fused downward stream; default: none"""
+>>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     sensors: tuple[Name, ...] | Literal["all"] = ()
     """single sensors that have a stream of their own: a list of names, or all"""
 
@@ -160,10 +166,11 @@ class Airframe(Section):
     sensors: list[SensorSettings] = Field(min_length=1, max_length=MOST_SENSORS)
     """the range finders"""
     polling: Polling = Polling()
-    """who pings when"""
+    """order and timing of pings"""
     filters: tuple[FilterParameters, ...] = (ChangepointParameters(filter="changepoint"),)
-    """every sensor's filters, in order; [] for none; left out: the changepoint filter"""
+    """filters of every single stream, in order; [] for none; default: the changepoint filter"""
     temperature: TemperatureParameters = TemperatureParameters()
+<<<<<<< HEAD
     """where the air temperature comes from"""
     link: LinkSettings
     """the connection to the autopilot"""
@@ -171,22 +178,31 @@ class Airframe(Section):
     """what goes out"""
     recording: RecordingSettings | None = None
     """where flights are recorded; left out: only where the command line says so"""
+=======
+    """sources of the air temperature"""
+    link: Link
+    """the connection to the autopilot"""
+    send: Send
+    """streams to send"""
+    recording: Recording | None = None
+    """where flights are recorded; default: only if the command line says so"""
+>>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
     def keep_files(self, files: dict[str, str]) -> None:
-        """Note the texts that this airframe was read from."""
+        """Keep the texts from which this airframe was read."""
         self._files = files
 
     def changed(
         self, *, link: str | None = None, bus: int | str | None = None, autopilot: Autopilot | None = None
     ) -> "Airframe":
-        """The same with what a command line says instead: URL of the link, I2C bus, type of the autopilot.
+        """A copy with values from the command line: URL of the link, I2C bus, type of the autopilot.
 
         Raises
         ------
         ConfigError
-            It is no URL of a link.
+            The URL is invalid.
         """
         changes: dict[str, Any] = {}
         if link is not None:
@@ -203,7 +219,7 @@ class Airframe(Section):
 
     @property
     def files(self) -> dict[str, str]:
-        """Text of the airframe file, as ``airframe.yaml``, and of the model files by the names that it gives them."""
+        """Text of the airframe file, as ``airframe.yaml``, and of the model files by their names in it."""
         return self._files
 
     @model_validator(mode="after")
@@ -229,7 +245,7 @@ class Airframe(Section):
         if self.sent_names and any(each.filter == "kalman" for each in self.filters):
             absent = missing("kalman")
             if absent is not None:
-                raise ValueError(f"filters: kalman needs {absent}; or use another filter, such as changepoint")
+                raise ValueError(f"filters: kalman requires {absent}; or use another filter, such as changepoint")
 
     def _check_groups(self, names: list[str]) -> None:
         if self.polling.groups is None:
@@ -243,7 +259,7 @@ class Airframe(Section):
 
     def _check_fused(self) -> None:
         if not self.downward:
-            raise ValueError("send.fused: no sensor looks down (pitch -90 does); a fused downward stream needs one")
+            raise ValueError("send.fused: no sensor looks down (pitch -90 does); a fused downward stream requires one")
         for sensor in self.downward:
             if sensor.tilt_from_down_rad > math.radians(45):
                 raise ValueError(
@@ -261,7 +277,7 @@ class Airframe(Section):
                     those = [name for name, orientation in streams if orientation.value == value]
                     raise ValueError(
                         f"send: the streams {', '.join(those)} all have orientation {value} "
-                        f"({Orientation(value, (0, 0, 0, 0)).name}); ArduPilot tells streams apart by orientation "
+                        f"({Orientation(value, (0, 0, 0, 0)).name}); ArduPilot distinguishes streams by orientation "
                         "only and would mix them into one. Send the fused stream alone, or one of them"
                     )
         elif self.send.fused is None and not any(orientation.value == DOWN for _, orientation in streams):
@@ -285,7 +301,7 @@ class Airframe(Section):
 
     @property
     def maximum_by_sound_m(self) -> float:
-        """Longest range of those of its sensors that the air's temperature matters to [m]; 0 where there are none."""
+        """Longest range of its ultrasonic sensors [m]; 0 if there are none."""
         by_sound = [sensor.sensor_model for sensor in self.sensors if sensor.sensor_model.medium == "sound"]
         return max([model.maximum_cm for model in by_sound], default=0) / 100
 
@@ -314,7 +330,7 @@ def load_airframe(path: Path | str) -> Airframe:
     Raises
     ------
     ConfigError
-        The file cannot be read or used; one line a mistake.
+        The file cannot be read or used; one line per error.
     """
     path = config_path(path, "")
     airframe = load(path, Airframe)
@@ -332,19 +348,19 @@ def _load_named(named: Any, info: ValidationInfo) -> Airframe:
 
 
 NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
-"""In a file that names an airframe's: the path in that file, and the airframe once it is read."""
+"""An airframe named in another file: a path there, the airframe after reading."""
 
 
 def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
-    """The airframe of the texts that an `Airframe.files` held.
+    """Read an airframe from the texts in `Airframe.files` of a recording.
 
     Raises
     ------
     ConfigError
-        There is none, or it names files outside of its own folder, or one cannot be used.
+        There is none, it names files outside its own folder, or one cannot be used.
     """
     if AIRFRAME_NAME not in files:
-        raise ConfigError(f"{source}: holds no airframe file; name one with --airframe")
+        raise ConfigError(f"{source}: contains no airframe file; name one with --airframe")
     with TemporaryDirectory() as name:
         folder = Path(name)
         for each, text in files.items():
@@ -362,7 +378,7 @@ def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
             raise ConfigError(str(error).replace(f"{folder}/", f"{source}: attached ")) from None
     strangers = [sensor.model for sensor in airframe.sensors if sensor.model not in files]
     if strangers:
-        raise ConfigError(f"{source}: its airframe names {strangers[0]}, which it does not hold; use --airframe")
+        raise ConfigError(f"{source}: its airframe names {strangers[0]}, which it does not contain; use --airframe")
     return airframe
 
 

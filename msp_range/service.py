@@ -1,8 +1,8 @@
 """The bridge as a service: signals, watchdog, logs, exit codes.
 
 SIGTERM and SIGINT end it, SIGHUP reads the airframe file again. Exit codes: 0 ended by a signal or the end of its
-input; 1 a mistake in the program; 2 a wrong command line; 3 an airframe, sensor model or data file that cannot be used,
-or a bus that another process works on. Broken equipment never ends the service.
+input; 1 an error in the program; 2 invalid command line; 3 an unusable airframe, sensor model or data file, or a bus
+that another process uses. Broken equipment never ends the service.
 """
 
 import faulthandler
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
 FEED_INTERVAL_S = 0.1
-"""Between two messages to systemd's watchdog [s]. A transfer on a bus that has locked up takes the kernel 1 s, and
-WatchdogSec in systemd/msp-range.service is 1.5 s: more than 0.4 s would let such a bus restart the bridge, and less
-only keeps systemd busy."""
+"""Time between two messages to systemd's watchdog [s]. A transfer on a locked-up bus takes 1 s in the kernel, and
+WatchdogSec in systemd/msp-range.service is 1.5 s. With more than 0.4 s such a bus would restart the bridge; less only
+keeps systemd busy."""
 
 
 def reporter(log: Log) -> Report:
-    """Health changes as log lines."""
+    """Write health messages to the log."""
 
     def report(severity: Severity, text: str) -> None:
         write = {Severity.ERROR: log.error, Severity.WARNING: log.warning, Severity.INFO: log.info}[severity]
@@ -48,10 +48,10 @@ def reporter(log: Log) -> Report:
 
 
 class Notifier:
-    """systemd's notification socket: ready, and alive from the loop that works; does nothing elsewhere.
+    """systemd's notification socket: reports that the service is ready, and feeds the watchdog from the polling loop.
 
-    A bus that has locked up, an adapter that was unplugged, a full disk or a silent autopilot do not stop the loop, and
-    do not keep the watchdog from being fed: starting again would mend none of them. What does stop the loop, does.
+    A locked-up bus, an unplugged adapter, a full disk or a silent autopilot do not stop the loop, so the watchdog is
+    still fed: a restart would not help. Anything that stops the loop causes a restart. Without systemd it does nothing.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Notifier:
             self._address = "\0" + address[1:] if address.startswith("@") else address
 
     def tell(self, state: str) -> None:
-        """Send a state such as READY=1; a socket that is gone or full is no reason to stop."""
+        """Send a state such as READY=1; a missing or full socket is ignored."""
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.sendto(state.encode(), self._address)
@@ -70,7 +70,7 @@ class Notifier:
 
 @contextmanager
 def received_signals(*signals: signal.Signals) -> Iterator[list[int]]:
-    """While inside, these signals fill the list instead of ending the program."""
+    """Context in which these signals are added to the list instead of ending the program."""
     received: list[int] = []
 
     def note(signum: int, frame: FrameType | None) -> None:
@@ -85,7 +85,7 @@ def received_signals(*signals: signal.Signals) -> Iterator[list[int]]:
 
 
 def stop_signals() -> AbstractContextManager[list[int]]:
-    """While inside, SIGTERM and SIGINT fill the list instead of ending the program."""
+    """Context in which SIGTERM and SIGINT are added to the list instead of ending the program."""
     return received_signals(signal.SIGTERM, signal.SIGINT)
 
 
@@ -96,12 +96,12 @@ def flight_recorder(
     on_file: Callable[[Path], None],
     on_failure: Callable[[str], None],
 ) -> "FlightRecorder | None":
-    """A recorder into ``folder``, else into the airframe's; None where neither is named."""
+    """A recorder into ``folder`` or the airframe's folder; None if neither is given."""
     if folder is None and airframe.recording is not None:
         folder = Path(airframe.recording.folder)
     if folder is None:
         return None
-    # Brings orjson and zstandard, which a flight without a recording need not wait for.
+    # Imports orjson and zstandard, which a flight without a recording does not need.
     from msp_range.recording.flight_recorder import FlightRecorder
 
     return FlightRecorder(folder, airframe.vehicle, clock, files=airframe.files, on_file=on_file, on_failure=on_failure)
@@ -115,7 +115,7 @@ def serve(
     stopped: Sequence[int],
     flown: FlownAirframe | None = None,
 ) -> None:
-    """Step the bridge until ``stopped`` holds a signal, or another airframe is to be flown."""
+    """Step the bridge until ``stopped`` contains a signal or the airframe has changed."""
     notifier = Notifier()
     notifier.tell("READY=1")
     next_feed_s = clock.now()
@@ -163,25 +163,25 @@ def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
 
 
 def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path | None) -> int:
-    """The service on this computer's bus and link, until a signal ends it; the exit code.
+    """Run the service on this computer's bus and link until a signal ends it; return the exit code.
 
     Parameters
     ----------
     airframe
-        What to fly.
+        The airframe.
     load
-        Reads the airframe file again, at SIGHUP.
+        Reads the airframe file again, after SIGHUP.
     log
-        Where it reports what it does.
+        Log.
     record
         Folder for the recording instead of the airframe's.
 
     Raises
     ------
     BusInUse
-        Another process works on the bus.
+        Another process uses the bus.
     """
-    # What the loop was doing when the watchdog ended it (SIGABRT), for the journal.
+    # Print the line where the loop hung when the watchdog ended it (SIGABRT), for the journal.
     faulthandler.enable()
     clock = SystemClock()
     with stop_signals() as stopped, received_signals(signal.SIGHUP) as requests:
@@ -194,7 +194,7 @@ def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path
                 url = flown.airframe.link.url
                 transport = open_transport(url, clock)
             _fly(flown, clock, log, transport, record, stopped)
-            if not stopped:  # what flew by the airframe before need not stay
+            if not stopped:  # objects of the previous airframe are no longer needed
                 gc.unfreeze()
                 gc.collect()
         transport.close()
@@ -205,12 +205,12 @@ def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path
 def _fly(
     flown: FlownAirframe, clock: Clock, log: Log, transport: Transport, record: Path | None, stopped: Sequence[int]
 ) -> None:
-    """Fly an airframe until a signal comes or it is changed for another."""
+    """Fly an airframe until a signal arrives or the airframe changes."""
     airframe = flown.airframe
     log.info("started", vehicle=airframe.vehicle, bus=str(flown.bus.path), link=airframe.link.url, pid=os.getpid())
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
     bridge = Bridge(airframe, flown.bus, clock, transport, report=reporter(log), thermometer=thermometer)
-    # The first sensor is pinged, and ranges while the packages of the recording are imported.
+    # The first sensor measures while the recording's packages are imported.
     bridge.step()
     recorder = flight_recorder(
         airframe,
@@ -221,12 +221,12 @@ def _fly(
     )
     if recorder is not None:
         bridge.record_to(recorder)
-    # All this stays: looking through it for garbage would stop the polling for 10 ms now and then.
+    # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.
     gc.freeze()
     try:
         serve(bridge, clock, log, transport, stopped, flown)
         if not stopped and recorder is not None:
-            recorder.finish()  # the next airframe does not wait for a disk either
+            recorder.finish()  # the next airframe must not wait for the disk
     finally:
         thermometer.close()
         if recorder is not None:

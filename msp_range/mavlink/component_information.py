@@ -13,7 +13,7 @@ _WIRE = struct.Struct("<QII32s32s24s24s32s")
 
 
 class ComponentInformationBasic(dialect.MAVLink_message):  # type: ignore[misc]
-    """Who this component is: vendor, model and version as text; what else the message holds is left unknown."""
+    """Vendor, model and version of this component as text; other fields are unknown."""
 
     id = MESSAGE_ID
     msgname = "COMPONENT_INFORMATION_BASIC"

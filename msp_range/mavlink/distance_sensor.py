@@ -1,9 +1,9 @@
-"""An estimate -> a DISTANCE_SENSOR message. Pure: the one place where metres become the message's centimetres.
+"""Make DISTANCE_SENSOR messages from estimates. This is the only place where metres become the message's centimetres.
 
-What autopilots make of the fields (ArduPilot 4.7, PX4 main): no echo is a reading above the maximum, which is 'out of
-range high' and healthy, for PX4's collision prevention one that equals the maximum; a fault is silence; quality 0 means
-unknown and is believed, so an invalid reading has 1; covariance 255 means unknown; the sensor's shortest report, 20 cm,
-must lie above ``min_distance`` to be taken.
+How autopilots interpret the fields (ArduPilot 4.7, PX4 main): a distance above the maximum means no echo ('out of range
+high', healthy), for PX4's collision prevention a distance equal to the maximum; a fault is silence; quality 0 means
+unknown and is accepted, so an invalid reading has quality 1; covariance 255 means unknown; the sensor's shortest
+report, 20 cm, has to be above ``min_distance`` to be accepted.
 """
 
 import math
@@ -20,8 +20,8 @@ QUALITY_LOWEST, QUALITY_BEST = 2, 100
 Autopilot = Literal["ardupilot", "px4"]
 
 TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
-"""Without a message for so long a range finder counts as gone [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's EKF2
-wants readings at least this often."""
+"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
+EKF2 requires readings at least this often."""
 
 ULTRASOUND: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
 LASER: int = dialect.MAV_DISTANCE_SENSOR_LASER
@@ -30,18 +30,18 @@ _Message = dialect.MAVLink_distance_sensor_message
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What stays the same in all messages of one stream.
+    """The constant fields of a stream's messages.
 
     Attributes
     ----------
     id
         The message's ``id``.
     orientation
-        Where the stream looks.
+        Orientation of the stream.
     min_distance_cm, max_distance_cm
-        Just below the shortest distance that the stream can tell, and the longest one [cm].
+        Just below the shortest distance that the stream can report, and the longest one [cm].
     no_echo_cm
-        ``current_distance`` that says that nothing was heard [cm].
+        ``current_distance`` for no echo [cm].
     type
         `ULTRASOUND` or `LASER`.
     """
@@ -62,13 +62,13 @@ def make_stream(
     autopilot: Autopilot,
     type: int = ULTRASOUND,
 ) -> Stream:
-    """A stream with the bounds and the no-echo value that the autopilot understands.
+    """Make a stream with the bounds and the no-echo value that the autopilot expects.
 
     Parameters
     ----------
     shortest_cm, longest_cm
-        Distances that the stream can tell [cm]. A distance that equals ``min_distance`` is out of range for both
-        autopilots, so that lies a centimetre below the shortest, and never below 0.
+        Shortest and longest distance that the stream can report [cm]. A distance that equals ``min_distance`` is out of
+        range for both autopilots, so it is a centimetre below the shortest, but not below 0.
     """
     vertical = orientation.value in (DOWN, PITCH_90)
     equals_maximum = autopilot == "px4" and not vertical
@@ -91,9 +91,9 @@ def distance_sensor(
     time_boot_ms
         Time of the echo on the autopilot's clock [ms].
     range_m
-        Distance [m]; held within what the sensor can report.
+        Distance [m]; limited to what the sensor can report.
     variance_m2
-        Variance of its error [m^2]; infinite where unknown. Sent in cm^2, rounded up, 1 to 254.
+        Variance of its error [m^2]; infinite if unknown. Sent in cm^2, rounded up, 1 to 254.
     field_of_view_rad
         Full angle of the beam at this range, horizontal and vertical [rad].
     quality
@@ -113,7 +113,7 @@ def distance_sensor(
 
 
 def no_echo(stream: Stream, time_boot_ms: int, field_of_view_rad: float) -> Any:
-    """DISTANCE_SENSOR that says that the sensor works and hears nothing within its range."""
+    """DISTANCE_SENSOR for a working sensor without an echo."""
     return _message(stream, time_boot_ms, stream.no_echo_cm, COVARIANCE_UNKNOWN, field_of_view_rad, QUALITY_INVALID)
 
 

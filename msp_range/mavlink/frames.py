@@ -1,7 +1,7 @@
-"""Bytes in, whole valid MAVLink frames out: what may be decoded, and what shows that a sender speaks MAVLink.
+"""Find complete valid MAVLink frames in received bytes.
 
-pymavlink's own parser frees its buffer only when a call ends exactly with a frame: bytes that always end inside one
-made it grow by 95 MB a minute. Here at most one incomplete frame is kept. Frames of both versions are found, as
+pymavlink's own parser frees its buffer only when a call ends exactly with a frame: with bytes that always end inside a
+frame it grew by 95 MB a minute. Here at most one incomplete frame is kept. Frames of both versions are found, as
 https://mavlink.io/en/guide/serialization.html describes them.
 """
 
@@ -16,16 +16,16 @@ from typing import Any, NamedTuple
 from msp_range.mavlink.dialect import dialect
 
 MAX_FALSE_STARTS = 64
-"""After a false start of a frame the search goes on at the next byte, which finds a frame that begins inside the false
-one. After this many in one call it goes on at the false frame's end, so that bytes made for it cannot cost more than
-64 checksums beyond those of their own length. 8192 random bytes have about 32; a smaller number would lose frames that
-follow such noise, a larger one makes the worst call longer (64 take 0.2 ms on a desktop computer)."""
+"""After a false start of a frame the search continues at the next byte, to find a frame that begins inside the false
+one. After this many in one call it continues at the false frame's end, so that malicious bytes cannot cost more than 64
+additional checksums. 8192 random bytes have about 32; a smaller number would lose frames that follow such noise, a
+larger one makes the worst call longer (64 take 0.2 ms on a desktop computer)."""
 
 MAX_FRAME_BYTES = 280
 """MAVLink 2 with the longest payload and a signature."""
 
 _START = re.compile(rb"\xfe|\xfd(?=.?\Z|.[\x00\x01])", re.DOTALL)
-"""Version 1, or version 2 with no flag or the one for a signature: a frame with another flag must not be taken."""
+"""Version 1, or version 2 with no flag or the one for a signature: a frame with another flag must not be accepted."""
 _VERSION_1, _VERSION_2 = 0xFE, 0xFD
 _HEADER_BYTES = {_VERSION_1: 6, _VERSION_2: 10}
 _CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
@@ -34,14 +34,14 @@ _HEADER = struct.Struct("<BBBBBBBHB")
 
 
 class Frame(NamedTuple):
-    """One frame with a good checksum.
+    """A frame with a valid checksum.
 
     Attributes
     ----------
     message_id, system, component
-        What it is, and the ids of its sender.
+        Message id, and the ids of its sender.
     data
-        All of its bytes.
+        All its bytes.
     """
 
     message_id: int
@@ -60,7 +60,7 @@ class Frame(NamedTuple):
         return self.data[1] > 5 and self.data[autopilot_at] != dialect.MAV_AUTOPILOT_INVALID
 
     def decode(self) -> Any:
-        """The message; pymavlink's decoder would check the checksum once more, which takes three times as long."""
+        """Decode the message; pymavlink's decoder would verify the checksum again, which takes three times as long."""
         kind, places = _layout(self.message_id)
         start = _HEADER_BYTES[self.data[0]]
         wire = kind.unpacker
@@ -74,7 +74,7 @@ class Frame(NamedTuple):
 
 @cache
 def _layout(message_id: int) -> tuple[Any, list[int | slice]]:
-    """A message's class, and where its fields are among the values on the wire: a slice for an array."""
+    """A message's class, and the positions of its fields among the values on the wire: a slice for an array."""
     kind = dialect.mavlink_map[message_id]
     ends = list(accumulate(kind.lengths))
     whole = [
@@ -120,9 +120,9 @@ def _fields(kind: Hashable) -> tuple[Callable[[Any], Any], bool]:
 
 
 class FrameReader:
-    """Finds the frames in one sender's bytes, however they are cut.
+    """Finds the frames in one sender's bytes, which may be split anywhere.
 
-    Frames of a message that the dialect does not have are passed over: their checksum cannot be computed.
+    Frames of a message that is not in the dialect are skipped, because their checksum cannot be computed.
 
     Examples
     --------
@@ -139,11 +139,11 @@ class FrameReader:
 
     @property
     def kept_bytes(self) -> int:
-        """Length of what waits for its rest: less than `MAX_FRAME_BYTES`."""
+        """Length of the incomplete frame: less than `MAX_FRAME_BYTES`."""
         return len(self._incomplete)
 
     def read(self, arrived: bytes) -> list[Frame]:
-        """The frames that ``arrived`` completes, in order."""
+        """The frames completed by ``arrived``, in order."""
         if not arrived:
             return []
         stream = self._incomplete + arrived
@@ -180,7 +180,7 @@ def _claimed_bytes(header: bytes) -> int:
 
 
 def _check(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
-    """The frame from ``start`` to ``stop`` where its checksum is good, and whether to go on behind it."""
+    """The frame from ``start`` to ``stop`` if its checksum is valid, and whether to continue after it."""
     checksum_at = stop - _CHECKSUM_BYTES
     if stream[start] == _VERSION_1:
         system, component, message_id = stream[start + 3 : start + 6]
@@ -190,7 +190,7 @@ def _check(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
         checksum_at -= _SIGNATURE_BYTES * (stream[start + 2] & _SIGNED)
     message = dialect.mavlink_map.get(message_id)
     if message is None:
-        # Of another dialect, or noise: it is one where another frame or nothing follows it.
+        # A frame of another dialect, or noise: it counts as a frame if another frame or nothing follows.
         return None, stop == len(stream) or stream[stop] in _HEADER_BYTES
     checksum = dialect.x25crc(stream[start + 1 : checksum_at] + bytes((message.crc_extra,))).crc
     if checksum != stream[checksum_at] | stream[checksum_at + 1] << 8:

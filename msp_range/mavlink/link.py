@@ -1,8 +1,8 @@
 """The bridge as a MAVLink component: heartbeat, time, commands, and frames out; the transport is below it.
 
-It sends MAVLink 2 with the autopilot's system id (1 until one is received) and a component id of its own. Everything
-happens in `service`, which the working loop calls: a heartbeat shows that the loop runs. One call does a bounded amount
-of work, whatever arrives.
+It sends MAVLink 2 with the autopilot's system id (1 until one is received) and its own component id. Everything happens
+in `service`, which the polling loop calls, so a heartbeat shows that the loop runs. One call does a limited amount of
+work, whatever arrives.
 """
 
 from collections import Counter, deque
@@ -23,23 +23,26 @@ from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
 
 SERVICE_INTERVAL_S = 0.005
-"""Between two looks at the transport [s]."""
+"""Time between two reads of the transport [s]."""
 DECODED_FROM_AUTOPILOT, DECODED_FROM_OTHERS = 32, 4
-"""Messages that one call decodes at most: 6400 and 800 a second, where autopilots send some hundreds. Decoding takes
-3 us on a desktop computer and some 15 us on a small one: with 32 a flood holds up the polling by less than 1 ms."""
+"""Largest number of messages that one call decodes: 6400 and 800 a second, while autopilots send some hundreds.
+Decoding takes 3 us on a desktop computer and some 15 us on a small one: with 32 a flood delays the polling by less than
+1 ms."""
 WAITING_FROM_AUTOPILOT, WAITING_FROM_OTHERS = 256, 32
-"""Messages that wait for the next call; of more, the newest of each kind are kept, so that no flood hides a heartbeat.
-256 is what arrives in a second in which the bus held up the loop; with more a flood makes what is decoded older."""
+"""Largest number of messages that wait for the next call; of more, the newest of each kind are kept, so that a flood
+cannot hide a heartbeat. 256 arrive while a locked-up bus blocks the loop for a second; with more, messages are older in
+a flood."""
 ANSWERS_PER_S = 20
-"""Answers to the autopilot's TIMESYNC and PING, and to commands, at most. PX4 asks for the time at 10 Hz."""
+"""Largest number of answers per second to the autopilot's TIMESYNC and PING, and to commands. PX4 requests the time at
+10 Hz."""
 SENT_KEPT = 512
-"""Frames by which the bridge knows its own when they come back: those of 10 s or more. With fewer an echo that is late
-is taken for another program's."""
+"""Number of own frames that are remembered to recognise them if they come back: those of 10 s or more. With fewer, a
+late echo is taken for another program's."""
 QUIET_INTERVAL_S = 0.05
-"""The same where the transport knows that nothing arrives in between [s]: requests are at most this late."""
+"""The same if the transport knows that nothing arrives in between [s]; requests are at most this late."""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
-"""Without a heartbeat for this long the autopilot counts as gone [s]."""
+"""Time without a heartbeat after which the autopilot counts as lost [s]."""
 STATUS_TEXT_LENGTH = 50
 
 _COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
@@ -51,7 +54,7 @@ class Link:
     Parameters
     ----------
     transport
-        Where bytes go and come from.
+        The transport.
     clock
         The bridge's clock.
     component_id
@@ -59,9 +62,9 @@ class Link:
     hear
         Called with (time [s], message) for every message of the autopilot.
     wanted
-        Messages to ask the autopilot for: name -> rate [Hz].
+        Messages to request from the autopilot: rate [Hz] by name.
     autopilot
-        Type that the autopilot should have; None: any.
+        Expected type of the autopilot; None: any.
     system_id
         The autopilot's system id; None: that of the first autopilot that is received.
     """
@@ -93,7 +96,7 @@ class Link:
         self._autopilot_heard_s = float("-inf")
         self.autopilot_system: int | None = None
         self.autopilot_armed = False
-        """What its last heartbeat said, also where none comes any more."""
+        """State in its last heartbeat, even if none arrives any more."""
         self.system_status: int = dialect.MAV_STATE_BOOT
         self._next_heartbeat_s = now_s
         self.next_event_s = now_s
@@ -105,11 +108,11 @@ class Link:
 
     @property
     def autopilot_heard(self) -> bool:
-        """True while heartbeats of an autopilot come."""
+        """True while heartbeats of an autopilot are received."""
         return self._clock.now() - self._autopilot_heard_s < AUTOPILOT_LOST_S
 
     def send(self, message: Any) -> bytes | None:
-        """Send one message at once; the frame, or None where the transport dropped it."""
+        """Send a message at once; returns the frame, or None if the transport dropped it."""
         frame = pack(message, self._system, self._component, self._sequence)
         self._sequence = (self._sequence + 1) % 256
         self._sent_frames.append(frame)
@@ -120,11 +123,11 @@ class Link:
         return None
 
     def send_text(self, severity: int, text: str) -> None:
-        """STATUSTEXT, cut to what it can hold."""
+        """Send STATUSTEXT, truncated to its maximum length."""
         self.send(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:STATUS_TEXT_LENGTH]))
 
     def service(self) -> None:
-        """Take what has come, and send what is due."""
+        """Process received messages, and send what is due."""
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
         self._sort(now_s, self._frames.read(self.transport.receive()))
@@ -144,7 +147,7 @@ class Link:
             self.next_event_s = min(quiet_until_s, now_s + QUIET_INTERVAL_S, self._next_heartbeat_s)
 
     def conditions(self) -> list[Condition]:
-        """Who else is on the link and should not be, for `msp_range.health.Health.set`."""
+        """Unwanted participants on the link, for `msp_range.health.Health.set`."""
         return self._participants.conditions(self._clock.now())
 
     def close(self) -> None:
@@ -157,7 +160,7 @@ class Link:
         )
 
     def _ask(self, now_s: float) -> None:
-        """Ask the autopilot for what is due: its time, and a message that comes too slowly."""
+        """Send due requests to the autopilot: for its time, and for a message that arrives too slowly."""
         if now_s >= self.autopilot_clock.next_request_s:
             self.send(dialect.MAVLink_timesync_message(0, self.autopilot_clock.request(now_s)))
         request = self.wanted.request(now_s)
@@ -178,7 +181,7 @@ class Link:
             )
 
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
-        """Keep what is to be decoded: all that an autopilot sends, and what concerns the bridge from others."""
+        """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge."""
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = (self._system, self._component)
         for frame in frames:
@@ -229,7 +232,7 @@ class Link:
             self._hear(now_s, message)
 
     def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
-        """Latch the first autopilot, or the one that the file states; another one only when the first has gone."""
+        """Keep the first autopilot, or the one stated in the file; another one is used only when the first is lost."""
         heard = self.autopilot_heard
         own_system = self._pinned_system
         if own_system is None:
@@ -248,7 +251,7 @@ class Link:
         self._participants.on_autopilot(now_s, message.autopilot)
 
     def _take_command(self, now_s: float, source: tuple[int, int], command: Any) -> None:
-        """Acknowledge every command to this component; of those to all, only what it can do."""
+        """Acknowledge every command to this component, and commands to all components if it supports them."""
         if not self._is_addressed(command):
             return
         answer = None
@@ -278,7 +281,7 @@ class Link:
 
 
 def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[float, Frame]]:
-    """At most so many: where there are more, the newest of each message of each system."""
+    """Limit the number of messages; of more, the newest of each type and system are kept."""
     if len(waiting) <= count:
         return waiting
     newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
@@ -286,7 +289,7 @@ def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[floa
 
 
 class _Allowance:
-    """At most so many in a second, and as many at once.
+    """Limits events to a number per second, and to the same number at once.
 
     Examples
     --------
@@ -301,7 +304,7 @@ class _Allowance:
         self._last_s = now_s
 
     def take(self, now_s: float) -> bool:
-        """Whether one more is allowed; it then counts."""
+        """Whether one more is allowed; if so, it is counted."""
         self._left = min(self._left + (now_s - self._last_s) * self._per_s, self._per_s)
         self._last_s = now_s
         if self._left < 1.0:

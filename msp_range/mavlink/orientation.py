@@ -1,4 +1,4 @@
-"""Mounting -> MAV_SENSOR_ORIENTATION: the enum whose axis the sensor can be said to measure along, or CUSTOM.
+"""MAV_SENSOR_ORIENTATION for a mounting: the value whose axis is within the sensor's beam, or CUSTOM.
 
 The enum's values are rotations; a range finder's beam is round, so only the axis counts, and of the values that share
 an axis the lowest is used. The quaternion goes with CUSTOM only.
@@ -46,14 +46,14 @@ _AXES = {value: boresight(*(math.radians(angle) for angle in angles)) for value,
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """What DISTANCE_SENSOR says of where a sensor looks.
+    """Orientation fields of DISTANCE_SENSOR.
 
     Attributes
     ----------
     value
         MAV_SENSOR_ORIENTATION.
     quaternion
-        (w, x, y, z) of the mounting where ``value`` is CUSTOM, otherwise zeros, which mean 'not given'.
+        (w, x, y, z) of the mounting if ``value`` is CUSTOM, otherwise zeros, which mean 'not given'.
     """
 
     value: int
@@ -61,7 +61,7 @@ class Orientation:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The orientation in words."""
         return NAMES[self.value]
 
 
@@ -73,8 +73,8 @@ def orientation_of(roll_rad: float, pitch_rad: float, yaw_rad: float, breakaway_
     roll_rad, pitch_rad, yaw_rad
         Mounting, intrinsic z-y'-x'', body FRD [rad].
     breakaway_rad
-        Half angle within which the sensor still hears a wall [rad]: the narrowest of the ranges characterised, so that
-        what the enum claims holds at all of them.
+        Half angle within which the sensor detects a wall [rad]: the smallest one of all characterised ranges, so that
+        the orientation is valid at all of them.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""What goes out when: a fused message at once, single ones spaced out behind it.
+"""Timing of messages: fused ones are sent at once, those of single streams spaced out after them.
 
-PX4 keeps one unread message a link, so of several in one burst only the last is seen: single streams wait until
-`SPACING_S` after whatever went before.
+PX4 keeps one unread message per link, so of several in one burst only the last is seen. Therefore single streams wait
+until `SPACING_S` after the previous message.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ class Outbox:
     Parameters
     ----------
     send
-        Sends one message now.
+        Sends a message now.
 
     Attributes
     ----------
     next_event_s
-        When `send_due` has something to do [s]; infinite where nothing waits.
+        When `send_due` has something to do [s]; infinite if nothing waits.
     """
 
     def __init__(self, send: Callable[[Any], object]) -> None:
@@ -31,18 +31,18 @@ class Outbox:
         self.next_event_s = float("inf")
 
     def send_now(self, now_s: float, message: Any) -> None:
-        """Send before all that waits."""
+        """Send a message before all waiting ones."""
         self._send(message)
         self._free_s = now_s + SPACING_S
         self._plan()
 
     def put(self, stream_id: int, message: Any) -> None:
-        """Queue a message; a newer one of the same stream takes the place of one that still waits."""
+        """Queue a message; it replaces a waiting one of the same stream."""
         self._waiting[stream_id] = message
         self._plan()
 
     def send_due(self, now_s: float) -> None:
-        """Send the next that waits, where it is time."""
+        """Send the next waiting message if it is due."""
         if now_s >= self.next_event_s:
             self.send_now(now_s, self._waiting.pop(next(iter(self._waiting))))
 

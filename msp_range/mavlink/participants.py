@@ -1,7 +1,7 @@
-"""Who else is on the link and should not be: a second autopilot, one of another type, a program with the bridge's ids.
+"""Unwanted participants on the link: a second autopilot, one of another type, a program with the bridge's ids.
 
-Each is a condition with a text for the pilot, of at most 50 characters, while it lasts: it is over when nothing of it
-has been received for `HOLD_S`, so that one that comes and goes is reported once.
+Each is a condition with a text of at most 50 characters for the pilot. It ends when nothing of it has been received for
+`HOLD_S`, so that one that comes and goes is reported once.
 """
 
 from msp_range.health import Condition
@@ -9,13 +9,13 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 
 HOLD_S = 10.0
-"""A condition is over this long after it was last seen [s]: ten heartbeats. Shorter reports one that flickers again and
-again, longer reports its end late."""
+"""Time after which a condition ends [s]: ten heartbeats. Shorter reports an intermittent one repeatedly, longer reports
+its end late."""
 OWN_IDS_APART_S = 0.5
 OWN_IDS_SEEN = 3
-"""Another program uses the bridge's ids where its frames were seen three times, each half a second or more after the
-last: the heartbeat of every component comes once a second. Fewer would take for one what a router still held of this
-bridge's own frames from before its restart."""
+"""Another program uses the bridge's ids if its frames were seen this many times, at least this long apart [s]; every
+component sends a heartbeat once a second. With fewer, own frames from before a restart that a router still held would
+count."""
 
 _TYPES: dict[Autopilot, int] = {
     "ardupilot": dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -25,7 +25,7 @@ _NAMES = {number: name for name, number in _TYPES.items()}
 
 
 class _Sighting:
-    """Something that should not be: what to report, and when it was last seen."""
+    """A condition: what to report, and when it was last seen."""
 
     def __init__(self, key: str, over: str) -> None:
         self._key = key
@@ -43,12 +43,12 @@ class _Sighting:
 
 
 class Participants:
-    """What heartbeats and the bridge's own ids show.
+    """Conditions derived from heartbeats and from frames with the bridge's ids.
 
     Parameters
     ----------
     expected
-        Type of the autopilot that the airframe file states; None: any.
+        Autopilot type stated in the airframe file; None: any.
     """
 
     def __init__(self, expected: Autopilot | None) -> None:
@@ -65,14 +65,14 @@ class Participants:
             self._wrong_type.seen(now_s, f"Range: autopilot is {found}, file says {self._expected}")
 
     def on_other_autopilot(self, now_s: float, system: int, own_system: int, own_received: bool) -> None:
-        """Note an autopilot of another system id; ``own_received``: the bridge's own is there too."""
+        """Record an autopilot with another system id; ``own_received``: whether the bridge's own is received too."""
         if own_received:
             self._other.seen(now_s, f"Range: second autopilot, system {system} (using {own_system})")
         else:
             self._other.seen(now_s, f"Range: autopilot is system {system}, file says {own_system}")
 
     def on_own_ids(self, now_s: float, system: int, component: int) -> None:
-        """Note a frame with the bridge's ids that it did not send."""
+        """Record a frame with the bridge's ids that it did not send."""
         seen = [time_s for time_s in self._own_ids_seen if now_s - time_s < HOLD_S]
         if not seen or now_s - seen[-1] >= OWN_IDS_APART_S:
             seen.append(now_s)
@@ -81,5 +81,5 @@ class Participants:
             self._own_ids.seen(now_s, f"Range: another program sends as {system}/{component}")
 
     def conditions(self, now_s: float) -> list[Condition]:
-        """All of them, for `msp_range.health.Health.set`."""
+        """All conditions, for `msp_range.health.Health.set`."""
         return [each.condition(now_s) for each in (self._other, self._wrong_type, self._own_ids)]

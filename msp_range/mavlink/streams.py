@@ -1,7 +1,7 @@
-"""What goes out for a reading: the single stream of its sensor, the fused stream, or silence.
+"""Send a reading's messages: on the sensor's single stream, on the fused stream, or none.
 
-A distance goes out where filter or fusion gave one, 'no echo' where a single sensor heard nothing or the vehicle is
-above the range of its downward sensors, and a fault is silence.
+A distance is sent if filter or fusion gave one, 'no echo' if a single sensor received no echo or the vehicle is above
+the range of its downward sensors; a fault is silence.
 """
 
 from collections import defaultdict, deque
@@ -18,11 +18,11 @@ from msp_range.mavlink.outbox import Outbox
 from msp_range.reading import Reading, Status
 
 QUALITY_READINGS = 10
-"""A sensor's quality is the share of its last this many readings that its stream used: four seconds at 2.5 Hz. Fewer
-are unsteady, more are late."""
+"""Number of readings for the quality, which is the share of them that the stream used: four seconds at 2.5 Hz. With
+fewer it fluctuates, with more it is late."""
 HALF_A_CENTIMETRE = 0.005
 HELD_BEAM_QUALITY = 0.5
-"""What is left of the quality at a range where nothing speaks for the beam's angle (`BreakawayTable.known_to_m`)."""
+"""Factor on the quality at ranges where the beam's angle is only assumed (`BreakawayTable.known_to_m`)."""
 
 
 class _Quality:
@@ -47,13 +47,13 @@ class Streams:
     singles
         Streams of single sensors, by name.
     fused
-        The fused stream; None: there is none.
+        The fused stream, or None.
     objects
-        Streams that speak only while an object is below a sensor, by name.
+        Streams that send only while an object is below a sensor, by name.
     downward
-        How many sensors the fused stream has.
+        Number of sensors of the fused stream.
     send
-        Sends one message now.
+        Sends a message now.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Streams:
         self.outbox = Outbox(send)
 
     def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air) -> bool:
-        """Send what a downward sensor's reading means for the fused stream; False where it means nothing usable.
+        """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
 
         Parameters
         ----------
@@ -90,9 +90,9 @@ class Streams:
         boot_ms
             Time of the echo on the autopilot's clock [ms].
         sensor, outcome
-            Whose reading, and what the fusion made of it.
+            The sensor, and the fusion's result.
         air
-            What the ranges were compensated for. Its uncertainty is added to the variance of what is sent.
+            The air temperature used for compensation; its uncertainty is added to the variance.
         """
         if outcome.rejected != UNCONFIRMED:
             self._of_fused[sensor].note(outcome.rejected is None)
@@ -113,14 +113,14 @@ class Streams:
     def send_single(
         self, now_s: float, boot_ms: int, sensor: str, status: Status, filtered: Filtered, air: Air
     ) -> bool:
-        """Send what a reading means for its sensor's own stream; False where it means nothing usable.
+        """Send the message of the sensor's own stream for a reading; False if there is nothing usable.
 
         Parameters
         ----------
         now_s, boot_ms, sensor, air
             As for `send_fused`.
         status, filtered
-            What the sensor's answer meant, and what its filters made of it.
+            Status of the sensor's answer, and its filters' result.
         """
         stream, beam, quality = self._singles[sensor], self._beams[sensor], self._of_singles[sensor]
         estimate = filtered.estimate
@@ -136,7 +136,7 @@ class Streams:
         return True
 
     def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
-        """Send the distance of an object below a downward sensor, where that has no stream of its own."""
+        """Send the distance of an object below a downward sensor, unless the sensor has its own stream."""
         stream = self._objects.get(reading.sensor)
         if stream is None or reading.range_m is None:
             return

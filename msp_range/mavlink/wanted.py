@@ -1,8 +1,8 @@
-"""Messages that the bridge needs from the autopilot: each is asked for at its rate while it comes too slowly.
+"""Messages that the bridge requires from the autopilot: each is requested at its rate while it arrives too slowly.
 
 `msp_range.mavlink.link.Link` reports what arrives and sends what is due (MAV_CMD_SET_MESSAGE_INTERVAL). A refusal is
-final: ArduPilot answers a request for a message that it does not know with a text that the pilot reads, each time. The
-answer does not say which message it is about, so a refusal counts where one request alone was under way.
+final, because ArduPilot sends the pilot a text for each request for an unknown message. The answer does not contain the
+message's name, so a refusal counts only if a single request was pending.
 """
 
 from collections.abc import Mapping
@@ -11,37 +11,37 @@ from typing import NamedTuple
 from msp_range.mavlink.dialect import dialect
 
 ENOUGH = 0.8
-"""A message that comes at this share of its rate or more is not asked for. Autopilots round intervals to their own
-loop's and lose messages on a slow port; nearer to 1 they would be asked for ever, lower an attitude is older."""
+"""A message that arrives with at least this share of its rate is not requested. Autopilots round intervals to their own
+loop and lose messages on a slow port; closer to 1 they would be requested for ever, lower makes attitudes older."""
 MEASURED_S = 5.0
-"""A rate is measured over this long [s], and over three intervals at least. It is also how soon an unanswered request
-is made again; shorter finds a lost request sooner, and takes a delay of the loop for a slow message."""
+"""Time over which a rate is measured [s], and at least three intervals. It is also the time after which an unanswered
+request is repeated. Shorter detects a lost request sooner, and mistakes a delay of the loop for a slow message."""
 MEASURED_INTERVALS = 3
 FIRST_MEASURED_S = 1.0
-"""The first look at what an autopilot sends by itself is this long [s]: a message that comes faster than it is needed
-is not made slower for other programs on the same link. Longer delays the first request."""
+"""Time for which messages are counted before the first request [s], so that a message which already arrives faster than
+required is not made slower for other programs. Longer delays the first request."""
 QUICK_REQUESTS = 6
-"""After this many requests in a row that changed nothing, a message is asked for once in `SLOW_REQUEST_S` only: a port
-that cannot carry the rate gets no more traffic, and an autopilot that does not answer no flood."""
+"""Number of successive requests without effect after which a message is requested only every `SLOW_REQUEST_S`, to limit
+the traffic on a slow port and to an autopilot that does not answer."""
 SLOW_REQUEST_S = 60.0
 ANSWER_S = 2.0
-"""A request is under way for this long, where it is not answered [s]: longer than the way there and back on a radio."""
+"""Time for which an unanswered request is pending [s]: longer than a round trip on a radio link."""
 APART_S = 0.1
-"""Between two requests where no answer comes [s]: autopilots on a wire answer sooner. Once a refusal came while several
-were under way, they are `ANSWER_S` apart."""
+"""Time between two requests without an answer [s]: autopilots on a wire answer sooner. After a refusal while several
+were pending, requests are `ANSWER_S` apart."""
 
 _NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 
 
 class Request(NamedTuple):
-    """A message to ask for: its number, and the interval at which it should come [us]."""
+    """A message to request: its number, and its interval [us]."""
 
     message_id: int
     interval_us: float
 
 
 class _Message:
-    """One wanted message."""
+    """The state of one required message."""
 
     def __init__(self, name: str, rate_hz: float) -> None:
         self.name = name
@@ -56,7 +56,7 @@ class _Message:
         self.next_check_s = now_s + FIRST_MEASURED_S
 
     def is_slow(self, now_s: float) -> bool:
-        """Whether it did not come since the last check, or too slowly since it came first."""
+        """Whether it has not arrived since the last check, or too slowly since it first arrived."""
         return self.received == 0 or self.received < ENOUGH * self.rate_hz * (now_s - self.first_s)
 
     def start_measuring(self, now_s: float) -> None:
@@ -66,12 +66,12 @@ class _Message:
 
 
 class WantedMessages:
-    """What is wanted, what comes, and what to ask for next.
+    """Keeps track of required and received messages, and decides what to request next.
 
     Parameters
     ----------
     rates_hz
-        Name of a message -> rate at which it should come [Hz].
+        Required rate [Hz] by name of the message.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class WantedMessages:
 
     @property
     def refused(self) -> frozenset[str]:
-        """Messages that the autopilot refused to send; they are not asked for again."""
+        """Messages that the autopilot refused to send; they are not requested again."""
         return frozenset(message.name for message in self._messages.values() if message.refused)
 
     def on_message(self, now_s: float, message_id: int) -> None:
@@ -99,7 +99,7 @@ class WantedMessages:
             message.received += 1
 
     def on_answer(self, now_s: float, result: int) -> None:
-        """Note the autopilot's answer (MAV_RESULT) to the oldest request under way; another one may follow at once."""
+        """Record the autopilot's answer (MAV_RESULT) to the oldest pending request; the next may follow at once."""
         if result == dialect.MAV_RESULT_IN_PROGRESS:
             return
         under_way = self._not_yet_answered(now_s)
@@ -112,7 +112,7 @@ class WantedMessages:
         self._next_request_s = now_s
 
     def request(self, now_s: float) -> Request | None:
-        """What to ask for now."""
+        """The messages to request now."""
         if now_s < self._next_request_s:
             return None
         self._next_request_s = now_s + self._apart_s
@@ -128,7 +128,7 @@ class WantedMessages:
         return None
 
     def ask_anew(self, now_s: float) -> None:
-        """Forget refusals and rates: this may be another autopilot, or another program on it."""
+        """Forget refusals and rates: this may be another autopilot or another firmware."""
         for message in self._messages.values():
             message.ask_anew(now_s)
         self._under_way = []

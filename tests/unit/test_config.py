@@ -210,7 +210,7 @@ def test_a_kalman_filter_asks_for_its_package_where_it_would_be_used(
     monkeypatch.setitem(sys.modules, "filterpy", None)
     load_airframe(write(tmp_path, lambda content: None))
     (line,) = mistakes(tmp_path, lambda content: content.update(send=single))
-    assert "filters: kalman needs filterpy: pip install 'msp-range[kalman]'" in line
+    assert "filters: kalman requires filterpy: pip install 'msp-range[kalman]'" in line
 
 
 def test_known_keys_are_those_of_the_filter_that_is_named(tmp_path: Path) -> None:

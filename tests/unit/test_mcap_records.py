@@ -228,7 +228,7 @@ def test_an_attached_airframe_names_only_files_of_the_recording(tmp_path: Path) 
     folder = Path(__file__).parents[2] / "configs"
     text = (folder / "quad_pallet.yaml").read_text()
     text = text.replace("sensors/mb1242.yaml", str(folder / "sensors/mb1242.yaml"))
-    with pytest.raises(ConfigError, match=r"its airframe names /.*mb1242\.yaml, which it does not hold"):
+    with pytest.raises(ConfigError, match=r"its airframe names /.*mb1242\.yaml, which it does not contain"):
         load_airframe_from({"airframe.yaml": text}, Path("a.mcap"))
 
 
