@@ -92,13 +92,8 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
     return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
 
 
-<<<<<<< HEAD
 def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
-    """How far a downward sensor lies below the fused distance's reference point [m]."""
-=======
-def _below_reference_m(airframe: Airframe, sensor: Sensor) -> float:
     """Distance of a downward sensor below the fused distance's reference point [m]."""
->>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     fused = airframe.send.fused
     return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
 
@@ -155,11 +150,6 @@ def fused_stream(airframe: Airframe) -> Stream | None:
     )
 
 
-<<<<<<< HEAD
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:
-    """What DISTANCE_SENSOR calls the sensors of a stream; one of sound among them decides."""
-=======
-def _stream_type(sensors: Sequence[Sensor]) -> int:
     """Sensor type in DISTANCE_SENSOR for a stream: ultrasound if one of its sensors is ultrasonic."""
->>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     return ULTRASOUND if any(sensor.sensor_model.medium == "sound" for sensor in sensors) else LASER

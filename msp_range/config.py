@@ -138,13 +138,8 @@ class FusedSettings(Section):
 class Send(Section):
     """Streams to send."""
 
-<<<<<<< HEAD
     fused: FusedSettings | None = None
-    """the fused downward stream; left out: none"""
-=======
-    fused: Fused | None = None
     """the fused downward stream; default: none"""
->>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
     sensors: tuple[Name, ...] | Literal["all"] = ()
     """single sensors that have a stream of their own: a list of names, or all"""
 
@@ -170,23 +165,13 @@ class Airframe(Section):
     filters: tuple[FilterParameters, ...] = (ChangepointParameters(filter="changepoint"),)
     """filters of every single stream, in order; [] for none; default: the changepoint filter"""
     temperature: TemperatureParameters = TemperatureParameters()
-<<<<<<< HEAD
-    """where the air temperature comes from"""
+    """sources of the air temperature"""
     link: LinkSettings
     """the connection to the autopilot"""
     send: Send
-    """what goes out"""
-    recording: RecordingSettings | None = None
-    """where flights are recorded; left out: only where the command line says so"""
-=======
-    """sources of the air temperature"""
-    link: Link
-    """the connection to the autopilot"""
-    send: Send
     """streams to send"""
-    recording: Recording | None = None
+    recording: RecordingSettings | None = None
     """where flights are recorded; default: only if the command line says so"""
->>>>>>> e51a47d (MAVLink, configuration, command line and service in plain words)
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
