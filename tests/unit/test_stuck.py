@@ -1,5 +1,7 @@
 """A sensor that keeps its answer: when the vehicle's motion shows that it is stuck, and when it may be calm ground."""
 
+from collections.abc import Callable
+
 from msp_range.fusion.stuck import StuckWatch
 from msp_range.fusion.vertical import VerticalMotion
 
@@ -75,3 +77,38 @@ def test_by_the_barometer_alone_it_takes_half_a_metre_however_sure_the_climb_is(
     """0.2 s after the first answer three standard deviations are 0.15 m."""
     assert climbing(2.3, 5, 0.05) == [False] * 5
     assert climbing(2.7, 5, 0.05) == [False] * 4 + [True]
+
+
+def first_stuck_m(height_m: Callable[[float], float], raw: Callable[[float], int], until_s: float) -> float | None:
+    """How high the vehicle is by its barometer when its sensor is first called stuck; None: never."""
+    motion, watch, time_s, answer_s = VerticalMotion(), StuckWatch(), -20.0, 0.0
+    while answer_s < until_s:
+        while time_s <= answer_s:
+            motion.on_acceleration(time_s, 0.0)
+            motion.on_pressure_height(time_s, height_m(time_s))
+            time_s += 0.05
+        if watch.update(raw(answer_s), None, motion, answer_s):
+            return height_m(answer_s)
+        answer_s += 0.4
+    return None
+
+
+def test_a_climb_after_a_long_hover_is_taken_over_the_last_seconds() -> None:
+    """Since the first of the answers the barometer may have drifted by 2.4 m in three standard deviations."""
+    found_m = first_stuck_m(lambda time_s: 0.5 * max(time_s - 60.0, 0.0), lambda time_s: 300, 70.0)
+    assert found_m is not None
+    assert found_m < 2.0
+
+
+def test_a_slow_climb_is_taken_from_the_first_answer_on() -> None:
+    """In the last seconds it is less than the barometer's noise."""
+    found_m = first_stuck_m(lambda time_s: 0.1 * max(time_s, 0.0), lambda time_s: 300, 30.0)
+    assert found_m is not None
+    assert 1.2 < found_m < 2.2
+
+
+def test_what_was_climbed_before_a_new_answer_does_not_count() -> None:
+    def raw(time_s: float) -> int:
+        return 300 + round(time_s) if time_s < 5.0 else 400
+
+    assert first_stuck_m(lambda time_s: min(max(time_s, 0.0), 5.0), raw, 12.0) is None
