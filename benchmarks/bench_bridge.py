@@ -2,7 +2,8 @@
 
 CPU is that of the bridge's own thread, of the steps that end a reading: the last transfer, decoding, correction,
 Kalman filter, fusion, packing, the UDP send and the recording. Rounds of it alternate with rounds of the two floors, so
-that a machine that changes its speed changes all three; a round's figure is the median of its readings.
+that a machine that changes its speed changes all three; a round's figure is the median of its readings. The floor with
+records writes them by the mcap package's own writer, as the bridge did when its goal was set.
 """
 
 import itertools
