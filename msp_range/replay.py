@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,7 +44,7 @@ LATE_S = 0.5
 
 
 class RecordedOrder:
-    """A `Schedule`: sensors ping when they did."""
+    """A `Schedule`: sensors ping when they did, and are asked when they answered."""
 
     def __init__(self, airframe: Airframe, bus: ReplayBus) -> None:
         self._bus = bus
@@ -58,7 +58,12 @@ class RecordedOrder:
         if not times_s:
             return float("inf"), ()
         first_s = min(times_s.values())
-        return first_s, [self._sensors[each] for each, ping_s in times_s.items() if ping_s - first_s <= TOGETHER_S]
+        return first_s, [self._asked_once(each) for each, ping_s in times_s.items() if ping_s - first_s <= TOGETHER_S]
+
+    def _asked_once(self, address: int) -> PolledSensor:
+        """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
+        sensor = self._sensors[address]
+        return replace(sensor, timing=replace(sensor.timing, first_answer_s=self._bus.next_ready_s(address)))
 
     def hear(self, reading: Reading) -> None:
         """A record does not change with what is received."""

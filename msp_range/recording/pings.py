@@ -22,7 +22,7 @@ from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX
-from msp_range.sensors.base import POLL_INTERVAL_S, Driver, RecordedPing
+from msp_range.sensors.base import Driver, RecordedPing
 from msp_range.sensors.table import default_driver
 
 LONGEST_READY_S = 1.0
@@ -147,8 +147,7 @@ def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
             continue
         sensor = topic.removeprefix(RANGE_PREFIX)
         word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
-        # The try before the one that succeeded was one poll interval earlier and found the sensor busy.
-        ready_s = max(0.0, message["read_s"] - message["ping_s"] - POLL_INTERVAL_S / 2)
+        ready_s = max(0.0, message["read_s"] - message["ping_s"])
         pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, min(ready_s, LONGEST_READY_S)))
     for sensor, each in pings.items():
         _check_order(recording.path, sensor, np.array([ping.ping_s for ping in each]), "ping_s")

@@ -51,6 +51,11 @@ class ReplayBus:
         sensor = self._sensors.get(address)
         return None if sensor is None or sensor.next is None else sensor.next.ping_s
 
+    def next_ready_s(self, address: int) -> float:
+        """How long after its next ping the sensor answers [s]; 0 where the record has no more of it."""
+        sensor = self._sensors.get(address)
+        return 0.0 if sensor is None or sensor.next is None else sensor.next.ready_s
+
     def write(self, address: int, data: bytes) -> None:
         """Start the next recorded ranging where ``data`` is the range command; anything else does nothing."""
         now_s = self._clock.now()
