@@ -85,19 +85,19 @@ class Calibration:
         return reading_cm if self.is_identity else self._inverse(reading_cm)
 
     @cached_property
-    def _forward(self) -> _Pieces:
-        return _Pieces(self.true_cm, self.reading_cm)
+    def _forward(self) -> PiecewiseLinear:
+        return PiecewiseLinear(self.true_cm, self.reading_cm)
 
     @cached_property
-    def _inverse(self) -> _Pieces:
-        return _Pieces(self.reading_cm, self.true_cm)
+    def _inverse(self) -> PiecewiseLinear:
+        return PiecewiseLinear(self.reading_cm, self.true_cm)
 
 
 IDENTITY = Calibration()
 """The reading is the range."""
 
 
-class _Pieces:
+class PiecewiseLinear:
     """Piecewise linear function through points, extrapolated beyond them."""
 
     def __init__(self, x: tuple[float, ...], y: tuple[float, ...]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.characterise.calibration import line_design, pooled_spread
-from msp_lab.characterise.estimates import fit_points, share, standard_error
+from msp_lab.characterise.estimates import Z, fit_points, share, standard_error
 from msp_lab.characterise.findings import Baseline, IntervalEstimate, MaximumRange, Peak
 from msp_lab.characterise.points import PointReadings
 from msp_range.reading_model.sensor_model import SensorModel
@@ -142,7 +142,7 @@ def _mode(reading_cm: NDArray[np.float64]) -> IntervalEstimate:
     """Most frequent reading, and those whose counts are not surely lower."""
     values, counts = np.unique(reading_cm, return_counts=True)
     top = int(counts.max())
-    as_likely = values[counts >= top - 1.96 * np.sqrt(top + counts)]
+    as_likely = values[counts >= top - Z * np.sqrt(top + counts)]
     middle = float(values[counts.argmax()])
     near = as_likely[np.abs(as_likely - middle) <= 2 * PEAK_HALF_CM]
     return IntervalEstimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)

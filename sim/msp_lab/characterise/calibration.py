@@ -18,6 +18,7 @@ from scipy.special import ndtri
 from msp_lab.characterise.estimates import (
     CONFIDENCE,
     PointsFit,
+    Z,
     between_points,
     dependence_factor,
     fit_points,
@@ -26,7 +27,7 @@ from msp_lab.characterise.estimates import (
 )
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, IntervalEstimate, Knot
 from msp_lab.characterise.points import PointReadings
-from msp_range.correction.calibration import IDENTITY, Calibration
+from msp_range.correction.calibration import IDENTITY, Calibration, PiecewiseLinear
 from msp_range.reading_model.sensor_model import SensorModel
 
 LEAST_RANGES = 4
@@ -153,7 +154,7 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     # Each point's own interval of the variance; they are independent.
     errors = np.array([((each.high or 0.0) ** 2 - (each.low or 0.0) ** 2) / 3.92 for each in found])
     error = math.sqrt(float((weights**2) @ errors**2)) / float(weights.sum())
-    low, high = math.sqrt(max(value**2 - 1.96 * error, 0.0)), math.sqrt(value**2 + 1.96 * error)
+    low, high = math.sqrt(max(value**2 - Z * error, 0.0)), math.sqrt(value**2 + Z * error)
     return IntervalEstimate(value, low, high, "cm", int(weights.sum()) + len(found))
 
 
@@ -161,7 +162,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     """Largest distance from the line, and what chance in the readings alone makes the largest in 95 % of cases."""
     residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
     i = int(np.abs(residual).argmax())
-    half = 1.96 * math.sqrt(float(data.variance_cm2[i]))
+    half = Z * math.sqrt(float(data.variance_cm2[i]))
     value = float(residual[i])
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
@@ -244,11 +245,7 @@ def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
 
 
 def _extended(x: _Array, places: _Array, values: _Array) -> _Array:
-    """Linear interpolation whose outer pieces go on."""
-    piece = np.clip(np.searchsorted(places, x, side="right") - 1, 0, places.size - 2)
-    slope = np.diff(values) / np.diff(places)
-    extended: _Array = values[piece] + slope[piece] * (x - places[piece])
-    return extended
+    return PiecewiseLinear(tuple(places.tolist()), tuple(values.tolist()))(x)
 
 
 def _knots(data: _Points, pieces: int) -> tuple[Knot, ...]:

@@ -28,6 +28,17 @@ BATCH = 15
 _Array = NDArray[np.float64]
 
 
+def wilson(count: float, of: float) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share, 0 to 1 where nothing was counted."""
+    if of <= 0.0:
+        return 0.0, 1.0
+    p = count / of
+    middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
+    half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
+    # Rounding may put an end on the wrong side of the share itself.
+    return max(min(middle - half, p), 0.0), min(max(middle + half, p), 1.0)
+
+
 def share(count: int, of: int) -> IntervalEstimate:
     """A share with Wilson's interval.
 
@@ -37,10 +48,7 @@ def share(count: int, of: int) -> IntervalEstimate:
     >>> print(f"{found.value:.3f} {found.low:.3f} {found.high:.3f}")
     0.030 0.010 0.085
     """
-    p = count / of
-    middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
-    half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
-    return IntervalEstimate(p, max(middle - half, 0.0), min(middle + half, 1.0), "", of)
+    return IntervalEstimate(count / of, *wilson(count, of), "", of)
 
 
 def mean_of_points(values: Sequence[float] | _Array, unit: str) -> IntervalEstimate:

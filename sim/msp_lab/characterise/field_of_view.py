@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import xlogy
 
-from msp_lab.characterise.estimates import CONFIDENCE, share
+from msp_lab.characterise.estimates import CONFIDENCE, Z, share
 from msp_lab.characterise.findings import (
     AnglePoint,
     BreakawayAngle,
@@ -150,7 +150,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     reliable = share(of_wall.size, point.reading_cm.size)
     reading = None
     if of_wall.size > 1:
-        half = 1.96 * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
+        half = Z * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
         mean = float(of_wall.mean())
         reading = IntervalEstimate(mean, mean - half, mean + half, "cm", of_wall.size)
     return AnglePoint(

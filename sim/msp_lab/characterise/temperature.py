@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, standard_error
+from msp_lab.characterise.estimates import CONFIDENCE, Z, standard_error
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
@@ -91,7 +91,7 @@ def _hot_box(
         rows=tuple(
             HotBoxRow(
                 float(r),
-                IntervalEstimate(float(s), float(s) - 1.96 * e, float(s) + 1.96 * e, "cm", p.hits),
+                IntervalEstimate(float(s), float(s) - Z * e, float(s) + Z * e, "cm", p.hits),
                 *ideas_here,
             )
             for r, s, e, (p, _), ideas_here in zip(
@@ -198,7 +198,7 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
 
 
 def _half(hits: _Array, step_cm: float) -> float:
-    return 1.96 * math.sqrt((float(hits.var(ddof=1)) + step_cm**2 / 12.0) / hits.size)
+    return Z * math.sqrt((float(hits.var(ddof=1)) + step_cm**2 / 12.0) / hits.size)
 
 
 def _note(thermometer_c: float | None, calibration: Calibration) -> str:

@@ -7,6 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from msp_lab.characterise.estimates import Z
+from msp_range.correction.calibration import PiecewiseLinear
 from msp_sim.page.style import GREEN, GREY, INK, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure
 
 _Array = NDArray[np.float64]
@@ -63,7 +65,7 @@ def draw_linearity(linearity: Linearity) -> Figure:
     axes.errorbar(
         true_cm,
         linearity.reading_cm - true_cm,
-        yerr=1.96 * linearity.reading_std_cm,
+        yerr=Z * linearity.reading_std_cm,
         linestyle="none",
         marker="o",
         markersize=2.0 if is_crowded else 4.0,
@@ -118,8 +120,7 @@ def _piecewise(true_cm: _Array, knots_cm: _Array) -> _Array:
     x, y = knots_cm[:, 0], knots_cm[:, 1]
     if x.size == 1:
         return true_cm + float(y[0] - x[0])
-    i = np.clip(np.searchsorted(x, true_cm) - 1, 0, x.size - 2)
-    return np.asarray(y[i] + (true_cm - x[i]) * (y[i + 1] - y[i]) / (x[i + 1] - x[i]))
+    return PiecewiseLinear(tuple(x.tolist()), tuple(y.tolist()))(true_cm)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
+from msp_lab.characterise.estimates import Z
 from msp_sim.page.style import GREY, INK, OURS, REFERENCE, SERIES, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]
@@ -179,7 +180,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
             continue
         near = errors if compressed else errors[(errors > low) & (errors < high)]
         if near.size:
-            spread = 0.0 if compressed else 1.96 * float(np.std(near)) / np.sqrt(near.size)
+            spread = 0.0 if compressed else Z * float(np.std(near)) / np.sqrt(near.size)
             middles.append((range_cm, float(np.median(near) if compressed else np.mean(near)), spread))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
         centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
@@ -286,7 +287,7 @@ def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float], compressed: 
         kept = [i for i in range(24) if np.count_nonzero(index == i) >= 5]
         centres = [float(np.mean(x[index == i])) for i in kept]
         means = [float(np.median(y[index == i]) if compressed else np.mean(y[index == i])) for i in kept]
-        spreads = [1.96 * float(np.std(y[index == i])) / np.sqrt(np.count_nonzero(index == i)) for i in kept]
+        spreads = [Z * float(np.std(y[index == i])) / np.sqrt(np.count_nonzero(index == i)) for i in kept]
         row.errorbar(
             centres,
             means,

@@ -11,6 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import binom
 
+from msp_lab.characterise.estimates import wilson
 from msp_sim.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
 
 _Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
         words = f"{value:g} cm\nfitted {100.0 * codes[value]:.2f} %"
         if densities.counts is not None and total:
             count = float(np.sum(densities.counts[k == value]))
-            low, high = _share_interval(count, total)
+            low, high = wilson(count, total)
             share = count / total
             axes.errorbar(
                 [value],
@@ -280,7 +281,7 @@ def _dots(
     axes: Axes, k: _Array, share: _Array, counts: _Array, total: float, label: str | None, cells: int = 1
 ) -> None:
     """Shares that were read, each with its interval, as one centimetre of `cells`."""
-    intervals = np.array([_share_interval(float(count), total) for count in counts]).reshape(-1, 2) / cells
+    intervals = np.array([wilson(float(count), total) for count in counts]).reshape(-1, 2) / cells
     shown = counts > 0
     axes.errorbar(
         k[shown],
@@ -313,7 +314,7 @@ def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: st
             continue
         scale = float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size)
         count = float(np.sum(densities.counts[cells]))
-        low, high = _share_interval(count, n)
+        low, high = wilson(count, n)
         value = scale * count / n
         axes.errorbar(
             [float(np.mean(densities.reading_cm[cells]))],
@@ -324,15 +325,3 @@ def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: st
             **_READ,
         )
         shown = True
-
-
-def _share_interval(count: float, total: float) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    if total <= 0.0:
-        return 0.0, 1.0
-    z2 = 1.96**2
-    share = count / total
-    centre = (share + z2 / (2 * total)) / (1 + z2 / total)
-    half = np.sqrt(share * (1 - share) / total + z2 / (4 * total**2)) * 1.96 / (1 + z2 / total)
-    # Rounding may put an end on the wrong side of the share itself.
-    return max(min(float(centre - half), share), 0.0), min(max(float(centre + half), share), 1.0)

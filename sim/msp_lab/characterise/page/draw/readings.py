@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from msp_lab.characterise.estimates import Z
 from msp_sim.page.style import GREY, INK, ORANGE, OURS, REFERENCE, legend_below, new_figure, note
 
 _Array = NDArray[np.float64]
@@ -119,7 +120,7 @@ def draw_histogram(
             k = np.arange(int(np.ceil(low)), int(np.floor(high)) + 1)
             k = k[(k >= 0) & (k < fitted.size)]
             expected = fitted[k] * fixed.reading_cm.size
-            band = 1.96 * np.sqrt(np.maximum(expected, 0.0))
+            band = Z * np.sqrt(np.maximum(expected, 0.0))
             axes.errorbar(
                 k,
                 expected,
