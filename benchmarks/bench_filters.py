@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.filter_study.explain import explain
-from msp_lab.filter_study.goals import goals
-from msp_lab.filter_study.study import study
+from msp_lab.filter_study.explain import explain_rows
+from msp_lab.filter_study.goals import check_goals
+from msp_lab.filter_study.study import run_study
 from msp_lab.filter_study.table import report_table
 from msp_range.filters.base import Estimate
 from msp_range.filters.changepoint import ChangepointParameters
@@ -25,12 +25,12 @@ def run() -> list[dict[str, Any]]:
     """All figures of this file."""
     early_us, late_us = _update_us()
     started_s = time.perf_counter()
-    results = study(SEEDS, 1)
+    results = run_study(SEEDS, 1)
     study_s = time.perf_counter() - started_s
     started_s = time.perf_counter()
-    explain(report_table())
+    explain_rows(report_table())
     explain_s = time.perf_counter() - started_s
-    wanted = [goal for goal in goals(results) if goal.met is not None]
+    wanted = [goal for goal in check_goals(results) if goal.met is not None]
     reached = sum(goal.met is True for goal in wanted)
     return [
         _figure("changepoint_update", late_us, "us", "at most 300", late_us <= 300),

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from msp_range.reading_model import densities as mix
-from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
 from msp_range.reading_model.mixture import ReadingModel
@@ -45,10 +45,10 @@ def run() -> list[dict[str, Any]]:
     campaign_cm = 40.0 + 20.0 * rng.integers(0, 24, READINGS)
     campaign_reading_cm = ReadingModel.of(sensor).sample({"true_range_cm": campaign_cm}, rng)
 
-    hard_s, hard_cpu_s = _median_s(lambda: fit(reading_cm, true_cm, grid))
-    _, fewer_cpu_s = _median_s(lambda: fit(reading_cm[:FEWER], true_cm[:FEWER], grid))
-    campaign_s, _ = _median_s(lambda: fit(campaign_reading_cm, campaign_cm, grid))
-    best = fit(reading_cm, true_cm, grid).log_likelihood
+    hard_s, hard_cpu_s = _median_s(lambda: fit_readings(reading_cm, true_cm, grid))
+    _, fewer_cpu_s = _median_s(lambda: fit_readings(reading_cm[:FEWER], true_cm[:FEWER], grid))
+    campaign_s, _ = _median_s(lambda: fit_readings(campaign_reading_cm, campaign_cm, grid))
+    best = fit_readings(reading_cm, true_cm, grid).log_likelihood
 
     likelihood = Likelihood(grid, grid.cell(reading_cm), true_cm, np.ones(READINGS))
     general_cpu_s = min(
@@ -56,8 +56,8 @@ def run() -> list[dict[str, Any]]:
         for method in ("L-BFGS-B", "TNC", "SLSQP", "BFGS")
     )
     few_reading_cm, few_true_cm = reading_cm[:NUMERIC], true_cm[:NUMERIC]
-    few_best = fit(few_reading_cm, few_true_cm, grid).log_likelihood
-    _, few_cpu_s = _median_s(lambda: fit(few_reading_cm, few_true_cm, grid))
+    few_best = fit_readings(few_reading_cm, few_true_cm, grid).log_likelihood
+    _, few_cpu_s = _median_s(lambda: fit_readings(few_reading_cm, few_true_cm, grid))
     numeric_cpu_s = _general_cpu_s(_plain(sensor, few_reading_cm, few_true_cm), few_best, False, "L-BFGS-B")
 
     return [

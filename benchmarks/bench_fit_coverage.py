@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.grid import ReadingGrid
 from tests.support.plain_sampler import PlainSensor
 
@@ -38,7 +38,7 @@ def coverage(seeds: Iterable[int], readings: int = READINGS) -> dict[str, float]
     runs = 0
     for seed in seeds:
         true_cm = np.random.default_rng(seed).uniform(40.0, 500.0, readings)
-        result = fit(sensor.readings(true_cm.tolist(), seed), true_cm, grid)
+        result = fit_readings(sensor.readings(true_cm.tolist(), seed), true_cm, grid)
         runs += 1
         for name, value in TRUTH.items():
             low, high = result.interval(name)

@@ -32,7 +32,7 @@ FEW_RANGES = 0.2
 """Rows are counted where there are fewer distinct ranges than this share of a sample of the rows."""
 
 
-def fit(
+def fit_readings(
     reading_cm: ArrayLike,
     expected_cm: ArrayLike,
     grid: ReadingGrid,

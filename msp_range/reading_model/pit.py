@@ -46,7 +46,7 @@ class GoodnessOfFit:
     note: str
 
 
-def pit(
+def pit_values(
     result: FitResult, reading_cm: ArrayLike, expected_cm: ArrayLike, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Transform each reading to 0 ... 1, (n,); NaN for what the sensor cannot report."""
@@ -82,7 +82,7 @@ def goodness_of_fit(
     ValueError
         There are too few readings for a histogram, or the model says that one cannot be.
     """
-    transformed = pit(result, reading_cm, expected_cm, rng)
+    transformed = pit_values(result, reading_cm, expected_cm, rng)
     readings = transformed.size
     if readings < BINS * FEWEST_IN_BIN:
         raise ValueError(f"found {readings} readings, expected at least {BINS * FEWEST_IN_BIN}")

@@ -141,10 +141,10 @@ def characterise(
     require("lab", "msp-lab characterise")
     from numpy.random import default_rng
 
-    from msp_lab.characterise.characterise import characterise as analyse
+    from msp_lab.characterise.analysis import characterise as analyse
     from msp_lab.characterise.model_file import changed, write_model
-    from msp_lab.characterise.publish import check_free, publish
-    from msp_lab.characterise.show import show
+    from msp_lab.characterise.publish import check_free, publish_findings
+    from msp_lab.characterise.show import show_findings
     from msp_lab.readings.column_map import load_map
     from msp_lab.readings.intake import load_readings, without_impossible
     from msp_range.clock import SystemClock, date_of
@@ -182,13 +182,13 @@ def characterise(
         write_model(out, model, findings, changes, starting_model.name)
         if report is not None:
             status.update("drawing the report")
-            pages = [publish(findings, loaded.data, model, report)]
+            pages = [publish_findings(findings, loaded.data, model, report)]
             if compare_with_report:
                 from msp_lab.comparison.write import write_comparison
 
                 pages.append(write_comparison(findings, loaded.data, model, report))
     console = PlainConsole()
-    show(findings, console)
+    show_findings(findings, console)
     console.print(f"{out}: loads as a sensor model" + "".join(f"; {page}" for page in pages))
 
 
@@ -268,11 +268,11 @@ def filters(
     an implementation must have done otherwise to get it, or says what was tried.
     """
     require("lab", "msp-lab filters")
-    from msp_lab.filter_study.explain import explain
-    from msp_lab.filter_study.goals import goals
-    from msp_lab.filter_study.publish import publish
+    from msp_lab.filter_study.explain import explain_rows
+    from msp_lab.filter_study.goals import check_goals
+    from msp_lab.filter_study.publish import publish_study
     from msp_lab.filter_study.show import print_explanations, print_goals, print_tables
-    from msp_lab.filter_study.study import delays, study
+    from msp_lab.filter_study.study import delays, run_study
     from msp_lab.filter_study.table import read_table, report_table
     from msp_range.terminal import console
     from msp_sim.terminal import make_folder
@@ -282,14 +282,14 @@ def filters(
         make_folder(out)
     shown = console()
     with shown.status("comparing filters"):
-        results = study(seeds, seed)
+        results = run_study(seeds, seed)
     with shown.status("explaining the table"):
-        reverse, verdicts = explain(rows)
+        reverse, verdicts = explain_rows(rows)
     print_tables(shown, verdicts, delays(results))
     print_explanations(shown, reverse, verdicts)
-    print_goals(shown, goals(results))
+    print_goals(shown, check_goals(results))
     if out is not None:
-        for path in publish(out, results, reverse, verdicts, seed):
+        for path in publish_study(out, results, reverse, verdicts, seed):
             print(f"written: {path}")
 
 

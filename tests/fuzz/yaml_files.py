@@ -13,7 +13,7 @@ import yaml
 
 from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.flights import is_of_flights, load_flights
-from msp_lab.campaigns.plan import plan
+from msp_lab.campaigns.plan import make_plan
 from msp_lab.readings.column_map import ColumnMap
 from msp_range import cli
 from msp_range.input_file import CONTROL
@@ -95,7 +95,7 @@ def _read_campaign(path: Path) -> None:
     if is_of_flights(path):
         load_flights(path)
     else:
-        plan(load_campaign(path))
+        make_plan(load_campaign(path))
 
 
 _READ: dict[str, Callable[[Path], Any]] = {

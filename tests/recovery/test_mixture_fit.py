@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_fit_coverage import coverage
 from msp_range.reading_model.densities import NAMES, C, L, M, R, S, T, U, probabilities
-from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitError, FitResult
 from msp_range.reading_model.grid import ReadingGrid
-from msp_range.reading_model.pit import goodness_of_fit, pit
+from msp_range.reading_model.pit import goodness_of_fit, pit_values
 from tests.support.data import measured_data
 from tests.support.plain_sampler import PlainSensor
 
@@ -47,7 +47,7 @@ def test_intervals_hold_the_truth() -> None:
 @pytest.mark.parametrize("ranges_cm", [None, 40.0 + 20.0 * np.arange(12)], ids=["all differ", "campaign"])
 def test_known_parameters_come_back(ranges_cm: NDArray[np.float64] | None) -> None:
     reading_cm, true_cm = drawn(ROUGH, 20_000, 1, ranges_cm)
-    result = fit(reading_cm, true_cm, MB1242)
+    result = fit_readings(reading_cm, true_cm, MB1242)
     recovered(result, ROUGH)
     assert result.at_bound == result.not_identified == ()
     assert sum(result.estimates[name] for name in ("hit", "short", "missed", "random")) == pytest.approx(1.0)
@@ -58,9 +58,9 @@ def test_known_parameters_come_back(ranges_cm: NDArray[np.float64] | None) -> No
 
 def test_counted_rows_are_the_same_fit() -> None:
     reading_cm, true_cm = drawn(ROUGH, 5_000, 2, np.array([80.0, 300.0]))
-    counted = fit(reading_cm, true_cm, MB1242)
+    counted = fit_readings(reading_cm, true_cm, MB1242)
     # A millionth of a centimetre makes every range another one.
-    one_by_one = fit(reading_cm, true_cm + 1e-6 * np.random.default_rng(1).random(5_000), MB1242)
+    one_by_one = fit_readings(reading_cm, true_cm + 1e-6 * np.random.default_rng(1).random(5_000), MB1242)
     assert counted.rows < 500 < one_by_one.rows
     assert counted.log_likelihood == pytest.approx(one_by_one.log_likelihood, abs=1e-3)
     for name, value in counted.estimates.items():
@@ -69,7 +69,7 @@ def test_counted_rows_are_the_same_fit() -> None:
 
 def test_offset_and_scale_come_back() -> None:
     sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.6, 0.7, 0.25, offset_cm=1.3, scale=1.004)
-    result = fit(*drawn(sensor, 20_000, 3), MB1242, offset=True, scale=True)
+    result = fit_readings(*drawn(sensor, 20_000, 3), MB1242, offset=True, scale=True)
     recovered(result, sensor)
     assert result.offset_cm == result.estimates["offset_cm"]
     assert result.scale == result.estimates["scale"]
@@ -77,7 +77,7 @@ def test_offset_and_scale_come_back() -> None:
 
 def test_growth_with_range_comes_back_and_is_kept() -> None:
     sensor = PlainSensor(0.9, 0.03, 0.04, 0.03, 1.2, 0.7, 0.25, sigma_growth_cm_per_m=0.5, missed_growth_per_m=0.4)
-    result = fit(*drawn(sensor, 20_000, 4), MB1242, growth=True)
+    result = fit_readings(*drawn(sensor, 20_000, 4), MB1242, growth=True)
     assert [trial.kept for trial in result.growth_trials] == [True, True]
     recovered(result, sensor)
     assert result.parameters.missed_growth_per_m == result.estimates["missed_growth_per_m"]
@@ -89,7 +89,9 @@ def test_the_error_of_growth_is_what_it_scatters_by() -> None:
     found, errors = [], []
     for _ in range(60):
         sigma_cm = np.hypot(1.0, 0.01 * expected_cm)
-        result = fit(np.rint(expected_cm + sigma_cm * rng.standard_normal(600)), expected_cm, grid, growth=True)
+        result = fit_readings(
+            np.rint(expected_cm + sigma_cm * rng.standard_normal(600)), expected_cm, grid, growth=True
+        )
         found.append(result.estimates["sigma_growth_cm_per_m"])
         errors.append(result.standard_errors["sigma_growth_cm_per_m"])
     # A standard deviation of 60 is known to 9 %.
@@ -98,10 +100,10 @@ def test_the_error_of_growth_is_what_it_scatters_by() -> None:
 
 
 def test_growth_that_is_not_there_is_left_out() -> None:
-    result = fit(*drawn(ROUGH, 20_000, 5), MB1242, growth=True)
+    result = fit_readings(*drawn(ROUGH, 20_000, 5), MB1242, growth=True)
     assert [trial.kept for trial in result.growth_trials] == [False, False]
     assert result.parameters.sigma_growth_cm_per_m == result.parameters.missed_growth_per_m == 0.0
-    one_range = fit(*drawn(ROUGH, 5_000, 5, np.array([300.0])), MB1242, growth=True)
+    one_range = fit_readings(*drawn(ROUGH, 5_000, 5, np.array([300.0])), MB1242, growth=True)
     assert "too alike" in one_range.growth_trials[0].why
 
 
@@ -113,18 +115,18 @@ def test_another_sensors_grid_and_codes() -> None:
     grid = ReadingGrid(2.0, 401.0, 0.3, no_echo_cm=800.0, second_no_echo_cm=1.0)
     rng = np.random.default_rng(6)
     true_cm = rng.uniform(10.0, 350.0, 20_000)
-    recovered(fit(sensor.readings(true_cm.tolist(), 6), true_cm, grid), sensor)
+    recovered(fit_readings(sensor.readings(true_cm.tolist(), 6), true_cm, grid), sensor)
 
 
 def test_ranges_at_which_nothing_is_heard_count_as_missed() -> None:
     rng = np.random.default_rng(7)
     true_cm = np.where(rng.random(20_000) < 0.2, np.inf, rng.uniform(40.0, 500.0, 20_000))
-    recovered(fit(ROUGH.readings(true_cm.tolist(), 7), true_cm, MB1242), ROUGH)
+    recovered(fit_readings(ROUGH.readings(true_cm.tolist(), 7), true_cm, MB1242), ROUGH)
 
 
 def test_a_weight_of_nothing_has_an_upper_limit() -> None:
     clean = PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5)
-    result = fit(*drawn(clean, 5_000, 8), MB1242)
+    result = fit_readings(*drawn(clean, 5_000, 8), MB1242)
     assert set(result.at_bound) == {"short", "missed", "random"}
     assert set(result.not_identified) == {"short_rate_per_m", "saturated_fraction"}
     assert result.parameters.weights.hit == 1.0
@@ -141,13 +143,13 @@ def test_a_weight_of_nothing_has_an_upper_limit() -> None:
 def test_a_few_of_a_kind_have_an_interval_that_is_not_symmetric() -> None:
     reading_cm, true_cm = drawn(PlainSensor(1.0, 0.0, 0.0, 0.0, 1.6, 0.5), 5_000, 9)
     reading_cm[:3] = 765.0
-    low, high = fit(reading_cm, true_cm, MB1242).interval("missed")
+    low, high = fit_readings(reading_cm, true_cm, MB1242).interval("missed")
     # Likelihood-ratio limits of a Poisson mean with 3 seen: 0.75 and 7.75.
     assert (5_000 * low, 5_000 * high) == pytest.approx((0.75, 7.75), rel=0.05)
 
 
 def test_readings_that_never_differ_bound_the_spread_from_above() -> None:
-    result = fit(np.full(500, 300.0), np.full(500, 300.0), MB1242)
+    result = fit_readings(np.full(500, 300.0), np.full(500, 300.0), MB1242)
     assert result.estimates["sigma_cm"] < 0.2
     low, high = result.interval("sigma_cm")
     assert low == pytest.approx(0.01)
@@ -156,7 +158,7 @@ def test_readings_that_never_differ_bound_the_spread_from_above() -> None:
 
 def test_pit_is_uniform_for_the_right_model_and_not_for_a_wrong_one() -> None:
     reading_cm, true_cm = drawn(ROUGH, 20_000, 10)
-    fitted = fit(reading_cm, true_cm, MB1242)
+    fitted = fit_readings(reading_cm, true_cm, MB1242)
     fresh = drawn(ROUGH, 20_000, 11)
     rng = np.random.default_rng(12)
     good = goodness_of_fit(fitted, *fresh, rng, fitted_here=False)
@@ -174,7 +176,7 @@ def test_pit_is_uniform_for_the_right_model_and_not_for_a_wrong_one() -> None:
     assert here.chi_square_p_value < elsewhere.chi_square_p_value
     wider = drawn(PlainSensor(**{**vars(ROUGH), "sigma_cm": 1.8}), 20_000, 13)
     assert goodness_of_fit(fitted, *wider, rng, fitted_here=False).ks_p_value < 1e-3
-    assert np.isnan(pit(fitted, [300.5], [300.0], rng)).all()
+    assert np.isnan(pit_values(fitted, [300.5], [300.0], rng)).all()
 
 
 GOOD_CM = np.tile([298.0, 299.0, 300.0, 301.0, 302.0], 40)
@@ -201,7 +203,7 @@ def test_what_cannot_be_fitted_is_refused_in_a_line(
     reading_cm: NDArray[np.float64], true_cm: NDArray[np.float64], message: str
 ) -> None:
     with pytest.raises(FitError, match=message):
-        fit(reading_cm, true_cm, MB1242)
+        fit_readings(reading_cm, true_cm, MB1242)
 
 
 def test_the_mixture_of_a_measured_lidar() -> None:
@@ -212,7 +214,7 @@ def test_the_mixture_of_a_measured_lidar() -> None:
     measured_cm = 100.0 * columns["measured_m"]
     # 51.05 m is no echo, and 13 of 40,000 say 51.10.
     reading_cm = np.where(measured_cm > 5102.5, 5105.0, grid.nearest(measured_cm))
-    result = fit(reading_cm, 100.0 * columns["expected_m"], grid, offset=True)
+    result = fit_readings(reading_cm, 100.0 * columns["expected_m"], grid, offset=True)
     assert result.estimates["short"] == pytest.approx(0.127, abs=0.002)
     assert result.estimates["missed"] == pytest.approx(0.007, abs=0.0005)
     # What reads short here hardly gets rarer with range.
@@ -237,7 +239,7 @@ def test_awkward_sensors_are_fitted_at_least_as_well_as_by_the_truth(seed: int) 
         rng.choice([60.0, 120.0, 300.0], readings),
     )[kind]
     reading_cm = np.array(sensor.readings(true_cm.tolist(), seed))
-    result = fit(reading_cm, true_cm, MB1242, offset=bool(rng.integers(2)), growth=bool(rng.integers(2)))
+    result = fit_readings(reading_cm, true_cm, MB1242, offset=bool(rng.integers(2)), growth=bool(rng.integers(2)))
     truth = np.zeros(len(NAMES))
     truth[[U, R, M]] = weights[1] / (1.0 - weights[2]), weights[3] / (1.0 - weights[2]), weights[2]
     truth[[T, L, S, C]] = np.log(sensor.sigma_cm), sensor.short_rate_per_m / 100.0, sensor.second_share, 1.0

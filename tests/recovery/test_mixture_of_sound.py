@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitResult
 from msp_range.reading_model.grid import ReadingGrid
 from tests.blind.campaign import over_ranges
@@ -19,7 +19,7 @@ SEEDS = range(100, 108)
 
 def _fit(seed: int, count: int) -> FitResult:
     columns = over_ranges(seed, count)
-    return fit(columns["reading_cm"], columns["true_range_cm"], GRID, offset=True, scale=True)
+    return fit_readings(columns["reading_cm"], columns["true_range_cm"], GRID, offset=True, scale=True)
 
 
 @cache

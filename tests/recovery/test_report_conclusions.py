@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from msp_lab.characterise.characterise import characterise
+from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model

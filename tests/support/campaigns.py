@@ -7,8 +7,8 @@ from typing import Any
 import yaml
 
 from msp_lab.campaigns.campaign import Campaign, load_campaign
-from msp_lab.campaigns.collect import Arranged, Place, Say, collect
-from msp_lab.campaigns.plan import Point, plan
+from msp_lab.campaigns.collect import Arranged, Place, Say, collect_readings
+from msp_lab.campaigns.plan import Point, make_plan
 from msp_lab.campaigns.simulated_bench import Draw, Nobody, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, Watch
@@ -62,7 +62,7 @@ class Collected:
         draw: Draw | None = None,
     ) -> None:
         self.campaign = of
-        self.points = plan(of)
+        self.points = make_plan(of)
         models, words = readings_of(of, None)
         if draw is not None:
             models = lambda name, generator: draw  # noqa: E731
@@ -74,7 +74,7 @@ class Collected:
         person = person or Nobody()
         names = [point.name for point in self.points] if wanted is None else wanted
         try:
-            collect(self.campaign, self.points, self.bench, self.store, person, names, again)
+            collect_readings(self.campaign, self.points, self.bench, self.store, person, names, again)
         finally:
             self.store.close()
         return person

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from importlib import import_module
 
 HEAVY = (
-    "msp_lab.characterise.characterise",
+    "msp_lab.characterise.analysis",
     "msp_lab.readings.intake",
     "msp_lab.characterise.model_file",
     "msp_lab.characterise.show",

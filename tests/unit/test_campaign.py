@@ -9,7 +9,7 @@ import pytest
 
 from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.flights import is_of_flights, load_flights
-from msp_lab.campaigns.plan import Point, Setup, changes, plan, reading_s, setup_s
+from msp_lab.campaigns.plan import Point, Setup, changes, make_plan, reading_s, setup_s
 from msp_range.yaml_file import ConfigError
 from tests.support.campaigns import CONFIGS, PLYWOOD, campaign, condition, written
 
@@ -17,7 +17,7 @@ BENCH_CAMPAIGNS = sorted(path.stem for path in (CONFIGS / "campaigns").glob("*.y
 
 
 def points_of(name: str) -> tuple[Point, ...]:
-    return plan(load_campaign(CONFIGS / f"campaigns/{name}.yaml"))
+    return make_plan(load_campaign(CONFIGS / f"campaigns/{name}.yaml"))
 
 
 def of_condition(points: tuple[Point, ...], name: str) -> list[Point]:
@@ -110,7 +110,7 @@ def test_a_condition_begins_where_the_one_before_stopped(tmp_path: Path) -> None
         condition(ranges_cm=[40, 80, 120]),
         condition(condition="material", ranges_cm=[40, 80, 120], targets=[stone, PLYWOOD]),
     )
-    points = plan(small)
+    points = make_plan(small)
     assert [point.setup.range_cm for point in points] == [40, 80, 120, 120, 80, 40, 40, 80, 120]
     assert [point.setup.target.material for point in points[3:]] == ["plywood"] * 3 + ["stone"] * 3
     assert changes(points[2], points[3]) == []
@@ -130,7 +130,7 @@ def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> Non
                   firing=["simultaneous", "sequential"]),
         condition(condition="turned", ranges_cm=[60], angles_deg=[0, 1.8], targets=[{"material": "wall"}]),
     )  # fmt: skip
-    points = plan(small)
+    points = make_plan(small)
     told = [changes(None, points[0]), *(changes(before, after) for before, after in pairwise(points))]
     assert told == [
         [
@@ -170,7 +170,7 @@ def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> Non
 
 
 def test_columns_say_what_is_known_and_leave_out_what_is_not(tmp_path: Path) -> None:
-    first, *_ = plan(campaign(tmp_path, room={}))
+    first, *_ = make_plan(campaign(tmp_path, room={}))
     assert first.columns == {
         "true_range_cm": 60.0,
         "condition": "baseline",
@@ -185,7 +185,7 @@ def test_columns_say_what_is_known_and_leave_out_what_is_not(tmp_path: Path) -> 
 
 def test_a_moving_target_is_read_in_as_many_movements_as_it_takes(tmp_path: Path) -> None:
     moving = condition(condition="moving", ranges_cm=[100], moving={"to_cm": 40, "rates_cm_s": [20]}, readings=70)
-    points = plan(campaign(tmp_path, moving))
+    points = make_plan(campaign(tmp_path, moving))
     assert [point.readings for point in points] == [30, 30, 30]
     assert {point.columns["range_rate_cm_s"] for point in points} == {-20.0}
     assert changes(points[0], points[1]) == [
@@ -197,13 +197,13 @@ def test_a_moving_target_is_read_in_as_many_movements_as_it_takes(tmp_path: Path
 def test_a_target_too_fast_for_one_reading_is_refused(tmp_path: Path) -> None:
     moving = condition(ranges_cm=[100], moving={"to_cm": 101, "rates_cm_s": [50]})
     with pytest.raises(ConfigError, match="over before one reading"):
-        plan(campaign(tmp_path, moving))
+        make_plan(campaign(tmp_path, moving))
 
 
 def test_two_sensors_in_turn_take_twice_the_time(tmp_path: Path) -> None:
     both = condition(condition="crosstalk", sensors=["one", "two"], firing=["simultaneous", "sequential"])
     small = campaign(tmp_path, both)
-    together, in_turn, *_ = plan(small)
+    together, in_turn, *_ = make_plan(small)
     assert (reading_s(small, together), reading_s(small, in_turn)) == (3.0, 6.0)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.characterise.field_of_view import breakaway_rows, field_of_view, sonar_through
+from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import FieldOfView
 from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import IDENTITY, Calibration
@@ -39,7 +39,9 @@ def swept(
                     incidence_deg=theta,
                 )
             )
-    found = field_of_view(sort_into_points(table(*parts), SENSOR), Calibration((0.0, 100.0), (offset, 100.0 + offset)))
+    found = find_field_of_view(
+        sort_into_points(table(*parts), SENSOR), Calibration((0.0, 100.0), (offset, 100.0 + offset))
+    )
     assert found is not None
     return found
 
@@ -80,7 +82,7 @@ def test_a_wide_angle_behind_a_silent_one_is_no_field_of_view() -> None:
         point(rng, 100, n=50, missed=0.95 if theta == 5.4 else 0.02, condition="field_of_view", incidence_deg=theta)
         for theta in (0.0, 1.8, 3.6, 5.4, 7.2, 9.0)
     ]
-    found = field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY)
+    found = find_field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY)
     assert found is not None
     assert found.angles[0].half_angle.value == 3.6
 
@@ -102,7 +104,7 @@ def test_small_angles_do_not_tell_slant_from_nearest() -> None:
 def test_no_angles_no_field_of_view() -> None:
     rng = np.random.default_rng(8)
     parts = table(point(rng, 100, condition="field_of_view", incidence_deg=0.0))
-    assert field_of_view(sort_into_points(parts, SENSOR), IDENTITY) is None
+    assert find_field_of_view(sort_into_points(parts, SENSOR), IDENTITY) is None
 
 
 def test_an_edge_that_eight_readings_leave_open_is_said_to_be_open() -> None:
@@ -113,7 +115,7 @@ def test_an_edge_that_eight_readings_leave_open_is_said_to_be_open() -> None:
         part = point(rng, 100, n=8, condition="field_of_view", incidence_deg=angle_deg)
         part["reading_cm"][of_wall:] = 765.0
         parts.append(part)
-    found = field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY)
+    found = find_field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY)
     assert found is not None
     half = found.angles[0].half_angle
     assert (half.low, half.value, half.high) == (4.5, 4.5, 13.5)

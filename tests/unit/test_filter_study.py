@@ -15,10 +15,10 @@ import pytest
 
 from msp_lab.cli import app
 from msp_lab.filter_study.candidates import changepoint, oracle
-from msp_lab.filter_study.explain import Verdict, explain
+from msp_lab.filter_study.explain import Verdict, explain_rows
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
 from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, report_readings, truth
-from msp_lab.filter_study.statistics import delay_samples, mirrored, statistics
+from msp_lab.filter_study.statistics import delay_samples, error_statistics, mirrored
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
 
@@ -111,14 +111,16 @@ def test_random_ranges_are_what_the_scenario_says() -> None:
 
 def test_statistics_and_delay() -> None:
     error_cm = np.random.default_rng(4).normal(1.0, 3.0, (5, 200))
-    rms, p90, median, mean, variance = statistics(error_cm)
+    rms, p90, median, mean, variance = error_statistics(error_cm)
     for index, row in enumerate(error_cm):
         assert rms[index] == pytest.approx(math.sqrt(plain.fmean(each * each for each in row)))
         assert p90[index] == pytest.approx(np.quantile(row, 0.9))
         assert (median[index], mean[index]) == (pytest.approx(plain.median(row)), pytest.approx(plain.fmean(row)))
         assert variance[index] == pytest.approx(plain.variance(row))
     np.testing.assert_allclose(
-        mirrored(statistics(error_cm), np.percentile(error_cm, 10, axis=1)), statistics(-error_cm), atol=1e-12
+        mirrored(error_statistics(error_cm), np.percentile(error_cm, 10, axis=1)),
+        error_statistics(-error_cm),
+        atol=1e-12,
     )
     runs = truth("random", 20, np.random.default_rng(6))
     for delay in (0, 3):
@@ -140,7 +142,7 @@ def test_the_changepoint_filter_beats_the_nine_in_all_scenarios() -> None:
 
 
 def rms(estimate_cm: np.ndarray, runs: ScenarioRuns) -> float:
-    return float(statistics(estimate_cm - runs.true_cm)[0].mean())
+    return float(error_statistics(estimate_cm - runs.true_cm)[0].mean())
 
 
 # An implementation of the study that shares nothing with the one above: plain lists, `random`, one run.
@@ -203,7 +205,7 @@ def table_of(filters: dict[str, Callable[[list[float]], list[float]]], seed: int
 def verdicts_of(text: str, folder: Path) -> tuple[bool, dict[str, Verdict]]:
     path = folder / "table.csv"
     path.write_text(text, encoding="utf-8")
-    reverse, verdicts = explain(read_table(path))
+    reverse, verdicts = explain_rows(read_table(path))
     return reverse, {verdict.filter: verdict for verdict in verdicts}
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.points import sort_into_points
-from msp_lab.characterise.questions import questions
+from msp_lab.characterise.questions import answer_questions
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table
 
@@ -16,7 +16,7 @@ RANGES_CM = tuple(range(40, 261, 20))
 
 
 def asked(*parts) -> dict[str, Question]:
-    found = questions([each.found for each in sort_into_points(table(*parts), SENSOR)])
+    found = answer_questions([each.found for each in sort_into_points(table(*parts), SENSOR)])
     return {f"{each.name} {each.level} {each.sensor}".strip(): each for each in found}
 
 

@@ -82,7 +82,7 @@ class Place:
     had: int
 
 
-def collect(
+def collect_readings(
     campaign: Campaign,
     points: Sequence[Point],
     bench: Bench,

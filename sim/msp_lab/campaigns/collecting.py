@@ -9,9 +9,9 @@ from pathlib import Path
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
 from msp_lab.campaigns.campaign import load_campaign
-from msp_lab.campaigns.collect import chosen, collect
+from msp_lab.campaigns.collect import chosen, collect_readings
 from msp_lab.campaigns.flights import Hangar, load_flights, show_flights
-from msp_lab.campaigns.plan import Point, plan
+from msp_lab.campaigns.plan import Point, make_plan
 from msp_lab.campaigns.simulated_bench import Nobody, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import show_plan
@@ -59,7 +59,7 @@ def collect_campaign(
 ) -> None:
     """Read the points of a campaign at the bench; the parameters are the options of the command."""
     campaign = load_campaign(campaign_file)
-    points = plan(campaign)
+    points = make_plan(campaign)
     again = chosen(points, repeat, "--repeat")
     # What is to be read again is not a reason to read all the rest.
     wanted = chosen(points, only or ([] if repeat else [""]), "--only")
@@ -76,7 +76,7 @@ def collect_campaign(
     with stop_signals() as stopped, Collecting(todo) as shown:
         nobody = Nobody(shown.take, lambda: bool(stopped))
         try:
-            collect(campaign, points, bench, store, nobody, wanted, again)
+            collect_readings(campaign, points, bench, store, nobody, wanted, again)
         finally:
             store.close()
     table, rows = store.write_table()

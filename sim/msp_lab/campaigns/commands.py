@@ -10,9 +10,9 @@ from typing import Any
 
 from msp_lab.campaigns.bench import KernelBench
 from msp_lab.campaigns.campaign import load_campaign
-from msp_lab.campaigns.collect import chosen, collect
+from msp_lab.campaigns.collect import chosen, collect_readings
 from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights, show_flights
-from msp_lab.campaigns.plan import plan
+from msp_lab.campaigns.plan import make_plan
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import Terminal, show_plan
 from msp_range.bus.smbus import bus_of
@@ -26,7 +26,7 @@ def collect_at_bench(
     """Lead through a campaign at the bench; the parameters are the options of the command."""
     console = PlainConsole()
     campaign = load_campaign(campaign_file)
-    points = plan(campaign)
+    points = make_plan(campaign)
     again = chosen(points, repeat, "--repeat")
     # What is to be read again is not a reason to read all the rest.
     wanted = chosen(points, only or ([] if repeat else [""]), "--only")
@@ -39,7 +39,7 @@ def collect_at_bench(
     with stop_signals() as stopped:
         person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
-            collect(campaign, points, bench, store, person, wanted, again)
+            collect_readings(campaign, points, bench, store, person, wanted, again)
         finally:
             person.close()
             store.close()

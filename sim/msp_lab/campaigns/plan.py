@@ -118,7 +118,7 @@ class Point:
         return {name: each for name, each in columns.items() if each is not None}
 
 
-def plan(campaign: Campaign) -> tuple[Point, ...]:
+def make_plan(campaign: Campaign) -> tuple[Point, ...]:
     """All points of a campaign, in order.
 
     Raises

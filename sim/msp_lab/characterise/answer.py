@@ -11,7 +11,7 @@ _CALIBRATION: dict[Form, str] = {
 }
 
 
-def answer(findings: Findings) -> str:
+def summarise(findings: Findings) -> str:
     """Return what these readings are worth, in a few sentences: error, spread, missed echoes, and what matters.
 
     Examples

@@ -42,7 +42,7 @@ LEAST_TELLING_CM = 1.0
 """Slant and perpendicular that differ by less than this at every angle cannot be told apart by whole centimetres."""
 
 
-def field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
+def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
     """Breakaway angles of each range.
 
     Parameters

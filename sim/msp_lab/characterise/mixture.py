@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, SetUpError
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
-from msp_range.reading_model.fit import fit
+from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitError, FitResult
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.mixture import ReadingModel
@@ -81,7 +81,7 @@ def fit_mixture(
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
     try:
-        result = fit(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
+        result = fit_readings(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
         good = goodness_of_fit(result, whole, expected_cm, rng)
     except (FitError, ValueError) as error:
         return str(error)

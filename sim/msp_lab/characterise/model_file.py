@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from msp_lab.characterise.characterise import Changes, provenance
+from msp_lab.characterise.analysis import Changes, provenance
 from msp_lab.characterise.findings import Findings, IntervalEstimate
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError

@@ -32,7 +32,7 @@ def check_free(out: Path, folder: Path | None) -> None:
                 raise ConfigError(f"{path}: {parent} is a file, expected a folder")
 
 
-def publish(findings: Findings, data: MeasuredData, model: SensorModel, folder: Path) -> Path:
+def publish_findings(findings: Findings, data: MeasuredData, model: SensorModel, folder: Path) -> Path:
     """Write the numbers and the page, and return the page.
 
     Raises

@@ -78,7 +78,7 @@ class _Raw(NamedTuple):
     detectable: Callable[[float], float] | None = None
 
 
-def questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
+def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     """All questions that the points allow, with p-values corrected for all of them together.
 
     Parameters

@@ -9,15 +9,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from msp_lab.characterise.answer import answer
+from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import FactorEffect, Findings, IntervalEstimate, Question
 
 STYLES = {"matters": "yellow", "does not matter": "green", "cannot tell": "dim"}
 
 
-def show(findings: Findings, console: Console) -> None:
+def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
-    console.print(answer(findings), highlight=False)
+    console.print(summarise(findings), highlight=False)
     rows = sum(each.readings for each in findings.points)
     table = Table(
         title=f"{findings.sensor}: {rows} readings at {len(findings.points)} points", title_justify="left", expand=False

@@ -31,7 +31,7 @@ class ComparisonLine:
     agreement: Agreement | None
 
 
-def compare(findings: Findings) -> list[ComparisonLine]:
+def compare_with_report(findings: Findings) -> list[ComparisonLine]:
     """Return all lines in the order of the report; what was not measured is left out."""
     return [*_accuracy(findings), *_longest_range(findings), *_beam(findings), *_questions(findings), *_air(findings)]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.write import drawn_or_omitted
-from msp_lab.comparison.compare import compare
+from msp_lab.comparison.compare import compare_with_report
 from msp_lab.comparison.figures import entries, table_5_1
 from msp_lab.comparison.report import REPORT
 from msp_range.reading_model.sensor_model import SensorModel
@@ -30,7 +30,7 @@ def write_comparison(findings: Findings, data: MeasuredData, model: SensorModel,
         __package__ or "msp_lab.comparison",
         COMPARISON,
         findings=findings,
-        lines=compare(findings),
+        lines=compare_with_report(findings),
         figures=figures,
         table_5_1=table_5_1(findings),
     )

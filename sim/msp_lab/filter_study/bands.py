@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.filter_study.nine import Variant, apply
 from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, Array, ScenarioRuns, report_readings, truth
-from msp_lab.filter_study.statistics import mirrored, statistics
+from msp_lab.filter_study.statistics import error_statistics, mirrored
 from msp_lab.filter_study.table import Row
 
 WIDTH = 4.0
@@ -103,7 +103,7 @@ def _unscaled(values: Array) -> Array:
     return np.where(_POSITIVE, np.exp(np.where(_POSITIVE, values, 0.0)), values)
 
 
-def bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
+def find_bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
     """Bands of one setting in all scenarios, from ``seeds`` runs of each; the same runs for every setting."""
     return {name: band_in(setting, name, seeds) for name in NAMES}
 
@@ -128,7 +128,7 @@ def _values(setting: Setting, name: str, seeds: int) -> Array:
     """Statistics of one setting in one scenario, shape (5, seeds)."""
     runs = _runs(name, seeds, setting.noise_factor)
     error_cm = apply(setting.variant, runs.reading_cm) - runs.true_cm
-    values = statistics(error_cm)
+    values = error_statistics(error_cm)
     return mirrored(values, np.percentile(error_cm, 10, axis=1)) if setting.reversed else values
 
 

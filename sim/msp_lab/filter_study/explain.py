@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from msp_lab.filter_study.bands import WIDTH, Band, Setting, band_in, bands
+from msp_lab.filter_study.bands import WIDTH, Band, Setting, band_in, find_bands
 from msp_lab.filter_study.changes import ROUND, Change, Changes, all_made, double, single
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.table import Row, Table
@@ -69,7 +69,7 @@ class Verdict:
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
 
 
-def explain(table: Table) -> tuple[bool, list[Verdict]]:
+def explain_rows(table: Table) -> tuple[bool, list[Verdict]]:
     """Whether the table's errors are truth less estimate, and a verdict for every filter in it."""
     of_filter: dict[str, dict[str, Row]] = {}
     for row in table.values():
@@ -118,7 +118,7 @@ _LAGS = ("delay", "q_factor", "window", "centred")
 
 
 def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
-    before = bands(base, SEEDS)
+    before = find_bands(base, SEEDS)
     if misfit(base, rows, SEEDS)[1] <= WIDTH:
         return Verdict(name, rows, before, (), before, 1)
     searches: tuple[Iterable[Changes], ...] = (((change,) for change in single(base)), double(base))
@@ -128,12 +128,12 @@ def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
         tried += found
         changes = _best(found, base, rows)
         if changes is not None:
-            return Verdict(name, rows, before, changes, bands(all_made(changes, base), SEEDS), len(tried))
+            return Verdict(name, rows, before, changes, find_bands(all_made(changes, base), SEEDS), len(tried))
     alone = {scenario: _best_alone(tried, base, {scenario: row}) for scenario, row in rows.items()}
     singles = [each for each in tried if len(each) == 1]
     nearest: Changes = min(singles, key=lambda each: misfit(all_made(each, base), rows, SEARCH_SEEDS)[0])
     nearest = _refined(nearest, base, rows)
-    after = bands(all_made(nearest, base), SEEDS)
+    after = find_bands(all_made(nearest, base), SEEDS)
     return Verdict(name, rows, before, None, after, len(tried), nearest, alone)
 
 

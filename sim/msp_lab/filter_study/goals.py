@@ -25,7 +25,7 @@ class Goal:
     met: bool | None
 
 
-def goals(study: Study) -> Sequence[Goal]:
+def check_goals(study: Study) -> Sequence[Goal]:
     """All figures, in the order of the report's chapter."""
     found: list[Goal] = []
     for name in NAMES:

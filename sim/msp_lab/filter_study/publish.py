@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.filter_study.bands import Setting, bands
+from msp_lab.filter_study.bands import Setting, find_bands
 from msp_lab.filter_study.draw import draw_figures
 from msp_lab.filter_study.explain import SEEDS, Verdict
-from msp_lab.filter_study.goals import goals
+from msp_lab.filter_study.goals import check_goals
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.scenarios import NAMES
 from msp_lab.filter_study.statistics import STATISTICS
@@ -19,7 +19,7 @@ from msp_lab.filter_study.study import Study
 from msp_lab.filter_study.table import COLUMNS
 
 
-def publish(folder: Path, results: Study, reverse: bool, verdicts: Sequence[Verdict], seed: int) -> list[Path]:
+def publish_study(folder: Path, results: Study, reverse: bool, verdicts: Sequence[Verdict], seed: int) -> list[Path]:
     """Write all files of a study and return their paths."""
     table, figures = folder / "table.csv", folder / "filters.json"
     with table.open("w", encoding="utf-8", newline="") as file:
@@ -27,7 +27,7 @@ def publish(folder: Path, results: Study, reverse: bool, verdicts: Sequence[Verd
         writer.writerow(COLUMNS)
         for scenario in NAMES:
             for name, variant in AS_REPORTED.items():
-                middle = bands(Setting(variant), SEEDS)[scenario].middle
+                middle = find_bands(Setting(variant), SEEDS)[scenario].middle
                 writer.writerow([scenario, name, *(f"{each:.3f}" for each in middle)])
     figures.write_text(json.dumps(_figures(results, reverse, verdicts), indent=2) + "\n", encoding="utf-8")
     return [table, figures, *draw_figures(folder, seed)]
@@ -48,7 +48,8 @@ def _figures(results: Study, reverse: bool, verdicts: Sequence[Verdict]) -> dict
             for scenario, compared in results.report_noise.items()
         },
         "goals": [
-            {"figure": each.name, "value": each.shown, "goal": each.wanted, "met": each.met} for each in goals(results)
+            {"figure": each.name, "value": each.shown, "goal": each.wanted, "met": each.met}
+            for each in check_goals(results)
         ],
         "errors_are_truth_less_estimate": reverse,
         "explanations": [_explanation(each) for each in verdicts],

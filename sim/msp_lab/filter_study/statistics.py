@@ -14,11 +14,11 @@ LONGEST_DELAY = 20
 
 
 def mirrored(values: Array, p10: Array) -> Array:
-    """The five of the error with the other sign, of those of `statistics` and the 10th percentile."""
+    """The five of the error with the other sign, of those of `error_statistics` and the 10th percentile."""
     return np.stack([values[0], -p10, -values[2], -values[3], values[4]])
 
 
-def statistics(error_cm: Array) -> Array:
+def error_statistics(error_cm: Array) -> Array:
     """The five of each run, shape (5, runs).
 
     Examples

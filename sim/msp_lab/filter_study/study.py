@@ -24,7 +24,7 @@ from msp_lab.filter_study.scenarios import (
     wild_parameters,
     wild_readings,
 )
-from msp_lab.filter_study.statistics import delay_samples, statistics
+from msp_lab.filter_study.statistics import delay_samples, error_statistics
 from msp_range.filters.runs import RangeLikelihood, RunHistories
 
 CHANGEPOINT, ORACLE = "changepoint", "oracle"
@@ -98,7 +98,7 @@ def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: 
     put_out = counts & ~np.isnan(variance_cm2)
     normalised = errors[CHANGEPOINT][put_out] ** 2 / variance_cm2[put_out]
     return Compared(
-        {each: statistics(error)[0] for each, error in errors.items()},
+        {each: error_statistics(error)[0] for each, error in errors.items()},
         {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
         float(normalised.mean()),
         float((normalised < 1.96**2).mean()),
@@ -171,7 +171,7 @@ class Study:
     response: Response
 
 
-def study(seeds: int, seed: int) -> Study:
+def run_study(seeds: int, seed: int) -> Study:
     """Run the study; every part has random numbers of its own."""
     parts = [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
     return Study(

@@ -7,7 +7,7 @@ MAX_POINTS = 400
 """Set-ups that the page lists at most; the others are in findings.json."""
 
 
-def points_table(findings: Findings) -> PageTable | None:
+def make_points_table(findings: Findings) -> PageTable | None:
     """Every set-up and what was read there; None without any."""
     if not findings.points:
         return None

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
-from msp_lab.characterise.answer import answer
+from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, calibration, field_of_view, longest_range, mixture, questions, range_error
 from msp_lab.characterise.page.answers import conclusions
 from msp_lab.characterise.page.picture_data import Absent, Entry, PictureData
-from msp_lab.characterise.page.points_table import points_table
+from msp_lab.characterise.page.points_table import make_points_table
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import Omitted, Picture, render, write_page
@@ -55,14 +55,14 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         "report.html",
         findings=findings,
         model=model,
-        answer=answer(findings),
+        answer=summarise(findings),
         conclusions=conclusions(findings),
         forest=forest,
         effects=questions.effects_table(findings),
         sections=[section for section in sections if section[2]],
         compensation_table=air.compensation_table(findings),
         mixture_table=None if findings.mixture is None else mixture.mixture_table(findings.mixture),
-        points=points_table(findings),
+        points=make_points_table(findings),
         rows_in_all=len(data),
     )
     return write_page(Path(directory), html, [*forest, *(each for _, _, pictures in sections for each in pictures)])

@@ -13,11 +13,11 @@ import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
-from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, field_of_view, sonar_through
+from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
 from msp_lab.characterise.mixture import FittedMixture, fit_mixture
 from msp_lab.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
-from msp_lab.characterise.questions import TOPICS, questions
+from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_range.correction.calibration import IDENTITY, Calibration
@@ -117,7 +117,7 @@ def characterise(
         absent["maximum_range"] = NOT_ASKED
 
     say("field of view and sonar equation")
-    view = field_of_view(by.get("field_of_view", []), curve)
+    view = find_field_of_view(by.get("field_of_view", []), curve)
     heard_cm = _heard_on_axis_cm(undisturbed, sensor)
     rows = breakaway_rows(view.angles) if view is not None else []
     sonar = sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm)
@@ -128,7 +128,7 @@ def characterise(
 
     say("questions")
     found_points = tuple(point.found for point in points)
-    asked = questions(found_points)
+    asked = answer_questions(found_points)
     for name in TOPICS:
         if not any(each.name == name for each in asked):
             absent[name] = NOT_ASKED
