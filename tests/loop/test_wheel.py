@@ -1,0 +1,65 @@
+"""What `pip install .` brings: the commands, and every file that they read."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+from zipfile import ZipFile
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ("msp_range", "sim", "configs", "bin", "pyproject.toml", "README.md", "LICENSE")
+PIP = [sys.executable, "-m", "pip", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy of the sources as git has them."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in SOURCES:
+        source, target = ROOT / name, folder / "source" / name
+        if source.is_dir():
+            copytree(source, target, symlinks=True, ignore=ignore_patterns("__pycache__", "*.egg-info"))
+        else:
+            target.write_bytes(source.read_bytes())
+    options = ["--no-index", "--no-deps", "--no-build-isolation", "--wheel-dir", folder]
+    subprocess.run([*PIP, "wheel", *options, folder / "source"], check=True, timeout=120.0)
+    (made,) = folder.glob("*.whl")
+    return made
+
+
+def test_it_holds_every_configuration_file_template_and_command(wheel: Path) -> None:
+    held = set(ZipFile(wheel).namelist())
+    configs = {f"msp_range/{path.relative_to(ROOT)}" for path in (ROOT / "configs").rglob("*.yaml")}
+    sources = [ROOT / "msp_range", *(ROOT / "sim").glob("msp_*")]
+    needed = {
+        str(path.relative_to(folder.parent))
+        for folder in sources
+        for path in folder.rglob("*")
+        if path.suffix in (".py", ".html", ".typed")
+    }
+    assert len(configs) > 30
+    assert configs | needed <= held
+    scripts = {Path(name).name for name in held if ".data/scripts/" in name}
+    assert scripts == {path.name for path in (ROOT / "bin").iterdir()}
+
+
+def test_a_flight_by_name_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    site, empty = tmp_path / "site", tmp_path / "empty"
+    empty.mkdir()
+    options = ["--no-index", "--no-deps", "--no-compile", "--target", site]
+    subprocess.run([*PIP, "install", *options, wheel], check=True, timeout=120.0)
+    command = "import msp_range; print(msp_range.__file__); from msp_sim.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", command, "fly", "hover", "--out", "flight"],
+        cwd=empty,
+        env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(site))
+    assert {"summary.json", "flight.png"} <= {path.name for path in (empty / "flight").iterdir()}
