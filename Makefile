@@ -1,6 +1,7 @@
 # make demo   fly a simulated flight with the real bridge, and draw it
-# make test   run the tests
-# make check  what CI runs: format, lint, types, layers, then the tests
+# make test   run the tests, but for those of the tests' own tools
+# make test-all   run all tests
+# make check  what CI runs: format, lint, types, layers, then all tests
 # make bench  run all benchmarks, and write the table in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
@@ -8,7 +9,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench fuzz blind faults mavproxy compile clean
+.PHONY: demo test test-all lint check bench fuzz blind faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -17,15 +18,23 @@ help:
 demo: .venv/.installed compile
 	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --force --speed 12
 
-test: .venv/.installed-test compile mavproxy
-	$(BIN)/python -m pytest
+# As many processes as there are processors; tests/conftest.py says what may run at the same time.
+PYTEST := $(BIN)/python -m pytest --numprocesses auto
 
-check: .venv/.installed-test compile
+test: .venv/.installed-test compile mavproxy
+	$(PYTEST) -m "not slow"
+
+test-all: .venv/.installed-test compile mavproxy
+	$(PYTEST)
+
+lint: .venv/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(MAKE) test
+
+check: lint
+	$(MAKE) test-all
 
 bench: .venv/.installed-test compile
 	$(BIN)/python -m benchmarks

@@ -1,9 +1,41 @@
-"""What all tests need of the process that runs them."""
+"""What all tests need of the process that runs them, and which of them may run at the same time."""
 
+import re
 import signal
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
+
+WALL_CLOCK = re.compile(
+    r"^(import|from) (socket|time)\b|\bkernel_bus\b|\brunning_service\b|\bLinkEnd\b|\breal_time\b", re.M
+)
+"""A module of tests in which this is found depends on the wall clock: it reads it, or talks to another program."""
+
+
+class OneModuleOneProcess(LoadScopeScheduling):
+    """Each module's tests in one process, and all that depend on the wall clock one after the other in one.
+
+    Two of those at a time would keep each other from the processor, and see delays that are not the product's.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        return _group(nodeid.split("::")[0])
+
+
+@cache
+def _group(module: str) -> str:
+    path = Path(__file__).parents[1] / module
+    real_time = {"peers", "sitl"} & {*path.parts} or WALL_CLOCK.search(path.read_text(encoding="utf-8"))
+    return "real time" if real_time else module
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> OneModuleOneProcess:
+    """Called by xdist where there are several processes."""
+    return OneModuleOneProcess(config, log)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -27,6 +27,7 @@ def run(inputs: list[bytes], seconds: float) -> base.FuzzResult:
     return base.run("crash", seconds, 1, lambda rng: next(rest, b""), crashing.prepare)
 
 
+@pytest.mark.slow
 def test_a_crash_is_a_finding_and_not_the_end_of_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "FOLDER", tmp_path / "fuzz")
     result = run([b"", b"raise", b"", b"die", b"take much", b"raise", b""], seconds=5.0)
@@ -40,6 +41,7 @@ def test_a_crash_is_a_finding_and_not_the_end_of_the_run(tmp_path: Path, monkeyp
     assert [path.read_bytes() for path in sorted((tmp_path / "fuzz").iterdir())] == [b"raise", b"die", b"take much"]
 
 
+@pytest.mark.slow
 def test_memory_that_is_kept_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "FOLDER", tmp_path / "fuzz")
     result = run([b"grow"] * 250, seconds=2.0)
@@ -48,6 +50,7 @@ def test_memory_that_is_kept_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
     assert result.failures == [f"crash: memory grew by {result.growth_mb:.1f} MB, expected at most 20"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_inputs() -> None:
     def drawn(seed: int) -> list[bytes]:
         inputs: list[bytes] = []

@@ -7,6 +7,8 @@ import pytest
 from msp_range.mavlink.frames import Frame, FrameReader
 from tests.fuzz import link
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_same_seed_makes_the_same_bytes() -> None:
     def some(seed: int) -> list[bytes]:

@@ -24,8 +24,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
             copytree(source, target, symlinks=True, ignore=ignore_patterns("__pycache__", "*.egg-info"))
         else:
             target.write_bytes(source.read_bytes())
-    options = ["--no-index", "--no-deps", "--no-build-isolation", "--wheel-dir", folder]
-    subprocess.run([*PIP, "wheel", *options, folder / "source"], check=True, timeout=120.0)
+    options = ["--no-index", "--no-deps", "--no-build-isolation", f"--wheel-dir={folder}"]
+    subprocess.run([*PIP, "wheel", *options, str(folder / "source")], check=True, timeout=120.0)
     (made,) = folder.glob("*.whl")
     return made
 
@@ -49,8 +49,8 @@ def test_it_holds_every_configuration_file_template_and_command(wheel: Path) -> 
 def test_a_flight_by_name_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
     site, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()
-    options = ["--no-index", "--no-deps", "--no-compile", "--target", site]
-    subprocess.run([*PIP, "install", *options, wheel], check=True, timeout=120.0)
+    options = ["--no-index", "--no-deps", "--no-compile", f"--target={site}"]
+    subprocess.run([*PIP, "install", *options, str(wheel)], check=True, timeout=120.0)
     command = "import msp_range; print(msp_range.__file__); from msp_sim.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", command, "fly", "hover", "--out", "flight"],

@@ -22,6 +22,8 @@ from benchmarks.blind_peers.namers import (
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 
+pytestmark = pytest.mark.slow
+
 N = 1500
 
 

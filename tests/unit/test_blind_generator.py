@@ -12,6 +12,8 @@ from tests.blind.score import accepted_names
 from tests.blind.size import fly_plain, measure, stage
 from tests.blind.tables import draw_cases, draw_plan, fly_case
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("celsius", "humidity_pct", "db_km"),

@@ -11,6 +11,8 @@ from tests.blind import run as running
 from tests.blind.run import Campaign
 from tests.blind.tables import Case, draw_cases
 
+pytestmark = pytest.mark.slow
+
 
 class FakeTools:
     """Commands that write what the real ones would, or say what is wrong."""

@@ -9,6 +9,8 @@ import pytest
 from tests.blind.report import by_mechanism, closed, collect, counts, score
 from tests.blind.score import accepted_names, interval, judge
 
+pytestmark = pytest.mark.slow
+
 NAMES = accepted_names()
 CLOCK = {"mechanism": "slow_clock", "wanted": 10.0, "standard_errors": 10.0}
 ANSWER = {"kind": "one", "regime": "iid", "hidden": [CLOCK]}

@@ -13,6 +13,8 @@ from tests.faults.judge import Conditions, Received, Verdict, judge
 from tests.faults.plans import CONFIGS, SHARES, draw_plan, group_of, row_of
 from tests.faults.truth import Truth
 
+pytestmark = pytest.mark.slow
+
 BOOT_S = -40.0
 DOWN, FORWARD = mavlink.MAV_SENSOR_ROTATION_PITCH_270, mavlink.MAV_SENSOR_ROTATION_NONE
 

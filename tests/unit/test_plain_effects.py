@@ -6,6 +6,8 @@ import pytest
 
 from tests.support.plain_effects import BASE, EFFECTS, fly
 
+pytestmark = pytest.mark.slow
+
 
 def errors(hidden: dict[str, dict[str, float]], **where: object) -> list[float]:
     """Of the hits, in the rows that are so."""
