@@ -15,7 +15,7 @@ from tests.support.bench import CONFIGS, Bench
 
 PACKAGE = """
 from msp_range.sensors.mb1242 import MB1242
-from msp_sim.device.mb1242 import MB1242 as Emulated
+from msp_sim.device.mb1242 import EmulatedMB1242 as Emulated
 
 
 class Doubled(MB1242):
