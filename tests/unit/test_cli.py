@@ -120,7 +120,7 @@ def test_the_schema_describes_every_key() -> None:
     schema = json.loads(CliRunner().invoke(app, ["schema"]).output)
     assert set(schema["properties"]) == set(Airframe.model_fields)
     assert all("description" in each for each in schema["properties"].values())
-    assert schema["$defs"]["Sensor"]["additionalProperties"] is False
+    assert schema["$defs"]["SensorSettings"]["additionalProperties"] is False
     assert "breakaway" in json.loads(CliRunner().invoke(app, ["schema", "sensor"]).output)["properties"]
     assert Scenario.model_json_schema()["properties"]
 
