@@ -97,3 +97,46 @@ def test_it_is_not_sent_while_most_newest_readings_lie_to_one_side_even_where_on
         seen.sights["d"].ground(NOW_S)
         seen.support.on_ground(NOW_S)
         assert seen.support.is_enough(NOW_S, NOW_S, was_ground=True) is sent, sides
+
+
+def test_after_more_outliers_than_ground_a_new_ground_is_in_doubt() -> None:
+    """Eight readings count, and half of them are not more."""
+    for outliers, in_doubt in ((4, False), (5, True)):
+        seen = Seen("abcd")
+        for _ in range(8 - outliers):
+            seen.support.on_ground(NOW_S)
+        for number in range(outliers):
+            seen.support.on_other("abcd"[number % 4], 1.0, is_object=True)
+        seen.support.on_new_ground(in_doubt=False)
+        seen.support.on_ground(NOW_S)
+        assert seen.support.is_enough(NOW_S, NOW_S, was_ground=True) is not in_doubt
+
+
+def test_two_against_two_is_no_ground_that_two_sensors_have_agreed_on() -> None:
+    """A pair that is sent once stays so against another pair; one that never was does not begin."""
+    for agreed_before in (True, False):
+        seen = Seen("abcd")
+        if not agreed_before:
+            seen.support.on_new_ground(in_doubt=False)
+        for _ in range(2):
+            for name in "cd":
+                seen.sights[name].off(NOW_S, 2.0)
+                seen.support.on_other(name, 2.0, is_object=False)
+        for name in "ab":
+            seen.sights[name].ground(NOW_S)
+            seen.support.on_ground(NOW_S)
+        assert seen.support.is_enough(NOW_S, NOW_S, was_ground=True) is agreed_before
+
+
+def test_what_was_agreed_on_is_forgotten_when_the_ground_was_not_seen_for_a_turn() -> None:
+    windows = Windows()
+    for away_s, remembered in ((windows.fresh_s - 0.01, True), (windows.fresh_s + 0.01, False)):
+        seen = Seen("abcd")
+        later_s = NOW_S + away_s
+        assert not seen.support.is_enough(later_s, later_s, was_ground=False)
+        for name, off_m in (("c", 2.0), ("d", 2.0)) * 2:
+            seen.sights[name].off(later_s, off_m)
+        for name in "ab":
+            seen.sights[name].ground(later_s)
+            seen.support.on_ground(later_s)
+        assert seen.support.is_enough(later_s, later_s, was_ground=True) is remembered
