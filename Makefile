@@ -5,11 +5,12 @@
 # make bench  run all benchmarks, and write the table in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
+# make second hide effects in N tables of each kind by a second generator, by SEED=1, and score the gap workflow
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint check bench fuzz blind faults mavproxy compile clean
+.PHONY: demo test test-all lint check bench fuzz blind second faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -47,6 +48,9 @@ fuzz: .venv/.installed-test compile
 N ?= 200
 blind: .venv/.installed-test compile
 	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md
+
+second: .venv/.installed-test compile
+	$(BIN)/python -m tests.second_hand --cases $(N) --seed $(SEED) --jobs 2 --out build/second-$(SEED)
 
 FLIGHTS ?= 700
 faults: .venv/.installed-test compile
