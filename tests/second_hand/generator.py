@@ -32,6 +32,8 @@ COUNTS = {"one": 1, "two": 2, "three": 3, "unknown": 1}
 NULLS = ("null:0", "null:0.3", "null:0.5", "null:0.8", "null:drift")
 ATTEMPTS = 40
 """Most draws of runs and effects for one case; an effect that would be impossibly large is drawn again."""
+ATTEMPTS_OF_ONE = 20
+"""After so many draws the next effect of the list is taken: this one is hardly ever as large as asked."""
 NO_ANSWER_SHARE = 0.003
 """Share of the rows without an answer: an empty cell."""
 
@@ -90,9 +92,9 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
 
 def _hidden(kind: str, seed: int, rng: np.random.Generator, table: tuple[Kind, ...], count: int, asked: float) -> Case:
     # The seed goes round the list, so that every effect comes up equally often in a block of seeds.
-    first = seed % len(table)
-    others = [index for index in range(len(table)) if index != first]
     for attempt in range(ATTEMPTS):
+        first = (seed + attempt // ATTEMPTS_OF_ONE) % len(table)
+        others = [index for index in range(len(table)) if index != first]
         picked = [table[first], *(table[index] for index in rng.choice(others, count - 1, replace=False))]
         if _same_thing(picked):
             continue

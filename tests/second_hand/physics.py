@@ -15,6 +15,9 @@ CALIBRATED_AT_C = 22.5
 """Air temperature for which the sensor converts time into range (58 us/cm)."""
 HALF_PERIOD_CM = 0.41
 """Range of one period of 42 kHz, there and back."""
+SPREAD_RATIO_AT_CM = 300.0
+"""Range at which the size of a spread that grows with range is its log ratio. Sizes of all effects on the spread are
+log ratios: the growth itself has a standard error that grows with it, and would never be many standard errors."""
 
 
 def sound_speed(temperature_c: Floats | float) -> Floats | float:
@@ -120,11 +123,11 @@ def _sensitivity_loss(rng: np.random.Generator, rows: Rows) -> Effect:
 def _propeller_spread(rng: np.random.Generator, rows: Rows) -> Effect:
     power = rng.choice([1.0, 2.0])
 
-    def apply(rows: Rows, law: Law, growth: float) -> None:
-        law.sigma_cm = law.sigma_cm * (1 + growth * rows.contexts["throttle"] ** power)
+    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
+        law.sigma_cm = law.sigma_cm * (1 + np.expm1(log_ratio) * rows.contexts["throttle"] ** power)
 
     return Effect(
-        "propeller_spread", apply, 12.0, 1.0, frozenset({"rotor_noise"}), channel="spread", details=(("power", power),)
+        "propeller_spread", apply, 2.5, 0.7, frozenset({"rotor_noise"}), channel="spread", details=(("power", power),)
     )
 
 
@@ -205,11 +208,11 @@ def _humidity(rng: np.random.Generator, rows: Rows) -> Effect:
 
 
 def _spread_with_range(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, growth: float) -> None:
-        law.sigma_cm = law.sigma_cm * (1 + growth * rows.true_cm / 100)
+    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
+        law.sigma_cm = law.sigma_cm * (1 + np.expm1(log_ratio) * rows.true_cm / SPREAD_RATIO_AT_CM)
 
     names = frozenset({"spread_with_range"})
-    return Effect("spread_with_range", apply, 3.0, 0.2, names, channel="spread", same_as=("growth_per_m",))
+    return Effect("spread_with_range", apply, 2.5, 0.3, names, channel="spread", same_as=("growth_per_m",))
 
 
 def _misses_when_tilted(rng: np.random.Generator, rows: Rows) -> Effect:
@@ -226,10 +229,10 @@ def _misses_when_tilted(rng: np.random.Generator, rows: Rows) -> Effect:
 
 
 def _vibration(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, growth: float) -> None:
-        law.sigma_cm = law.sigma_cm * (1 + growth * (rows.contexts["vibration_hz"] > 0))
+    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
+        law.sigma_cm = law.sigma_cm * np.where(rows.contexts["vibration_hz"] > 0, np.exp(log_ratio), 1.0)
 
-    return Effect("vibration", apply, 8.0, 0.3, frozenset({"vibration"}), channel="spread")
+    return Effect("vibration", apply, 2.5, 0.3, frozenset({"vibration"}), channel="spread")
 
 
 def _columns(*names: str) -> Design:
