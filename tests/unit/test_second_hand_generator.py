@@ -17,6 +17,9 @@ from tests.second_hand.sample import MISSED, RANDOM, SHORT, draw
 from tests.second_hand.size import NUISANCE, information, known_from_bench, scores, sizes_of, standard_errors
 from tests.second_hand.unknown import UNKNOWN
 
+pytestmark = pytest.mark.slow
+"""Tests of the tests' own tools."""
+
 BASE = Base(offset_cm=0.4, sigma_cm=1.5, degrees=6.0, correlation=0.6, saturated=0.3)
 
 
@@ -95,7 +98,6 @@ def test_bases_have_one_to_eight_percent_of_outliers():
         assert 0 <= base.saturated <= 0.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("title", ["stale", "crosstalk", "coarse_rounding", "cycle_slip"])
 def test_probabilities_of_all_readings_sum_to_one(title):
     rows, base, effect = hidden(title, 5, correlation=0.5)
@@ -110,7 +112,6 @@ def test_probabilities_of_all_readings_sum_to_one(title):
     assert np.quantile(np.abs(total - 1), 0.95) < 2e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("title", ["latency", "stale", "crosstalk", "place_missed"])
 def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(title):
     rng = np.random.default_rng(6)
@@ -131,7 +132,6 @@ def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(
     assert 0.75 < np.mean(np.std(totals, axis=0, ddof=1) / scale) < 1.3
 
 
-@pytest.mark.slow
 def test_standard_error_of_an_offset_is_that_of_its_best_estimate():
     rows, base, effect = hidden("sensor_offset", 7, growth_per_m=0.0)
     size = 0.5

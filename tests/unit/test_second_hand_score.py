@@ -7,6 +7,9 @@ import pytest
 from tests.second_hand.results import make_result, result_file
 from tests.second_hand.score import failures, outcome, table, wilson
 
+pytestmark = pytest.mark.slow
+"""Tests of the tests' own tools."""
+
 LATE = {"title": "latency", "names": ["latency"], "channel": "bias", "variable": "", "size": 0.1, "between_runs": False}
 COLD = {**LATE, "title": "air_not_corrected", "names": ["air_temperature"], "between_runs": True}
 GROWS = {**LATE, "title": "spread_with_range", "names": ["spread_with_range"], "channel": "spread"}
