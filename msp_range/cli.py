@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from msp_range.mistakes import tell_mistakes
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
+from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ DriverOption = Annotated[
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def run(
     airframe_file: AirframeFile,
     log: Annotated[Literal["text", "json"], typer.Option(help="format of log lines")] = "text",
@@ -101,7 +101,7 @@ def driver_of(text: str) -> "type[Driver]":
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def check(airframe_file: AirframeFile) -> None:
     """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
     from rich.table import Table
@@ -151,7 +151,7 @@ def check(airframe_file: AirframeFile) -> None:
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def schema(
     kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:
@@ -171,7 +171,7 @@ def schema(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def scan(
     bus: BusOption = "1",
     ping: Annotated[
@@ -202,7 +202,7 @@ def scan(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def address(
     old: Annotated[str, typer.Argument(help="the sensor's present 7-bit address, e.g. 0x70")],
     new: Annotated[str, typer.Argument(help="its new 7-bit address, e.g. 0x71")],
@@ -239,7 +239,7 @@ def _address(text: str) -> int:
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
     airframe_file: Annotated[
@@ -284,7 +284,7 @@ def replay(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def tune(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
     airframe_file: Annotated[
@@ -306,7 +306,7 @@ def tune(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def recover(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the repaired copy to write")],
@@ -320,7 +320,7 @@ def recover(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def export(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
     out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],

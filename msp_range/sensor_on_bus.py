@@ -1,7 +1,7 @@
-"""A sensor as a configuration file names it: its address on the bus, and the file of its model.
+"""A sensor in a configuration file: its address on the bus, and the file of its model.
 
-An entry of a YAML file enters, a checked `SensorOnBus` leaves. Airframes and campaigns say more of a sensor, each in a
-section of its own that extends this one.
+An entry of a YAML file enters, a checked `SensorOnBus` leaves. Airframes and campaigns extend this section
+with further keys.
 """
 
 from typing import Annotated
@@ -21,7 +21,7 @@ class SensorOnBus(Section):
     """One range finder on the bus."""
 
     name: Name
-    """a name of its own: small letters, digits and underscores"""
+    """name of the sensor: lower-case letters, digits and underscores"""
     address: int = Field(ge=0x03, le=0x77)
     """7-bit I2C address, e.g. 0x70"""
     model: str
@@ -47,10 +47,10 @@ class SensorOnBus(Section):
 
     @property
     def sensor_model(self) -> SensorModel:
-        """The content of the file that ``model`` names."""
+        """The content of the model file."""
         return self._model
 
     @property
     def driver(self) -> type[Driver]:
-        """What speaks to this kind of sensor."""
+        """The driver of this kind of sensor."""
         return self._driver

@@ -1,7 +1,7 @@
-"""`msp-range tune`: recorded flights -> Q and R of their Kalman filter, as the line of an airframe file.
+"""`msp-range tune`: fit Q and R of a Kalman filter to recorded flights, and print the line for the airframe file.
 
-The readings are those that went into the filter: corrected for temperature, of status ok, and not a value that is also
-a fault code.
+The readings are the filter's input: corrected for temperature, with status ok, and without values that are also fault
+codes.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
     Raises
     ------
     RecordingError
-        A file is no recording, or too few readings have a range.
+        A file is not a recording, or too few readings have a range.
     ConfigError
         The airframe file cannot be used.
     """
@@ -63,7 +63,7 @@ def recorded_tracks(path: Path) -> list[Track]:
         if is_range and "corrected_m" in message and not message.get("suspect"):
             tracks.setdefault(topic, []).append((message["time_s"], message["corrected_m"]))
     if not tracks:
-        raise RecordingError(f"{path}: holds no readings with a range; expected {FEWEST} or more")
+        raise RecordingError(f"{path}: contains no readings with a range; expected {FEWEST} or more")
     return [sorted(each) for each in tracks.values()]
 
 
@@ -72,7 +72,7 @@ def _flown(path: Path) -> Airframe:
 
 
 def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:
-    """The airframe's Kalman filter; the default one where it has none or one of another model."""
+    """The airframe's Kalman filter; the default one if it has none or one of another model."""
     for each in airframe.filters:
         if isinstance(each, KalmanParameters) and model in (None, each.model):
             return each

@@ -1,7 +1,7 @@
-"""YAML files that people write: read, validated, and explained where they are wrong.
+"""Read and validate YAML files, with helpful error messages.
 
-Every configuration file of the project is a `Section` read by `load`. A mistake becomes one `ConfigError` whose lines
-name the file, the path inside it, what was found, what was expected and, for an unknown key, the nearest known one.
+Every configuration file of the project is a `Section` read by `load`. Errors become one `ConfigError` whose lines
+contain the file, the path inside it, what was found, what was expected and, for an unknown key, the most similar one.
 """
 
 import difflib
@@ -20,21 +20,21 @@ from msp_range.input_file import printable, read_text
 from msp_range.yaml_loader import load_yaml
 
 SHIPPED = Path(__file__).parent / "configs"
-"""Configuration files that come with the package: airframes, and folders of the other kinds."""
+"""Configuration files of the package: airframes, and folders for the other kinds."""
 LARGEST_FILE_BYTES = 2**20
-"""A configuration file that is larger is something else: those of this project have 6 kB at most. Reading one of this
-size takes 0.1 s."""
+"""Largest configuration file: those of this project have at most 6 kB. Reading one of this size takes 0.1 s."""
 MOST_LINES = 20
-"""Mistakes of one file that are reported: who has more reads the first ones."""
+"""Largest number of errors reported for one file."""
 MOST_PROBLEMS = 1000
-"""Problems that are looked at to make those lines; unions have several for each mistake. Each costs 50 us."""
+"""Largest number of pydantic's problems examined for these lines; unions give several for each error. Each costs 50
+us."""
 LONGEST_LINE = 1000
-"""Characters of one reported mistake; what was found can be long, and the start of it is enough."""
+"""Length of an error message; of a long value the start is enough."""
 _QUOTE = "'"
 
 
 class ConfigError(ValueError):
-    """A configuration file that cannot be used; the text is for the person who wrote the file."""
+    """A configuration file that cannot be used; the message is for the author of the file."""
 
 
 class Section(BaseModel):
@@ -45,7 +45,7 @@ class Section(BaseModel):
         frozen=True,
         allow_inf_nan=False,
         strict=False,
-        # A section inside of others is built with them; alone as well it took 20 ms of each start of the bridge.
+        # Sections inside others are built with them; building them separately took 20 ms of each start of the bridge.
         defer_build=True,
     )
 
@@ -64,7 +64,7 @@ ReadT = TypeVar("ReadT")
 
 
 def read_yaml(path: Path) -> Any:
-    """Return what a YAML file holds as plain Python values.
+    """Read a YAML file as plain Python values.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def read_config(path: Path) -> str:
     Raises
     ------
     ConfigError
-        The file is missing, cannot be read, is too large, or is no text.
+        The file is missing, cannot be read, is too large, or is not text.
     """
     try:
         return read_text(path, LARGEST_FILE_BYTES)
@@ -107,7 +107,7 @@ def load(path: Path | str, section: type[SectionT]) -> SectionT:
     Raises
     ------
     ConfigError
-        One line a mistake, all mistakes at once.
+        One line per error, all errors at once.
     """
     path = Path(path)
     return check(path, section, read_yaml(path), {"folder": path.parent, "read": {}})
@@ -119,18 +119,18 @@ def check(source: Path | str, section: type[SectionT], content: Any, context: di
     Parameters
     ----------
     source
-        Where they are from, as messages name it.
+        Their origin, for messages.
     section
-        What they should be.
+        The expected section.
     content
-        What was found.
+        The values.
     context
-        For the validators of ``section``: its file's folder, and what was read already.
+        For the validators of ``section``: its file's folder, and files read already.
 
     Raises
     ------
     ConfigError
-        One line a mistake, all mistakes at once.
+        One line per error, all errors at once.
     """
     if not isinstance(content, dict):
         raise ConfigError(
@@ -152,21 +152,21 @@ def folder_of(info: ValidationInfo) -> Path:
 
 
 def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
-    """The configuration file that a person means: a path, or the name of one that comes with the package.
+    """Find a configuration file by its path, or by its name if it is part of the package.
 
     Parameters
     ----------
     name
-        A path from ``folder``; or a word without an ending, such as ``mb1242``, where there is no such file.
+        A path relative to ``folder``; or, if there is no such file, a word without a suffix, such as ``mb1242``.
     kind
         Folder of `SHIPPED` in which names are looked for.
     folder
-        Where a relative path begins.
+        Start of a relative path.
 
     Raises
     ------
     ConfigError
-        There is no such file, and none of this name comes with the package.
+        There is no such file, and the package has none of this name.
 
     Examples
     --------
@@ -187,12 +187,12 @@ def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
 
 
 def load_named(info: ValidationInfo, name: str, kind: str, read: Callable[[Path], ReadT]) -> ReadT:
-    """What ``read`` makes of the file that a value of the file being read names; read once, however often it is named.
+    """Read a file that is named in the file being read; each one is read only once.
 
     Raises
     ------
     ConfigError
-        ``read`` did, or there is no such file, see `config_path`.
+        Raised by ``read``, or there is no such file, see `config_path`.
     """
     known: dict[Any, Any] = (info.context or {}).get("read", {})
     key = (read, name)
@@ -208,10 +208,10 @@ def load_named(info: ValidationInfo, name: str, kind: str, read: Callable[[Path]
 
 
 class _Spot(NamedTuple):
-    """Where in a file a mistake is.
+    """The place of an error in a file.
 
-    ``path`` is what a person would write, ``choices`` the types that may stand there, and ``union`` the path of the
-    first union on the way whose members nothing in the file tells apart.
+    ``path`` is in readable form, ``choices`` are the types allowed there, and ``union`` is the path of the first union
+    on the way whose members cannot be distinguished by anything in the file.
     """
 
     path: tuple[int | str, ...]
@@ -227,7 +227,7 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
         deepest[spot.union] = max(deepest.get(spot.union, 0), len(spot.path))
     lines: dict[tuple[str, str], list[str]] = {}
     for spot, problem in spots:
-        # Of a union's members, the one that the value fits best is the one that was meant.
+        # The member of a union that the value fits best is probably the intended one.
         if spot.union is None or len(spot.path) == deepest[spot.union]:
             around = _locate(section, problem["loc"][:-1]).choices
             found, expected = _describe(path, spot, around, problem)
@@ -243,12 +243,12 @@ def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
     discriminator = problem.get("ctx", {}).get("discriminator")
     if discriminator is not None:
         place += f".{discriminator.strip(_QUOTE)}"
-    # A check of the whole file names its places itself.
+    # Checks of the whole file contain the place in their message.
     return f"{path}: {place}: " if place else f"{path}: "
 
 
 def _describe(path: Path | str, spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
-    """What was found, and what was expected instead; ``around`` are the types that the spot may lie in."""
+    """What was found and what was expected; ``around`` are the types that may contain the place."""
     kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
     if kind == "extra_forbidden":
         keys = _keys(around)
@@ -264,7 +264,7 @@ def _describe(path: Path | str, spot: _Spot, around: list[Any], problem: Any) ->
         tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
         return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{_near(context['tag'], tags)}"
     if isinstance(context.get("error"), ConfigError):
-        # Another file that this one names is wrong, and says so itself.
+        # The error is in another file that this one names.
         place = _place(spot.path)
         return "", f"{context['error']} (named in {path}{': ' if place else ''}{place})"
     if kind == "value_error":
@@ -316,7 +316,7 @@ def _inside(annotation: Any, part: int | str) -> list[Any]:
 
 
 def _members(annotation: Any) -> list[Any]:
-    """The members of a union without None; else the annotation alone."""
+    """The members of a union without None, or the annotation itself."""
     if typing.get_origin(annotation) is Annotated:
         return _members(typing.get_args(annotation)[0])
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
@@ -327,7 +327,7 @@ def _members(annotation: Any) -> list[Any]:
 
 
 def _literals(annotation: Any) -> set[Any]:
-    """Values of a section's fields that can have but some: what tells members of a union apart."""
+    """Allowed values of a section's literal fields, which distinguish the members of a union."""
     if not _is_section(annotation):
         return set()
     return {
@@ -354,7 +354,7 @@ def _meaning(choices: list[Any], key: str) -> str:
 
 
 def _near(word: Any, known: list[str]) -> str:
-    # The search takes a time that grows with the square of the word's length, and no name is longer.
+    # The search time grows with the square of the word's length, and no name is longer.
     near = difflib.get_close_matches(str(word)[:64], known, n=1, cutoff=0.5)
     return f" Did you mean {near[0]!r}?" if near else ""
 

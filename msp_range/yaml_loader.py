@@ -1,10 +1,10 @@
-"""The part of YAML that configuration files need, with limits, so that no text can cost more than it is worth.
+"""The part of YAML that configuration files need, with limits on the cost of reading.
 
 Text enters, plain Python values leave: mappings, lists, text, numbers, true and false, nothing. Anchors and merge keys
-work. Refused, each with its place, are what silently becomes something else than what is written (a key given twice,
-010, which some take for 8), tags, control characters, and what grows without end: nesting, aliases of aliases, lists
-that contain themselves. Scanning is done in C where libyaml is there; composing is done here, because the one in C
-recurses without a limit.
+work. Refused, each with its place: input that would silently be changed (duplicate keys; 010, which could be 8), tags,
+control characters, and structures of unlimited size (deep nesting, aliases of aliases, lists that contain themselves).
+Scanning is done in C if libyaml is installed; composing is done here, because libyaml's composer recurses without a
+limit.
 """
 
 import re
@@ -18,13 +18,12 @@ from yaml.resolver import Resolver
 from msp_range.input_file import CONTROL
 
 MOST_DEPTH = 32
-"""Mappings and lists inside each other. Files of this project have 7; the stack of a thread takes some hundreds."""
+"""Deepest nesting of mappings and lists. Files of this project have 7; the stack of a thread allows some hundreds."""
 MOST_NODES = 20_000
-"""Values in a file, with each alias counted as what it stands for. The largest file of this project has 700; so many
-are read in 0.2 s and need 20 MB."""
+"""Largest number of values in a file, with aliases expanded. The largest file of this project has 700; the limit takes
+0.2 s and 20 MB."""
 LARGEST_NUMBER = 1e12
-"""A larger number, either sign, is no quantity of a vehicle, a sensor or a flight; with these, sums and squares stay
-numbers."""
+"""Largest magnitude of a number: larger than any quantity of a vehicle, and sums and squares do not overflow."""
 
 _TAG = "tag:yaml.org,2002:"
 _TYPES = ("bool", "int", "float", "null", "merge")
@@ -49,7 +48,7 @@ else:
 
 
 class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
-    """What reads the text; every mistake is a `yaml.MarkedYAMLError` with its place."""
+    """The loader; every error is a `yaml.MarkedYAMLError` with its place."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own name; a date stays text
         first: [each for each in resolvers if each[0].removeprefix(_TAG) in _TYPES]
@@ -72,7 +71,7 @@ class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
             node = super().compose_node(parent, index)
             size = self._sizes.get(id(node))
             if size is None:
-                raise _error(f"*{event.anchor} stands inside of &{event.anchor} itself", event)
+                raise _error(f"*{event.anchor} is inside &{event.anchor} itself", event)
             self._count(size, event)
             return node
         if event.tag is not None:
@@ -94,7 +93,7 @@ class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
             raise _error(f"found more than {MOST_NODES} values, aliases counted as what they stand for", event)
 
     def compose_scalar_node(self, anchor: Any) -> Any:
-        """Text or a number; which of them, and whether it can be."""
+        """A scalar: text or a number."""
         node = super().compose_scalar_node(anchor)
         control = CONTROL.search(node.value)
         if control is not None:
@@ -116,13 +115,13 @@ class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
         return node
 
     def construct_int(self, node: Any) -> int | str:
-        """A whole number, or the text of a time such as 12:30, which YAML 1.1 takes for a number too."""
+        """A whole number, or the text of a time such as 12:30, which YAML 1.1 also treats as a number."""
         text = node.value.replace("_", "")
         if ":" in text:
             return str(node.value)
         if _OCTAL.fullmatch(text):
             raise _error(
-                f"found {node.value[:40]}, which some take for an octal number; expected no 0 in front, 0x if it is "
+                f"found {node.value[:40]}, which may be read as an octal number; expected no 0 in front, 0x if it is "
                 "hexadecimal, or quotes around it if it is text",
                 node,
             )
@@ -135,7 +134,7 @@ class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
         return number
 
     def construct_float(self, node: Any) -> float | str:
-        """A number; infinity and NaN where they are named, which the section that holds them refuses."""
+        """A number; infinity and NaN are accepted here and refused by the section."""
         text = node.value.replace("_", "").lower()
         if ":" in text:
             return str(node.value)
@@ -164,7 +163,7 @@ def _control_character(found: str) -> str:
 
 
 def load_yaml(text: str) -> Any:
-    """What a YAML text holds, as plain Python values.
+    """Parse a YAML text into plain Python values.
 
     Raises
     ------

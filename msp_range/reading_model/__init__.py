@@ -1,7 +1,7 @@
-"""What a sensor reads, given the truth: the sensor model file, and the mixture that samples, scores and is fitted.
+"""The reading model: the distribution of a sensor's readings given the true range, from the sensor model file.
 
-`sensor_model` is light and is what the bridge loads. `kernel` has the four kinds of reading, and all else is made of
-it: `rows`, the distribution of many readings; `mixture`, the base model, which samples and scores; and the fit.
-`fit` estimates its parameters, by way of `grid` (what a sensor can report), `densities`, `likelihood` and `newton`;
-`fit_result` holds errors and intervals, and `pit` the goodness of fit.
+`sensor_model` is small, and the bridge loads it. `kernel` has the four kinds of reading, which all other modules use:
+`rows`, the distribution of many readings; `mixture`, the base model, which draws readings and gives their likelihood;
+and the fit. `fit` estimates the parameters with `grid` (the possible readings), `densities`, `likelihood` and `newton`;
+`fit_result` has errors and intervals, and `pit` the goodness of fit.
 """

@@ -1,7 +1,7 @@
-"""The base mixture on a grid of readings, with its derivatives by the parameters that are fitted.
+"""The base mixture on a grid of readings, with its derivatives by the fitted parameters.
 
-Cells of readings enter with the range at which each is expected; their probabilities leave, and first and second
-derivatives. The kinds of reading are those of `msp_range.reading_model.kernel`, mixed as `mixture.ReadingModel` says.
+Cells of readings and their expected ranges enter; their probabilities leave, with first and second derivatives. The
+kinds of reading are those of `msp_range.reading_model.kernel`, mixed as `mixture.ReadingModel` says.
 """
 
 import math
@@ -40,13 +40,14 @@ class Terms:
     Parameters
     ----------
     grid
-        What the sensor can report.
+        The possible readings.
     cell, expected_cm
-        Cells of readings on the grid (from 0 on) or of the no-echo code (all `NO_ECHO`), and where hits are expected.
+        Cells of readings on the grid (from 0 on) or of the no-echo code (all `NO_ECHO`), and the expected ranges of
+        hits.
     theta, free
-        Parameters, and those from sigma_growth on whose derivatives are asked for.
+        Parameters, and those from sigma_growth on whose derivatives are computed.
     below
-        Ask for all readings on the grid up to each one, in place of itself.
+        Compute the probability of all readings up to each one, instead of its own.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class Terms:
         self.q = self.left * self.rest + self.share * self.at_code
 
     def first(self) -> list[tuple[int, _Array]]:
-        """Derivatives of q, by number of the parameter; keeps what `second` needs."""
+        """Derivatives of q, by number of the parameter; stores intermediate results for `second`."""
         theta, free = self.theta, self.free
         self.d_v = self.hit.by_log_sigma / (2.0 * self.variance)
         # Derivatives of the hit's variance and of its centre by their parameters.
@@ -154,7 +155,7 @@ class Terms:
                 add(i, j, self.shape * (2.0 * self.d_v) * by_i * by_j)
 
     def _add_share(self, add: _Add) -> None:
-        """Second derivatives of the share of missed readings, where it depends on range."""
+        """Second derivatives of the share of missed readings, if it depends on range."""
         share, steep = self.theta[M], self.share * self.left
         bend = steep * (1.0 - 2.0 * self.share)
         bent = -(1.0 - 2.0 * share) * self.by_logit**2
@@ -166,21 +167,21 @@ class Terms:
 
 
 def optional(moving: Sequence[int]) -> frozenset[int]:
-    """Those of the numbers whose derivatives have to be asked for."""
+    """Those of the parameters whose derivatives are computed on request."""
     return frozenset(number for number in moving if number >= V)
 
 
 def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected_cm: _Array) -> tuple[_Array, _Array]:
     """Probability of a smaller reading than each, and of each itself, (n,).
 
-    Codes have their place among the readings by their number.
+    Codes are ordered among the readings by their number.
     """
     cell = grid.cell(reading_cm)
     second_cm, share = grid.second_no_echo_cm, theta[S] if grid.second_no_echo_cm is not None else 0.0
     free = optional([number for number in (V, G) if theta[number] != 0.0])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
         missed = Terms(grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free).q
-        # The grid's own readings up to a place, which is between two of its cells also for a code outside of it.
+        # The grid's readings up to a value, which for a code off the grid lies between two cells.
         on_grid = grid.cells - 1 if grid.code_on_grid else grid.cells
         place = np.ceil((reading_cm - grid.minimum_cm) / grid.resolution_cm - 0.5)
         place = np.clip(place, 0, on_grid).astype(np.int64)

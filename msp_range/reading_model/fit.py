@@ -1,6 +1,6 @@
-"""The base mixture by maximum likelihood: from readings at known ranges to weights, sigma, lambda, and their errors.
+"""Fit the base mixture by maximum likelihood: weights, sigma, lambda and their errors from readings at known ranges.
 
-Readings and the ranges at which they are expected enter, one row a reading; parameters leave, with standard errors
+Readings and their expected ranges enter, one row per reading; parameters leave, with standard errors
 from the observed information, intervals, and the log-likelihood. The likelihood is that of `ReadingModel` (report
 5.2.1 with erratum 6): intervals of the readings' grid, limits, and codes as point masses.
 """
@@ -23,13 +23,13 @@ _Array = NDArray[np.float64]
 FEWEST_READINGS = 50
 FEWEST_HITS = 20
 START_ROWS = 4_000
-"""Rows on which the starts are tried."""
+"""Number of rows on which the start values are compared."""
 STAGE = 6
-"""Each stage of the fit takes so many times the rows of the one before, until it has all."""
+"""Factor on the number of rows from one stage of the fit to the next, until all are used."""
 SHORTEST_SPAN = 0.05
-"""Ranges within this share of the farthest are one range."""
+"""Ranges that differ by less than this share of the largest count as equal."""
 FEW_RANGES = 0.2
-"""Rows are counted where there are fewer distinct ranges than this share of a sample of the rows."""
+"""Equal rows are counted if there are fewer distinct ranges than this share of a sample of the rows."""
 
 
 def fit_readings(
@@ -48,15 +48,15 @@ def fit_readings(
     reading_cm
         Readings and codes as the sensor reported them [cm], (n,).
     expected_cm
-        What a hit reads on average [cm], (n,): the true range, or `Calibration.forward` of it. Infinite where nothing
-        can be heard.
+        Mean reading of a hit [cm], (n,): the true range, or `Calibration.forward` of it. Infinite if there is no
+        echo.
     grid
-        What the sensor can report.
+        The possible readings.
     offset, scale
-        Fit offset_cm or scale of the hit's centre too. Short readings still end at `expected_cm`.
+        Also fit offset_cm or scale of the hits' centre. Short readings still end at `expected_cm`.
     growth
-        Try whether spread and missed echoes depend on range, and keep what BIC keeps. It takes readings for
-        independent: where they are not, it keeps too much.
+        Test whether spread and missed echoes depend on range, and select by BIC. This assumes independent readings;
+        otherwise it selects too much.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def fit_readings(
     Raises
     ------
     FitError
-        There is too little to fit, or readings or ranges cannot be what they are said to be.
+        There are too few readings, or readings or ranges are implausible.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
         raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
     heard = (cell >= 0) & (expected < np.inf)
     if not heard.any():
-        raise FitError("found no reading of a surface that can be heard, expected some finite ranges")
+        raise FitError("found no reading with a finite expected range, expected some")
     some = np.flatnonzero(heard)[:: max(heard.size // START_ROWS, 1)]
     middles = float(np.median(reading[some])), float(np.median(expected[some]))
     if middles[0] > 30.0 * abs(middles[1]):
@@ -143,7 +143,7 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
 
 
 def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array) -> Likelihood:
-    """The likelihood of the rows; equal ones are counted first where there are few ranges."""
+    """The likelihood of the rows; equal ones are combined if there are few ranges."""
     sample = expected[:: max(expected.size // 5_000, 1)]
     if np.unique(sample).size > FEW_RANGES * sample.size:
         return Likelihood(grid, cell, expected, np.ones(expected.size))
@@ -162,13 +162,13 @@ def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array) -> Li
 def _with_growth(
     rows: Likelihood, base: Optimum, moving: list[int]
 ) -> tuple[Optimum, list[int], tuple[GrowthTrial, ...]]:
-    """Try each dependence on range alone, then keep together what BIC keeps alone."""
+    """Test each dependence on range alone, then combine those selected by BIC."""
     threshold = 0.5 * math.log(rows.readings)
     trials, kept = [], []
     nearest_cm, farthest_cm = rows.ranges_cm
     for name, number, start in (("sigma_growth_cm_per_m", mix.V, 1e-6), ("missed_growth_per_m", mix.G, 0.0)):
         if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
-            why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too alike to show it"
+            why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too similar to show it"
             trials.append(GrowthTrial(name, 0.0, False, why))
             continue
         if number == mix.G and mix.M not in base.inside:
@@ -179,7 +179,7 @@ def _with_growth(
         gain = _climb_from(rows, theta, [*moving, number]).value - base.value
         keep = gain > threshold
         verb = "kept" if keep else "left out"
-        why = f"{verb}: it gains {gain:.1f} in log-likelihood, and BIC asks for {threshold:.1f}"
+        why = f"{verb}: it gains {gain:.1f} in log-likelihood, and BIC requires {threshold:.1f}"
         trials.append(GrowthTrial(name, gain, keep, why))
         if keep:
             kept.append(number)
@@ -192,7 +192,7 @@ def _with_growth(
 
 
 def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
-    """The best of a few fits to some of the rows, each from a spread and a lambda that are small or large."""
+    """The best of a few fits to some of the rows, starting with small and large spread and lambda."""
     few = rows.part(max(rows.rows // START_ROWS, 1))
     theta = np.zeros(len(mix.NAMES))
     theta[mix.C] = 1.0
@@ -204,7 +204,7 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
     best: Optimum | None = None
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
-    # Readings that hardly differ tell little about a sigma of less than a step: one that is small and one of a step.
+    # Readings that hardly differ do not determine a sigma below a step: start with a small one and with one step.
     step_cm = rows.grid.resolution_cm
     for share, sigmas, least in ((0.5, 0.674, step_cm), (0.2, 0.524, 0.3 * step_cm)):
         sigma = max(_quantile(distance, weight, share) / sigmas, least)
@@ -225,7 +225,7 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
 
 
 def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
-    """To the maximum on a share of the rows, on a larger share, and on all of them."""
+    """Maximise on a share of the rows, on a larger share, and on all of them."""
     every = rows.rows // START_ROWS // STAGE
     theta = start
     while every > 1:
@@ -235,7 +235,7 @@ def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
 
 
 def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
-    """To the maximum, with a start from which every weight can grow: fewer rows may have had none of some kind."""
+    """Maximise, starting with all weights above 0, because fewer rows may not have had readings of every kind."""
     theta = np.array(start)
     theta[[mix.U, mix.R, mix.M]] = np.maximum(theta[[mix.U, mix.R, mix.M]], 1e-4)
     if mix.S in moving:

@@ -1,7 +1,7 @@
-"""What a fit of the base mixture found: parameters, their errors and intervals, and probabilities of readings.
+"""The result of a fit of the base mixture: parameters with errors and intervals, and probabilities of readings.
 
-The maximum of a likelihood enters; named parameters with standard errors from the observed information leave, carried
-to the weights by the delta method, and intervals that know about the ends of what a parameter can be.
+The maximum of a likelihood enters; named parameters leave with standard errors from the observed information (for the
+weights by the delta method) and with intervals that respect the bounds of the parameters.
 """
 
 import math
@@ -24,11 +24,11 @@ from msp_range.reading_model.sensor_model import MixtureParameters
 _Array = NDArray[np.float64]
 
 NEAR_BOUND = 4.0
-"""Within so many standard errors of a bound an interval is a profile's."""
+"""Within this many standard errors of a bound the interval is computed from the profile likelihood."""
 UNKNOWN_FRACTION = 0.5
-"""A fraction with a standard error of this is not known."""
+"""Standard error above which a fraction counts as not identified."""
 UNKNOWN_FALL = 3.0
-"""A lambda is not known when its standard error is so many times both itself and 1 / (mean range)."""
+"""A lambda counts as not identified if its standard error is this many times both itself and 1 / (mean range)."""
 
 _NUMBERS = {
     "short": mix.U,
@@ -53,23 +53,23 @@ _SHARES = frozenset({"hit", "short", "missed", "random", "saturated_fraction"})
 
 
 class FitError(ValueError):
-    """What cannot be fitted, in one line: found, expected, what to do."""
+    """Readings that cannot be fitted; the message says what was found, what was expected and what to do."""
 
 
 @dataclass(frozen=True)
 class GrowthTrial:
-    """Whether the data ask for a parameter that depends on range.
+    """The test of one parameter that depends on range.
 
     Attributes
     ----------
     name
         The parameter.
     gain
-        In log-likelihood when it is added to the model without any.
+        Gain of log-likelihood when it is added to the model without any.
     kept
         Twice the gain is more than the logarithm of the number of readings (BIC).
     why
-        The same in words.
+        The result in words.
     """
 
     name: str
@@ -87,21 +87,21 @@ class FitResult:
     grid
         What the sensor can report.
     parameters
-        As a sensor model file holds them.
+        As in a sensor model file.
     offset_cm, scale
         Hits are centred on offset_cm + scale * expected; 0 and 1 unless they were fitted.
     estimates, standard_errors
-        By name. The error is NaN for what is at a bound or not identified.
+        By name. The error is NaN for parameters at a bound or not identified.
     names, covariance
         Order of the rows and columns, and the covariance, (k, k); zero where the error is NaN. The weights sum to 1.
     at_bound
-        Names of parameters on the end of what they can be, such as a weight of 0.
+        Names of parameters at a bound, such as a weight of 0.
     not_identified
-        Names of parameters on which the readings say nothing, such as lambda where nothing read short.
+        Names of parameters that the readings do not determine, such as lambda without short readings.
     log_likelihood, readings, rows, iterations
         Sum of log probabilities; number of readings, of distinct rows among them, and of Newton steps on all rows.
     growth_trials
-        What was tried for a dependence on range.
+        Tests of a dependence on range.
     """
 
     grid: ReadingGrid
@@ -133,8 +133,8 @@ class FitResult:
 
         From the standard error, on the scale of log odds (weights and fraction) or of the logarithm (sigma, lambda);
         within four standard errors of a bound from the profile of the likelihood, which refits the others at every
-        step. All that the parameter can be, where it is not identified; the value twice, where it was not fitted, as
-        the fraction of a sensor without a second code.
+        step. The full range if the parameter is not identified; the value twice if it was not fitted, such as the
+        fraction of a sensor without a second code.
         """
         if name not in self.estimates:
             raise ValueError(f"found {name!r}, expected one of {', '.join(self.estimates)}")
@@ -191,7 +191,7 @@ def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Arr
 def result_of(
     rows: Likelihood, best: Optimum, moving: Sequence[int], trials: tuple[GrowthTrial, ...] = ()
 ) -> FitResult:
-    """Name what a maximum found, with its errors."""
+    """Convert a maximum to named parameters with errors."""
     theta = np.array(best.theta)
     information = -best.hessian
     inside = list(best.inside)
@@ -286,7 +286,7 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     rows["short_rate_per_m"][mix.L] = rows["missed_growth_per_m"][mix.G] = 100.0
     if theta[mix.V] > 0.0:
         rows["sigma_growth_cm_per_m"][mix.V] = 50.0 / math.sqrt(theta[mix.V])
-    # A weight whose share is held at zero stays there.
+    # A weight whose share is fixed at zero stays zero.
     for name, number in (("short", mix.U), ("random", mix.R)):
         if theta[number] == 0.0:
             rows[name][:] = 0.0
@@ -294,7 +294,7 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
 
 
 def _unknown(information: _Array, inside: Sequence[int], moving: Sequence[int], rate: float) -> frozenset[int]:
-    """Numbers of parameters on which the readings say nothing; `rate` is a usual lambda [1/cm]."""
+    """Numbers of parameters that the readings do not determine; `rate` is a typical lambda [1/cm]."""
     unknown = set()
     if mix.U in moving and mix.U not in inside:
         unknown.add(mix.L)
@@ -305,7 +305,7 @@ def _unknown(information: _Array, inside: Sequence[int], moving: Sequence[int], 
 
 
 def _ends(name: str) -> tuple[float, float]:
-    """Between what a named parameter can be."""
+    """Bounds of a named parameter."""
     theta = np.zeros(len(mix.NAMES))
     ends = []
     for bounds in (BOUNDS.lower, BOUNDS.upper):

@@ -1,7 +1,7 @@
-"""What a range finder can report: a grid of readings between two limits, and codes for 'no echo'.
+"""The possible readings of a range finder: a grid between two limits, and codes for 'no echo'.
 
-An MB1242 reports whole centimetres from 20 to 765, where 765 is also its code and some of them arrive as 255; other
-sensors have another step, and codes outside of their limits. Readings enter, their cells on the grid leave.
+An MB1242 reports whole centimetres from 20 to 765, where 765 is also its code for no echo, which sometimes arrives as
+255; other sensors have another step, and codes outside their limits. Readings enter, their cells on the grid leave.
 """
 
 import math
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 
 ON_GRID = 1e-3
-"""A reading is on the grid to this share of a step: enough for metres turned into centimetres."""
+"""Tolerance for readings on the grid, as a share of a step: for rounding errors of metres converted to centimetres."""
 
 NO_ECHO = -1
 """Cell of the no-echo code."""
 SECOND_NO_ECHO = -2
 """Cell of the second no-echo code."""
 NOWHERE = -3
-"""Cell of what the sensor cannot report."""
+"""Cell of impossible readings."""
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,16 @@ class ReadingGrid:
     minimum_cm, maximum_cm
         Shortest and longest reading.
     resolution_cm
-        Step of the readings; the finest for a sensor with a nearly continuous one is what its file was written with.
+        Step of the readings; for a nearly continuous sensor the resolution with which its file was written.
     no_echo_cm
-        Code of a missed echo; None: the longest reading. It may lie outside of the limits.
+        Code of a missed echo; None: the longest reading. It may lie outside the limits.
     second_no_echo_cm
-        What some of these codes arrive as, on the grid (255 of an MB1242) or not; None: there is no second code.
+        Code as which some of these arrive, on the grid (255 of an MB1242) or off it; None: there is no second code.
 
     Raises
     ------
     ValueError
-        Limits that are no whole number of steps apart, or a code between two steps.
+        The limits are not a whole number of steps apart, or a code lies between two steps.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class ReadingGrid:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingGrid":
-        """The grid of a sensor model file: 255 is a second code where the longest reading is more."""
+        """The grid of a sensor model file: 255 is a second code if the longest reading is larger."""
         second_cm = SATURATED_CM if sensor.minimum_cm <= SATURATED_CM < sensor.maximum_cm else None
         return cls(sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm, None, second_cm)
 
@@ -98,12 +98,12 @@ class ReadingGrid:
 
     @property
     def code_on_grid(self) -> bool:
-        """Whether the no-echo code is the longest reading, so that hits there and beyond cannot be told from it."""
+        """Whether the no-echo code is the longest reading, so that hits there and beyond look the same."""
         return self.code_cm == self.maximum_cm
 
     @property
     def second_cell(self) -> int | None:
-        """Cell of the grid that the second code shares; None where it is off the grid, or there is none."""
+        """Cell of the grid that the second code shares; None if it is off the grid, or there is none."""
         code_cm = self.second_no_echo_cm
         if code_cm is None or not self.minimum_cm <= code_cm <= self.maximum_cm:
             return None
@@ -123,7 +123,7 @@ class ReadingGrid:
         return cell
 
     def nearest(self, reading_cm: ArrayLike) -> NDArray[np.float64]:
-        """Readings moved to the nearest one of the grid; codes and what is outside of the limits stay as they are."""
+        """Readings rounded to the grid; codes and readings outside the limits are unchanged."""
         reading = np.array(reading_cm, dtype=np.float64)
         half = self.resolution_cm / 2
         inside = (reading > self.minimum_cm - half) & (reading < self.maximum_cm + half)

@@ -1,13 +1,13 @@
-"""The four kinds of reading, one class each: probability, its derivatives, and the draw.
+"""The four kinds of reading, one class each, with probability, derivatives, and random draws.
 
-Everything that draws, scores or fits readings is made of these: `Hit`, `Short`, `Missed` and `Random`, with Thrun's
-weights z_hit, z_short, z_max and z_rand (Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 6.3; report eq 9
-to 12). A reading is a whole step between the sensor's limits, so its probability is that of its interval, half a step
-to either side; `first` and `last` ask for the readings from one to another. All lengths have one unit, and rates are
-per that unit. By erratum 6 of the report each kind sums to 1 over what the sensor can report.
+All code that draws or fits readings or computes their likelihood uses these: `Hit`, `Short`, `Missed` and `Random`,
+with Thrun's weights z_hit, z_short, z_max and z_rand (Thrun, Burgard & Fox 2005, Probabilistic Robotics, section 6.3;
+report eq 9 to 12). A reading is a whole step between the sensor's limits, so its probability is that of an interval of
+half a step to either side; `first` and `last` select the readings from one to another. All lengths have the same unit,
+and rates are per that unit. By erratum 6 of the report the probabilities of each kind sum to 1 over all possible
+readings.
 
-The bridge's changepoint filter uses this file too, so that scipy is imported only where an interval of the normal
-distribution is asked for.
+The bridge's changepoint filter uses this file too, so scipy is imported only for intervals of the normal distribution.
 """
 
 from functools import cached_property
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 _Array = NDArray[np.float64]
 
 FAR = 1e15
-"""Edge of an interval without an end. Finite, so that its products with a density of zero are zero."""
+"""Stands for infinity as the edge of an interval; finite, so that its product with a density of zero is zero."""
 UNHEARD = 1e12
-"""Centre of the hits of a surface that cannot be heard: beyond every sensor, and far before `FAR`."""
+"""Centre of the hits if there is no echo: beyond every sensor's range, and far below `FAR`."""
 ROOT_2_PI = float(np.sqrt(2.0 * np.pi))
 
 
 class Hit:
     """A reading of the surface (z_hit, report eq 9): normal about the expected range.
 
-    ``p = Phi((b - z) / sigma) - Phi((a - z) / sigma)``. What is nearer than the minimum reads the minimum, so a = -inf
-    there; what is beyond the maximum reads as no echo, so b = +inf there.
+    ``p = Phi((b - z) / sigma) - Phi((a - z) / sigma)``. Below the minimum the reading is the minimum, so a = -inf
+    there; beyond the maximum it is the code for no echo, so b = +inf there.
 
     Parameters
     ----------
@@ -38,36 +38,36 @@ class Hit:
     top
         Whether ``last`` is the no-echo code: True or False, or (n,).
     centre
-        Expected range, (n,); NaN or infinite where nothing can be heard: then every hit reads as no echo.
+        Expected range, (n,); NaN or infinite without an echo: then every hit reads as no echo.
     sigma
-        Standard deviation before the reading is rounded, a number or (n,).
+        Standard deviation before rounding, a number or (n,).
     minimum
         Shortest reading.
     step
-        Of the readings.
+        Step of the readings.
     """
 
     def __init__(self, first: _Array, last: _Array, top: Any, centre: _Array, sigma: Any, minimum: float, step: float):
         lower = np.where(first == minimum, -FAR, first - 0.5 * step)
         upper = np.where(top, FAR, last + 0.5 * step)
-        # fmin and not minimum: it takes NaN, a surface that is not heard, out of reach.
+        # fmin, unlike minimum, replaces NaN (no echo) by a centre out of range.
         centre = np.fmin(centre, UNHEARD)
         self.sigma = sigma
         self.a, self.b = (lower - centre) / sigma, (upper - centre) / sigma
 
     @cached_property
     def p(self) -> _Array:
-        """Probability, (n,); 0 where it is too small for a float."""
+        """Probability, (n,); 0 if too small for a float."""
         from scipy.special import ndtr
 
-        # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): on the left side of the bell both terms are small, and nothing cancels.
+        # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): in the left tail both terms are small, and no digits cancel.
         right = self.a > 0.0
         found: _Array = ndtr(np.where(right, -self.a, self.b)) - ndtr(np.where(right, -self.b, self.a))
         return found
 
     @property
     def log_p(self) -> _Array:
-        """Its logarithm, exact in the tails; several times slower than `p`."""
+        """Logarithm of the probability, exact in the tails; several times slower than `p`."""
         from scipy.special import log_ndtr
 
         right = self.a > 0.0
@@ -105,7 +105,7 @@ class Hit:
 
     @staticmethod
     def draw(normal: Any, centre: Any, sigma: Any) -> Any:
-        """What is measured before it is rounded, from standard normal numbers; an array of these is used up."""
+        """Draw a range before rounding from standard normal numbers; an array of them is overwritten."""
         normal *= sigma
         normal += centre
         return normal
@@ -117,11 +117,11 @@ class Hit:
 
 
 class Short:
-    """A reading of something before the surface (z_short, report eq 10): exponential, and it ends at the surface.
+    """A reading of something in front of the surface (z_short, report eq 10): exponential, truncated at the surface.
 
     By distances from the minimum, with the end at ``length`` and the part of the readings' interval before it from
-    ``near`` to ``far``: ``p = (exp(-lambda near) - exp(-lambda far)) / (1 - exp(-lambda length))``. Where the surface
-    is not beyond the minimum, all of it reads the minimum.
+    ``near`` to ``far``: ``p = (exp(-lambda near) - exp(-lambda far)) / (1 - exp(-lambda length))``. If the surface
+    is not beyond the minimum, all readings are the minimum.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Short:
         near = np.minimum(np.maximum(first - (minimum + 0.5 * step), 0.0), length)
         far = np.minimum(np.maximum(last - (minimum - 0.5 * step), near), length)
         self.end_moves = end < maximum
-        # Without a length it is all in the first reading: as one that ends far away and has fallen off long before.
+        # With zero length all probability is in the first reading, like a steep exponential with a distant end.
         none = length == 0.0
         if none.any():
             near[none] = np.where(first[none] == minimum, 0.0, FAR)
@@ -185,7 +185,7 @@ class Short:
 
     @property
     def by_end(self) -> _Array:
-        """Derivative of `p` by the expected range, where it ends: there is more where it ends, less everywhere else."""
+        """Derivative of `p` by the expected range, at which it ends: positive at the end, negative elsewhere."""
         at_near, share, norm = self._parts
         at_end = np.where((self.near < self.far) & (self.far == self.length), at_near * (1.0 - share), 0.0)
         found: _Array = np.where(self.end_moves, self.rate * (at_end - self.p * (1.0 - norm)) / norm, 0.0)
@@ -193,7 +193,7 @@ class Short:
 
     @staticmethod
     def draw(uniform: Any, end: Any, rate: Any, minimum: float, maximum: float) -> Any:
-        """What is measured before it is rounded, from uniform numbers below 1."""
+        """Draw a range before rounding from uniform numbers below 1."""
         length = np.maximum(np.fmin(end, maximum) - minimum, 0.0)
         return minimum - np.log1p(uniform * np.expm1(-rate * length)) / rate
 
@@ -204,14 +204,14 @@ class Short:
 
 
 class Missed:
-    """An echo that was missed (z_max, report eq 11): it reads the code for no echo, ``p = [last is the code]``."""
+    """A missed echo (z_max, report eq 11): the reading is the code for no echo, ``p = [last is the code]``."""
 
     def __init__(self, top: Any):
         self.p = np.asarray(top, dtype=np.float64)
 
 
 class Random:
-    """A reading that nothing explains (z_rand, report eq 12): any that the sensor can report, all as probable.
+    """A random reading (z_rand, report eq 12): uniform over all possible readings.
 
     Parameters
     ----------
@@ -226,5 +226,5 @@ class Random:
 
     @staticmethod
     def draw(uniform: Any, minimum: float, maximum: float) -> Any:
-        """A whole reading, from uniform numbers below 1."""
+        """Draw a rounded reading from uniform numbers below 1."""
         return minimum + np.floor(uniform * (maximum - minimum + 1.0))

@@ -1,7 +1,7 @@
 """The log-likelihood of readings under the base mixture, with its gradient and Hessian.
 
-Readings enter with the range at which each is expected, counted where the same pair comes again; a vector of
-parameters enters, and the sum of the logarithms of the readings' probabilities leaves, with both derivatives.
+Readings with their expected ranges enter, with counts of equal pairs, and a vector of parameters; the sum of the log
+probabilities leaves, with both derivatives.
 """
 
 import math
@@ -17,7 +17,7 @@ from msp_range.reading_model.grid import NO_ECHO, SECOND_NO_ECHO, ReadingGrid
 _Array = NDArray[np.float64]
 
 CHUNK = 1 << 13
-"""Rows worked on at a time: what they need stays in the processor's cache."""
+"""Rows processed at a time, so that the arrays fit into the processor's cache."""
 
 
 class _Kind(NamedTuple):
@@ -40,9 +40,9 @@ class Likelihood:
     Parameters
     ----------
     grid
-        What the sensor can report.
+        The possible readings.
     cell, expected_cm, count
-        Arrays of length n: cell of the grid, expected range [cm] (infinite: nothing can be heard), and how often.
+        Arrays of length n: cell of the grid, expected range [cm] (infinite: no echo), and count.
     """
 
     def __init__(self, grid: ReadingGrid, cell: NDArray[np.int64], expected_cm: _Array, count: _Array) -> None:
@@ -58,19 +58,19 @@ class Likelihood:
 
     @property
     def ranges_cm(self) -> tuple[float, float]:
-        """Shortest and longest expected range of a surface that can be heard [cm]."""
+        """Shortest and longest finite expected range [cm]."""
         heard = self._expected_cm[self._expected_cm < np.inf]
         return float(heard.min()), float(heard.max())
 
     @property
     def mean_length_cm(self) -> float:
-        """Mean of the ranges beyond the minimum, where the reading is one [cm]."""
+        """Mean of the ranges beyond the minimum of readings with a range [cm]."""
         end_cm = np.minimum(self._ordinary.expected_cm, self.grid.maximum_cm)
         length_cm = np.maximum(end_cm - self.grid.minimum_cm, 0.0)
         return max(float(np.average(length_cm, weights=self._ordinary.times)), self.grid.resolution_cm)
 
     def errors(self) -> tuple[_Array, _Array]:
-        """Reading less expected range, where both can be ranges [cm], and how often."""
+        """Reading minus expected range if both are ranges [cm], and count."""
         second = -1 if self.grid.second_cell is None else self.grid.second_cell
         cell = np.where(self._cell == SECOND_NO_ECHO, second, self._cell)
         rows = (cell >= 0) & (self._expected_cm < np.inf)
@@ -78,15 +78,15 @@ class Likelihood:
         return reading_cm - self._expected_cm[rows], self._count[rows]
 
     def part(self, every: int) -> "Likelihood":
-        """That of every so many-th row."""
+        """The likelihood of every n-th row."""
         rows = slice(None, None, every)
         return Likelihood(self.grid, self._cell[rows], self._expected_cm[rows], self._count[rows])
 
     def derivatives(self, theta: _Array, free: frozenset[int]) -> tuple[float, _Array, _Array]:
         """Value, gradient (k,) and Hessian (k, k) at `theta` (k,).
 
-        The parameters from sigma_growth on have zeros where they are not in `free`. The value is -inf, and the others
-        are zero, where a reading has no probability, or one so small that its derivatives are no numbers.
+        Parameters from sigma_growth on that are not in `free` have zeros. The value is -inf, and the derivatives are
+        zero, if a reading is impossible or so improbable that the derivatives overflow.
         """
         value, gradient, hessian = 0.0, np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):

@@ -9,7 +9,7 @@ import typer
 
 from msp_lab.gap.cli import app as gap_app
 from msp_range.extras import require
-from msp_range.mistakes import tell_mistakes
+from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import OwnEffects
 
@@ -27,7 +27,7 @@ app = typer.Typer(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def collect(
     campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
     out: Annotated[
@@ -91,7 +91,7 @@ def collect(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def characterise(
     data: Annotated[
         list[Path], typer.Argument(metavar="DATA...", help="measured readings (.csv) or recordings (.mcap)")
@@ -200,7 +200,7 @@ def _is_date(text: str) -> bool:
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def effects(
     as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
     own_effects: OwnEffects = None,
@@ -216,7 +216,7 @@ def effects(
 
 
 @app.command("check-effect")
-@tell_mistakes
+@report_user_errors
 def check_effect(
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Python file with one effect or more")],
     sensor: Annotated[
@@ -251,7 +251,7 @@ def check_effect(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def filters(
     table: Annotated[
         Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import typer
 
 from msp_range.extras import DRAWING, require
-from msp_range.mistakes import tell_mistakes
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
+from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
 
 SensorModelOption = Annotated[
@@ -31,7 +31,7 @@ app = typer.Typer(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def fly(
     scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
     model: SensorModelOption = None,
@@ -66,7 +66,7 @@ def fly(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def sitl(
     airframe_file: Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")],
     link: Annotated[
@@ -113,7 +113,7 @@ def sitl(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def sample(
     model: Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file")],
     contexts: Annotated[
@@ -144,7 +144,7 @@ def sample(
 
 
 @app.command()
-@tell_mistakes
+@report_user_errors
 def show(
     recording: Annotated[
         Path, typer.Argument(metavar="FLIGHT.mcap", help="a recording of 'msp-sim fly' or 'msp-range run'")

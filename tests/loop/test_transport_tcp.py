@@ -254,7 +254,7 @@ def test_a_server_that_takes_nothing_is_left_and_found_again() -> None:
             timer.check()
             assert not link.connected
             assert link.last_error is not None
-            assert "has taken nothing for 5 s" in link.last_error
+            assert "has accepted nothing for 5 s" in link.last_error
         clock.now_s += 0.5
         until(is_connected(link))
         peer, _ = server.accept()
@@ -285,7 +285,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing() -> None:
         timer.check()
         assert frame_numbers(received) == list(range(number))
         assert link.last_error is not None
-        assert "has taken nothing for 5 s" in link.last_error
+        assert "has accepted nothing for 5 s" in link.last_error
         assert link.connected
         # Up to then 200 frames a second were dropped, but for those still within their deadline.
         assert link.stats.dropped_frames > (STUCK_AFTER_S - FRAME_DEADLINE_S) / 0.005

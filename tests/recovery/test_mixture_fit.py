@@ -104,7 +104,7 @@ def test_growth_that_is_not_there_is_left_out() -> None:
     assert [trial.kept for trial in result.growth_trials] == [False, False]
     assert result.parameters.sigma_growth_cm_per_m == result.parameters.missed_growth_per_m == 0.0
     one_range = fit_readings(*drawn(ROUGH, 5_000, 5, np.array([300.0])), MB1242, growth=True)
-    assert "too alike" in one_range.growth_trials[0].why
+    assert "too similar" in one_range.growth_trials[0].why
 
 
 def test_another_sensors_grid_and_codes() -> None:

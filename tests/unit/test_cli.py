@@ -18,7 +18,7 @@ from msp_lab.cli import app as lab_app
 from msp_range.cli import app
 from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
-from msp_range.mistakes import tell_mistakes
+from msp_range.user_errors import report_user_errors
 from msp_sim.cli import app as sim_app
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
@@ -281,6 +281,6 @@ def test_a_full_disk_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/link.tlog")
 
     with pytest.raises(typer.Exit) as ended:
-        tell_mistakes(write)()
+        report_user_errors(write)()
     assert ended.value.exit_code == 3
     assert capsys.readouterr().err == "out/link.tlog: No space left on device\n"

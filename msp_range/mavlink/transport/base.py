@@ -1,4 +1,4 @@
-"""What every transport is to the link, and when one that failed is opened again."""
+"""The interface of a transport, and the schedule of its reopening after a failure."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ RECEIVE_BOUND_BYTES = 8192
 
 @dataclass(slots=True)
 class TransportStats:
-    """What became of the frames, counted from the start of the program.
+    """Counters of frames since the start of the program.
 
     With several peers (``udpin``, ``tcpin``) a frame counts once for each of them, and one that found no peer counts
     as dropped once.
     """
 
     sent_frames: int = 0
-    """Frames taken whole by the operating system, which says nothing about their arrival."""
+    """Frames accepted completely by the operating system; they may not have arrived."""
     dropped_frames: int = 0
-    """Frames given up: no peer, no link, too late, or too many waiting."""
+    """Frames dropped: no peer, no link, too late, or too many waiting."""
     refused: int = 0
-    """Times that a UDP peer's computer said that nobody listens there."""
+    """Number of refusals by a UDP peer's computer because nothing listens there."""
     reconnects: int = 0
-    """Times that the link was opened again after its first opening."""
+    """Number of times that the link was reopened."""
 
 
 class Transport(Protocol):
-    """One MAVLink link as bytes. No method blocks, and none raises after the opening."""
+    """The bytes of a MAVLink link. No method blocks, and none raises after opening."""
 
     @property
     def description(self) -> str:
@@ -41,30 +41,30 @@ class Transport(Protocol):
 
     @property
     def stats(self) -> TransportStats:
-        """What became of the frames."""
+        """Counters of frames."""
         ...
 
     @property
     def last_error(self) -> str | None:
-        """Why the link is down or what went wrong last; None from the next opening that succeeds."""
+        """The reason why the link is down, or the last error; None after the next successful opening."""
         ...
 
     @property
     def connected(self) -> bool:
-        """Whether somebody is there, as far as can be known."""
+        """Whether there is a peer, as far as known."""
         ...
 
     @property
     def quiet_until_s(self) -> float:
-        """Nothing arrives before this time [s]; minus infinity where that is not known, as on every real link."""
+        """Time before which nothing arrives [s]; minus infinity if unknown, as on every real link."""
         ...
 
     def send(self, frame: bytes) -> bool:
-        """Send one whole frame now or within its deadline; False where it was dropped at once."""
+        """Send a complete frame now or within its deadline; False if it was dropped at once."""
         ...
 
     def receive(self) -> bytes:
-        """Return what has arrived, ``b""`` for nothing, and look after the connection: call it often."""
+        """Return the bytes that have arrived, and maintain the connection; call it often."""
         ...
 
     def close(self) -> None:
@@ -73,7 +73,7 @@ class Transport(Protocol):
 
 
 class Nowhere:
-    """A transport that takes every frame and brings none: for a bridge that nobody listens to."""
+    """A transport that accepts every frame and never receives: for a bridge without a link."""
 
     description = "nowhere"
     last_error = None
@@ -97,9 +97,9 @@ class Nowhere:
 
 
 class Reconnecting(ABC):
-    """Opens at once, 0.5 s after a failure, twice as long after each further one, at most 5 s apart.
+    """Opens at once, then 0.5 s after a failure, with twice the delay after each further one, up to 5 s.
 
-    Subclasses say how to open and how to let go.
+    Subclasses implement opening and closing.
     """
 
     quiet_until_s = float("-inf")
@@ -119,7 +119,7 @@ class Reconnecting(ABC):
 
     @abstractmethod
     def _release(self) -> None:
-        """Close what `_open` opened, also half-way; called again, do nothing."""
+        """Close what `_open` opened, also partly; may be called repeatedly."""
 
     def close(self) -> None:
         """Release the link; it is not opened again."""

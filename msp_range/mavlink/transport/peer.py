@@ -1,6 +1,6 @@
-"""One of several senders on a link (``udpin``, ``tcpin``): its own parser, and what its frames show about it.
+"""One of several senders on a link (``udpin``, ``tcpin``), with its own parser and its state.
 
-What does not speak MAVLink gets nothing and costs nothing, and no newcomer takes the place of the autopilot.
+Senders without MAVLink get nothing and cost nothing, and no new sender can replace the autopilot.
 """
 
 from collections.abc import Iterable
@@ -9,8 +9,8 @@ from typing import TypeVar
 from msp_range.mavlink.frames import FrameReader
 
 PEER_SILENT_S = 10.0
-"""A peer without a valid frame for this long is no longer one [s]: ten heartbeats of a MAVLink component. Shorter drops
-a ground station behind a bad radio, longer keeps a place from those that send."""
+"""Time without a valid frame after which a peer is dropped [s]: ten heartbeats of a MAVLink component. Shorter drops a
+ground station behind a bad radio, longer blocks the place for others."""
 
 
 class Peer:
@@ -19,7 +19,7 @@ class Peer:
     Parameters
     ----------
     now_s
-        When it came [s].
+        Time of its first bytes [s].
     """
 
     def __init__(self, now_s: float) -> None:
@@ -28,7 +28,7 @@ class Peer:
         self._last_autopilot_s = float("-inf")
 
     def read(self, arrived: bytes, now_s: float) -> bytes:
-        """The valid frames that these bytes complete, joined; bytes that belong to none are dropped."""
+        """The valid frames completed by these bytes, joined; other bytes are dropped."""
         frames = self._frames.read(arrived)
         if not frames:
             return b""
@@ -38,11 +38,11 @@ class Peer:
         return b"".join(frame.data for frame in frames)
 
     def is_silent(self, now_s: float) -> bool:
-        """True where it has sent no valid frame for too long."""
+        """True if it has sent no valid frame for too long."""
         return now_s - self.last_frame_s > PEER_SILENT_S
 
     def is_autopilot(self, now_s: float) -> bool:
-        """True while heartbeats of an autopilot come from it."""
+        """True while it sends heartbeats of an autopilot."""
         return now_s - self._last_autopilot_s <= PEER_SILENT_S
 
 
@@ -50,6 +50,6 @@ SomePeer = TypeVar("SomePeer", bound=Peer)
 
 
 def longest_silent(peers: Iterable[SomePeer], now_s: float) -> SomePeer | None:
-    """The one to give up for a newcomer, never an autopilot; None where all are."""
+    """The peer to drop for a new one, never an autopilot; None if all are autopilots."""
     others = [peer for peer in peers if not peer.is_autopilot(now_s)]
     return min(others, key=lambda peer: peer.last_frame_s, default=None)

@@ -1,4 +1,4 @@
-"""A host's name becomes its IPv4 address without waiting: the operating system's look-up may take many seconds."""
+"""Look up a host's IPv4 address without blocking; the operating system's look-up may take many seconds."""
 
 import ipaddress
 import socket
@@ -6,9 +6,9 @@ import threading
 
 
 class Resolver:
-    """Looks up ``host`` in a thread of its own, each time that the address is wanted for a new connection.
+    """Looks up ``host`` in a separate thread, each time that a new connection needs the address.
 
-    The look-up has no deadline of its own; the operating system gives up after some 10 s.
+    The look-up has no time limit; the operating system gives up after some 10 s.
     """
 
     def __init__(self, host: str) -> None:
@@ -22,7 +22,7 @@ class Resolver:
             self._numeric = False
 
     def address(self) -> str | None:
-        """Return the numeric address, or None while the look-up is under way: ask again later.
+        """Return the numeric address, or None while the look-up is running: call again later.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, nobody else on it."""
+"""MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, exclusive use."""
 
 import array
 import fcntl
@@ -32,14 +32,14 @@ class Serial(StreamTransport):
         try:
             _make_exclusive(self._file)
             _make_raw(self._file, self._speed)
-        except termios.error as error:  # which is no OSError, though it has the same two arguments
+        except termios.error as error:  # not an OSError, though it has the same two arguments
             raise OSError(*error.args) from None
         self._stream = FrameStream(self._write, self._clock, self.stats)
         return True
 
     def _write(self, unwritten: bytes) -> int:
         assert self._file is not None
-        # The kernel takes up to 4 kB, which is 4 s at 9600 baud: what is in there already must leave in time.
+        # The kernel buffers up to 4 kB, which is 4 s at 9600 baud: buffered bytes must be sent in time.
         if queued_bytes(self._file) > self._most_queued_bytes:
             return 0
         return os.write(self._file, unwritten)
@@ -61,7 +61,7 @@ class Serial(StreamTransport):
 
 
 def queued_bytes(file: int) -> int:
-    """Bytes that the kernel has taken and the device has not sent; 0 where the driver does not tell."""
+    """Bytes that the kernel has buffered; 0 if the driver does not report them."""
     count = array.array("i", [0])
     fcntl.ioctl(file, termios.TIOCOUTQ, count)
     return count[0]
@@ -69,7 +69,7 @@ def queued_bytes(file: int) -> int:
 
 def _make_exclusive(file: int) -> None:
     try:
-        # The lock is what pyserial and most terminals ask for, and the only one of the two that root heeds.
+        # This is the lock of pyserial and most terminal programs, and the only one that root respects.
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise OSError("the port is in use by another program") from None

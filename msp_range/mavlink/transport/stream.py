@@ -1,8 +1,8 @@
-"""Frames on a byte stream (TCP, serial): whole, in order, and never late.
+"""Frames on a byte stream (TCP, serial): complete, in order, and never late.
 
-A receiver that finds half a frame followed by another loses both. So a frame that the operating system took in part
-is finished before anything else, and one that has not been started within its deadline is dropped: the autopilot
-wants the newest range, not all of them.
+A receiver loses two frames if half a frame is followed by another. So a partly written frame is completed before
+anything else, and a frame that has not been started within its deadline is dropped: the autopilot needs the newest
+range, not all of them.
 """
 
 from abc import abstractmethod
@@ -18,17 +18,17 @@ MOST_WAITING_FRAMES = 64
 
 
 class FrameStream:
-    """The way out of one open byte stream.
+    """The output of an open byte stream.
 
     Parameters
     ----------
     write
-        Takes bytes without blocking and returns how many it took; raises BlockingIOError for none, any other
-        OSError where the stream is broken.
+        Writes bytes without blocking and returns how many; raises BlockingIOError for none, any other OSError if the
+        stream is broken.
     clock
-        Counts the deadlines.
+        Clock for the deadlines.
     stats
-        Where frames are counted.
+        Counters of frames.
     stuck_after_s
         Time without progress after which the stream counts as broken [s].
     """
@@ -50,11 +50,11 @@ class FrameStream:
 
     @property
     def blocked(self) -> bool:
-        """True where the last write was not taken whole."""
+        """True if the last write was incomplete."""
         return self._blocked_since_s is not None
 
     def send(self, frame: bytes) -> bool:
-        """Write ``frame``, or keep it until its deadline; False where too many are kept already.
+        """Write ``frame``, or keep it until its deadline; False if too many are waiting.
 
         Raises
         ------
@@ -71,12 +71,12 @@ class FrameStream:
         return True
 
     def flush(self) -> None:
-        """Write what waits, as far as the stream takes it, and drop what is late.
+        """Write waiting frames as far as possible, and drop late ones.
 
         Raises
         ------
         OSError
-            The stream is broken; TimeoutError where it took nothing for too long.
+            The stream is broken; TimeoutError if it accepted nothing for too long.
         """
         if not self._waiting and not self._rest:
             return
@@ -101,7 +101,7 @@ class FrameStream:
             return
 
     def _take_up(self, rest: bytes) -> None:
-        """Note that all but ``rest`` of the foremost frame has been written."""
+        """Record that all but ``rest`` of the first frame has been written."""
         if not self._rest:
             self._waiting.popleft()
         self._rest = rest
@@ -111,17 +111,17 @@ class FrameStream:
         if self._blocked_since_s is None:
             self._blocked_since_s = now_s
         elif now_s - self._blocked_since_s > self._stuck_after_s:
-            raise TimeoutError(f"the peer has taken nothing for {self._stuck_after_s:.0f} s")
+            raise TimeoutError(f"the peer has accepted nothing for {self._stuck_after_s:.0f} s")
 
     def abandon(self) -> None:
-        """Count what was not written whole as dropped: the stream is gone."""
+        """Count incomplete frames as dropped, because the stream is closed."""
         self._stats.dropped_frames += len(self._waiting) + bool(self._rest)
         self._waiting.clear()
         self._rest = b""
 
 
 class StreamTransport(Reconnecting):
-    """A Transport with one byte stream, which is there from ``_open`` to ``_release``."""
+    """A transport with one byte stream, which exists from ``_open`` to ``_release``."""
 
     _stream: FrameStream | None = None
 
@@ -148,7 +148,7 @@ class StreamTransport(Reconnecting):
             return False
 
     def receive(self) -> bytes:
-        """Return what has arrived; connect and write what waits."""
+        """Return what has arrived; connect, and write waiting frames."""
         if self._stream is None:
             self._try_open()
         if self._stream is None:

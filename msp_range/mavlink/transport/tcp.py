@@ -12,13 +12,13 @@ from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.stream import FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import NetworkUrl
 
-#: Linux asks for a connection after 0, 1 and 3 s; a host that has not answered then is asked anew.
+#: Linux requests a connection after 0, 1 and 3 s; without an answer by then a new attempt starts.
 CONNECT_DEADLINE_S = 4.0
-#: A peer that takes nothing, or acknowledges nothing, for this long is given up.
+#: Time without accepted or acknowledged bytes after which a peer is dropped.
 STUCK_AFTER_S = 5.0
 MOST_CLIENTS = 8
 
-#: Limits what the kernel keeps for a peer that does not take it, because these frames arrive late or never: with this
+#: Limit of the kernel's buffer for a peer that does not read, because such frames arrive late or never: with this
 #: some 40 kB of small frames, without it 1 MB and more [bytes; the kernel doubles it].
 _SEND_BUFFER_BYTES = 8192
 
@@ -27,7 +27,7 @@ def _prepare(tcp: socket.socket) -> None:
     tcp.setblocking(False)
     tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     tcp.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-    # A peer that lost its power says nothing; without this the kernel would go on trying for 15 minutes.
+    # A peer without power sends nothing; without this the kernel would keep trying for 15 minutes.
     tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(STUCK_AFTER_S * 1000))
 
 
@@ -52,7 +52,7 @@ class TcpOut(StreamTransport):
             self._give_up_at_s = self._clock.now() + CONNECT_DEADLINE_S
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             _prepare(self._socket)
-        # Called again while it is under way, connect tells how it went.
+        # Called again during the attempt, connect returns its state.
         error = self._socket.connect_ex(self._address)
         if error in (errno.EINPROGRESS, errno.EALREADY):
             if self._clock.now() > self._give_up_at_s:
@@ -78,7 +78,7 @@ class TcpOut(StreamTransport):
 
 
 class _Client(Peer):
-    """One accepted connection and its way out."""
+    """An accepted connection and its output."""
 
     def __init__(self, tcp: socket.socket, stream: FrameStream, now_s: float) -> None:
         super().__init__(now_s)
@@ -89,8 +89,8 @@ class _Client(Peer):
 class TcpIn(Reconnecting):
     """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
 
-    A client that sends no valid frame for 10 s is dropped. Where there are as many as there may be, a newcomer takes
-    the place of the longest silent one that is not an autopilot.
+    A client that sends no valid frame for 10 s is dropped. If the maximum number is reached, a new client
+    replaces the longest silent one that is not an autopilot.
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
@@ -107,7 +107,7 @@ class TcpIn(Reconnecting):
         return bool(self._clients)
 
     def send(self, frame: bytes) -> bool:
-        """Send a frame to every client, now or within 0.25 s; False where no client can have it."""
+        """Send a frame to every client, now or within 0.25 s; False if no client can get it."""
         taken = False
         if not self._clients:
             self.stats.dropped_frames += 1
@@ -119,7 +119,7 @@ class TcpIn(Reconnecting):
         return taken
 
     def receive(self) -> bytes:
-        """Return the whole frames that have arrived; accept clients and write what waits."""
+        """Return the complete frames that have arrived; accept clients, and write waiting frames."""
         if self._listener is None:
             self._try_open()
         if self._listener is not None:

@@ -1,6 +1,6 @@
-"""MAVLink over UDP: one datagram a frame, to a fixed address or to whoever has sent a frame.
+"""MAVLink over UDP: one datagram per frame, to a fixed address or to every sender of frames.
 
-UDP knows no connection. A frame counts as sent when the operating system took it.
+UDP has no connections. A frame counts as sent when the operating system has accepted it.
 """
 
 import errno
@@ -14,21 +14,21 @@ from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.url import NetworkUrl
 
 MOST_PEERS = 4
-"""``udpin`` sends every frame to at most this many: the autopilot and three ground stations or routers. Each costs a
-system call for every frame, so that more would make a port scan costly, and fewer leave out a second ground station."""
+"""Largest number of peers of ``udpin``: the autopilot and three ground stations or routers. Each costs a system call
+per frame, so with more a port scan would be costly, and with fewer a second ground station would be left out."""
 #: ``udpout`` counts as not connected for this long after a refusal: longer than the bridge's heartbeat takes.
 REFUSED_FOR_S = 1.5
 
 _MOST_DATAGRAMS = 200
-"""Datagrams after which one ``receive`` returns: 40,000 a second at the link's 5 ms. With fewer a flood fills the
+"""Largest number of datagrams per ``receive``: 40,000 a second at the link's 5 ms. With fewer a flood fills the
 socket's buffer, which holds some 250, and the autopilot's own datagrams are lost; more make one call longer (200 take
 0.6 ms on a desktop computer)."""
-#: The operating system has no room just now: this frame is lost, the socket is good.
+#: The operating system's buffer is full: this frame is lost, but the socket works.
 _NO_ROOM = (errno.EAGAIN, errno.ENOBUFS)
 
 
 class _Udp(Reconnecting):
-    """What both kinds of UDP link share: one socket, and the datagrams that have arrived on it."""
+    """Common part of both kinds of UDP link: one socket, and the received datagrams."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
         super().__init__(str(url), clock)
@@ -61,7 +61,7 @@ class _Udp(Reconnecting):
         self._lost(error)
 
     def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
-        """What of a datagram goes to the link."""
+        """The part of a datagram that is passed to the link."""
         return datagram
 
     def _open(self) -> bool:
@@ -84,7 +84,7 @@ class _Udp(Reconnecting):
 
 
 class UdpOut(_Udp):
-    """``udpout``: a connected socket, so that a send is one cheap system call and a missing peer is noticed."""
+    """``udpout``: a connected socket, so that sending is one cheap system call and a missing peer is detected."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
         self._refused_at_s = float("-inf")
@@ -92,11 +92,11 @@ class UdpOut(_Udp):
 
     @property
     def connected(self) -> bool:
-        """True where there is a route and nobody has refused within the last 1.5 s."""
+        """True if there is a route and no refusal within the last 1.5 s."""
         return self._socket is not None and self._clock.now() - self._refused_at_s > REFUSED_FOR_S
 
     def send(self, frame: bytes) -> bool:
-        """Send one datagram; False without a route, and where the operating system has no room."""
+        """Send one datagram; False without a route or if the operating system's buffer is full."""
         if self._socket is None:
             self._try_open()
         udp = self._socket
@@ -140,10 +140,10 @@ class UdpOut(_Udp):
 
 
 class UdpIn(_Udp):
-    """``udpin``: a bound socket that sends every frame to every peer, and has few of them.
+    """``udpin``: a bound socket that sends every frame to all peers, whose number is limited.
 
-    A peer is an address from which a valid frame came within the last 10 s. Where there are as many as there may be,
-    only an autopilot becomes one more, in the place of one that is none.
+    A peer is an address from which a valid frame came within the last 10 s. If the maximum number is reached, only
+    an autopilot is added, in place of a peer that is not one.
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
@@ -152,12 +152,12 @@ class UdpIn(_Udp):
 
     @property
     def connected(self) -> bool:
-        """True where there is a peer."""
+        """True if there is a peer."""
         self._forget_silent_peers()
         return self._socket is not None and bool(self._peers)
 
     def send(self, frame: bytes) -> bool:
-        """Send one datagram to each peer; False where none of them got it."""
+        """Send one datagram to each peer; False if none was sent."""
         self._forget_silent_peers()
         sent = 0
         for address in self._peers:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from msp_range.extras import require
-from msp_range.mistakes import tell_mistakes
+from msp_range.user_errors import report_user_errors
 from msp_sim.cli import OwnEffects
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ SHOW = "Step 4 of gap: draw the gap before and after, and write the page."
 def _from_readings(last: Last) -> Callable[..., None]:
     """A command that takes readings and a model, and works up to this step."""
 
-    @tell_mistakes
+    @report_user_errors
     def command(
         measured: Measured,
         model: Reference,
@@ -82,7 +82,7 @@ def _from_readings(last: Last) -> Callable[..., None]:
 def _in_folder(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
     """A command that continues with what an earlier one left in a folder."""
 
-    @tell_mistakes
+    @report_user_errors
     def command(out: OutArgument, effects: OwnEffects = None) -> None:
         _run(out, effects, step)
 

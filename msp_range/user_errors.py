@@ -1,4 +1,4 @@
-"""What every command does about a user's mistake: a line on standard error, an exit code, no traceback."""
+"""User errors in all commands: a line on standard error and an exit code, without a traceback."""
 
 import errno
 import signal
@@ -13,23 +13,23 @@ from msp_range.input_file import printable
 from msp_range.yaml_file import ConfigError
 
 EXIT_FILE = 3
-"""A file, or what it names, cannot be used."""
+"""Exit code: a file, or something named in it, cannot be used."""
 
 EXIT_INTERRUPTED = 130
-"""What a shell calls the end by SIGINT: 128 and its number."""
+"""Exit code after SIGINT, as used by shells: 128 plus its number."""
 
 Parameters = ParamSpec("Parameters")
 
 
-def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
-    """Print a user's mistake as a line on standard error and leave with exit code 3; no traceback.
+def report_user_errors(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
+    """Decorate a command: print a user error as a line on standard error, and exit with code 3.
 
-    Ctrl-C ends the command in silence; from here on what it has begun is undone (`msp_range.start`).
+    Ctrl-C ends the command without a message, after its context managers have cleaned up (`msp_range.start`).
     """
 
     @wraps(command)
-    def telling(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
-        # Imported late: --help must not wait for them.
+    def reporting(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
+        # Imported late, so that --help does not wait for them.
         from msp_range.bus import BusError
         from msp_range.recording.error import RecordingError
         from msp_range.sensors.base import AddressError
@@ -49,4 +49,4 @@ def tell_mistakes(command: Callable[Parameters, None]) -> Callable[Parameters, N
             print(f"{error.filename or 'the disk'}: {error.strerror}", file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None
 
-    return telling
+    return reporting
