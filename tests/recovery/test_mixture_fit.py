@@ -195,7 +195,7 @@ TRUE_CM = np.full(200, 300.0)
         (np.append(GOOD_CM[1:], 8183.0), TRUE_CM, r"1 of 200 .* such as 8183.*; widen the limits or name the code"),
         (np.append(GOOD_CM[1:], np.nan), TRUE_CM, r"found 1 readings that are unknown \(NaN\).* leave out their rows"),
         (GOOD_CM, np.append(TRUE_CM[1:], np.nan), r"found 1 expected ranges that are unknown \(NaN\)"),
-        (GOOD_CM, np.full(200, np.inf), r"no reading of a surface that can be heard"),
+        (GOOD_CM, np.full(200, np.inf), r"no reading with a finite expected range"),
         (GOOD_CM, np.full(200, 100.0), r"hits with a spread of .* do the ranges belong to these readings"),
     ],
 )
