@@ -73,7 +73,7 @@ def fit_readings(
     >>> expected_cm = rng.uniform(100.0, 500.0, 5000)
     >>> reading_cm = np.rint(expected_cm + 1.5 * rng.standard_normal(5000))
     >>> reading_cm[:250] = 765
-    >>> result = fit(reading_cm, expected_cm, ReadingGrid(20, 765))
+    >>> result = fit_readings(reading_cm, expected_cm, ReadingGrid(20, 765))
     >>> print(f"{result.estimates['sigma_cm']:.2f} {result.standard_errors['sigma_cm']:.2f}")
     1.49 0.02
     >>> print("{:.3f} {:.3f}".format(*result.interval("missed")), result.at_bound)

@@ -21,6 +21,8 @@ from tests.faults.campaign import fly_all
 from tests.faults.plans import row_of
 from tests.faults.report import REPORTED, Sum, goals_table, groups_table, markdown, worst_table
 
+pytestmark = pytest.mark.slow
+
 SEED = 1
 ROWS = list(dict.fromkeys(row_of(index) for index in range(700)))
 FIRST = [next(index for index in range(700) if row_of(index) == row) for row in ROWS]
@@ -70,7 +72,6 @@ def test_nothing_is_taken_for_an_object_in_hover(lines: list[dict[str, Any]]) ->
     assert hover["verdict"]["silences"] == []
 
 
-@pytest.mark.slow
 def test_the_tables_can_be_made(lines: list[dict[str, Any]]) -> None:
     groups = markdown(groups_table(lines)).splitlines()
     assert {row.split(" | ")[0].removeprefix("| ") for row in groups[2:]} == {*ROWS, "all"}
@@ -79,7 +80,6 @@ def test_the_tables_can_be_made(lines: list[dict[str, Any]]) -> None:
     assert {flight for _, flight, *_ in worst_table(lines)[1:]} <= {line["again"] for line in lines}
 
 
-@pytest.mark.slow
 def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[dict[str, Any]], tmp_path: Path) -> None:
     line = lines[ROWS.index("one: clock_fault")]
     command = [sys.executable, "-m", "tests.faults", "--again", line["again"], "--out", str(tmp_path)]
@@ -91,6 +91,5 @@ def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[di
     assert len(rows) == line["verdict"]["messages"] + 1
 
 
-@pytest.mark.slow
 def test_processes_fly_what_one_flies(lines: list[dict[str, Any]]) -> None:
     assert list(fly_all(SEED, FIRST[:2], jobs=2)) == lines[:2]

@@ -211,7 +211,7 @@ def test_two_sensors_at_one_address_stay_there() -> None:
     [
         ([(ADDRESS, 1)], ADDRESS, 0x65, "a LIDAR-Lite v3 ignores the address 0x65"),
         ([(OTHER, 1)], OTHER, ADDRESS, "switch its power off and on"),
-        ([(ADDRESS, 1), (OTHER, 2)], ADDRESS, OTHER, "0x64 is taken"),
+        ([(ADDRESS, 1), (OTHER, 2)], ADDRESS, OTHER, "0x64 is in use"),
         ([], ADDRESS, OTHER, "nothing acknowledges at 0x62"),
     ],
 )

@@ -263,7 +263,7 @@ def changes(before: Point | None, after: Point) -> list[str]:
     Examples
     --------
     >>> from msp_lab.campaigns.campaign import load_campaign
-    >>> points = plan(load_campaign("configs/campaigns/table_4_1.yaml"))
+    >>> points = make_plan(load_campaign("configs/campaigns/table_4_1.yaml"))
     >>> changes(points[0], points[1])
     ['Move the target to 60 cm (it was at 40 cm).']
     """

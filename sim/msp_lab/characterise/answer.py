@@ -16,7 +16,7 @@ def summarise(findings: Findings) -> str:
 
     Examples
     --------
-    >>> answer(Findings("HC-SR04", "2026-10-05", 20.0, (), ()))
+    >>> summarise(Findings("HC-SR04", "2026-10-05", 20.0, (), ()))
     'These data do not say how accurate the HC-SR04 is.'
     """
     calibration, base = findings.calibration, findings.baseline

@@ -23,7 +23,7 @@ def error_statistics(error_cm: Array) -> Array:
 
     Examples
     --------
-    >>> print(statistics(np.array([[-1.0, 0.0, 1.0, 4.0]])).round(3)[:, 0])
+    >>> print(error_statistics(np.array([[-1.0, 0.0, 1.0, 4.0]])).round(3)[:, 0])
     [2.121 3.1   0.5   1.    4.667]
     """
     if np.isnan(error_cm).any():

@@ -32,7 +32,7 @@ class EmulatedLidarLiteV3(RangeFinder):
     Examples
     --------
     >>> time_s = 0.0
-    >>> lidar = LidarLiteV3(0x62, lambda: time_s, lambda ping_time_s: 258)
+    >>> lidar = EmulatedLidarLiteV3(0x62, lambda: time_s, lambda ping_time_s: 258)
     >>> lidar.write(bytes([COMMAND, MEASURE]))
     >>> lidar.write(bytes([STATUS]))
     >>> lidar.read(1).hex()

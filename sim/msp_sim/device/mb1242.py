@@ -26,7 +26,7 @@ class EmulatedMB1242(RangeFinder):
     Examples
     --------
     >>> time_s = 0.0
-    >>> sonar = MB1242(0x70, lambda: time_s, lambda ping_time_s: 258)
+    >>> sonar = EmulatedMB1242(0x70, lambda: time_s, lambda ping_time_s: 258)
     >>> sonar.write(RANGE_COMMAND)
     >>> sonar.read(2)
     Traceback (most recent call last):
