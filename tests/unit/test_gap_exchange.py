@@ -46,7 +46,7 @@ def after_exchange(problem: Problem, *names: str) -> Selection:
     of_name = {candidate.key[0]: candidate for candidate in problem.candidates}
     terms = [SelectedTerm(make_term(name, None, starts[name]), of_name[name]) for name in names]
     state = base.having(problem.refit([each.active for each in terms], base.fit.base), terms)
-    return settled(problem, Selection(base, state, first, {}))
+    return settled(problem, Selection(base, state, first, {}, first.needed_nats))
 
 
 def names_of(selection: Selection) -> list[str]:

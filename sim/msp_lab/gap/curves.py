@@ -62,7 +62,7 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
         gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) * problem.scale / form.degrees
         left = max(problem.runs - 2 - form.degrees, 1)
         if problem.dependence(there.fit).independent and fisher.sf(gained, form.degrees, left) < rules.CURVE_P / asked:
-            return replace(there, by_run=False, inflation=1.0)
+            return replace(there, by_run=False)
     return None
 
 

@@ -69,7 +69,7 @@ def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> St
         if loss(problem, only_tails.fit, both) - term.cost_nats >= needed_nats:
             continue
         neither = without(problem, state, k)
-        gained = (only_tails.fit.log_likelihood - neither.fit.log_likelihood) * problem.scale / state.inflation
+        gained = problem.evidence_nats(neither.fit, only_tails.fit, state.by_run)
         wanted = gained - tails.cost_nats >= needed_nats
         state = (only_tails if wanted else neither).logging(f"tails in place of {term.label}")
     return state
@@ -111,7 +111,7 @@ def _in_its_place(
 
     def gain(fit: JointFit) -> float:
         """On the readings that are refitted: more readings make two that are alike no more certain than they are."""
-        return (fit.log_likelihood - less.fit.log_likelihood) / state.inflation
+        return problem.evidence_nats(less.fit, fit, state.by_run) / problem.scale
 
     own /= problem.scale
     own = max([own, *(gain(each.fit) for each in found if each.term.key == term.key)])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
+from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.prepared import CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, spacing_s
@@ -124,6 +125,12 @@ class Problem:
         """Dependence of the readings inside runs at a fit."""
         return dependence(fit.here.by[:, 0], self.some_unit, _time_s(self.some_contexts))
 
+    def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
+        """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
+        if not by_run:
+            return evidence_nats(smaller, larger, None, self.scale)
+        return evidence_nats(smaller, larger, self.some_unit, self.scale, self.dependence(larger))
+
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
         return refit(self.some, terms, base)
@@ -143,8 +150,6 @@ class State:
         Per reading, at the fit at which it was last computed.
     by_run
         Whether readings depend on each other, so that the unit of evidence is the run.
-    inflation
-        Of log-likelihoods, where the unit is the run.
     history
         What each step did, in words.
     """
@@ -153,7 +158,6 @@ class State:
     terms: tuple[SelectedTerm, ...]
     information: _Array
     by_run: bool
-    inflation: float = 1.0
     history: tuple[str, ...] = ()
 
     def having(self, fit: JointFit, terms: Sequence[SelectedTerm]) -> "State":
@@ -187,8 +191,9 @@ def reinformed(problem: Problem, state: State) -> State:
     return replace(state, information=problem.information(state.fit))
 
 
-def screened(problem: Problem, state: State) -> Screen:
-    """Every candidate at this state, with its terms as nuisance."""
+def screened(problem: Problem, state: State, by_run: bool | None = None) -> Screen:
+    """Every candidate at this state, with its terms as nuisance; by runs as the state says, unless it is given."""
+    by_run = state.by_run if by_run is None else by_run
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
     sums = score_sums(
         problem.model,
@@ -201,7 +206,7 @@ def screened(problem: Problem, state: State) -> Screen:
         state.information,
         problem.some.spacing_s,
     )
-    return screen(sums, state.information, problem.candidates, accepted, state.by_run, problem.alpha, problem.rng)
+    return screen(sums, state.information, problem.candidates, accepted, by_run, problem.alpha, problem.rng)
 
 
 def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
@@ -223,7 +228,7 @@ class CandidateFit:
     Attributes
     ----------
     gain_nats
-        Log-likelihood of all training readings, less inflation and the cost of the search.
+        Evidence of all training readings, less the cost of the search.
     term, fit
         The new term, and the joint fit with it.
     """
@@ -261,7 +266,7 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
         if candidate.linear and fit.effects[-1].values[candidate.parameter.name] > rules.MAX_COMPONENT_SHARE:
             continue
-        gained = (fit.log_likelihood - state.fit.log_likelihood) * problem.scale / seen.inflation[j]
+        gained = problem.evidence_nats(state.fit, fit, state.by_run)
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
     return sorted(found, key=lambda each: -each.gain_nats)
 
@@ -309,8 +314,8 @@ def without(problem: Problem, state: State, k: int) -> State:
 
 
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
-    """Log-likelihood of all training readings that a smaller fit loses, less inflation [nat]."""
-    return (state.fit.log_likelihood - smaller.log_likelihood) * problem.scale / state.inflation
+    """Evidence of all training readings that a smaller fit loses [nat]."""
+    return problem.evidence_nats(smaller, state.fit, state.by_run)
 
 
 def free_curves(

@@ -7,9 +7,6 @@ gain passes what the best of all candidates gains by random variation. Where an 
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.stats import f as fisher
-
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
 from msp_lab.gap.curves import add_curves
@@ -19,7 +16,6 @@ from msp_lab.gap.problem import (
     Problem,
     State,
     first_state,
-    nearest_candidate,
     reinformed,
     screened,
     trials,
@@ -42,6 +38,8 @@ class Selection:
         The first screen.
     alternatives
         Of each term, by its key.
+    needed_nats
+        What a term has to gain.
     run_offset_cm
         Standard deviation of offsets between runs that the model lacks [cm].
     """
@@ -50,6 +48,7 @@ class Selection:
     state: State
     first: Screen
     alternatives: dict[Key, tuple[AlternativeTerm, ...]]
+    needed_nats: float
     run_offset_cm: float = 0.0
 
 
@@ -57,22 +56,25 @@ def select(problem: Problem, max_terms: int) -> Selection:
     """Search the terms that are missing from the model."""
     state = base = first_state(problem)
     seen = first = screened(problem, state)
+    needed_nats = first.needed_nats
     if state.by_run:
-        state = replace(state, inflation=float(np.median(first.inflation)))
+        # Runs count in the evidence after a refit; what the screen keeps is judged as if readings were independent.
+        seen = screened(problem, state, by_run=False)
+        needed_nats = max(needed_nats, seen.needed_nats)
     for turn in range(2):
-        state = add_effects(problem, state, seen, first.needed_nats, max_terms)
-        with_curves = add_curves(problem, state, first.needed_nats, max_terms - len(state.terms))
+        state = add_effects(problem, state, seen, needed_nats, max_terms)
+        with_curves = add_curves(problem, state, needed_nats, max_terms - len(state.terms))
         unchanged, state = with_curves is state, with_curves
         if unchanged or len(state.terms) >= max_terms or turn:
             break
         state = reinformed(problem, state)
-        seen = screened(problem, state)
-    return settled(problem, Selection(base, state, first, {}))
+        seen = screened(problem, state, by_run=False)
+    return settled(problem, Selection(base, state, first, {}, needed_nats))
 
 
 def settled(problem: Problem, selection: Selection) -> Selection:
     """Each term against all candidates in its place, without needless terms, and what runs differ by in addition."""
-    needed = selection.first.needed_nats
+    needed = selection.needed_nats
     state = compete_with_tails(problem, selection.state, needed)
     state, alternatives = exchange(problem, state, needed)
     state = eliminate(problem, state, needed)
@@ -101,35 +103,15 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
             return before
         visited.add(state.keys)
         # An effect that changes slowly looks like dependence until it is named.
-        by_run = problem.dependence(state.fit).dependent
-        state = replace(state, by_run=by_run, inflation=state.inflation if by_run else 1.0)
+        state = replace(state, by_run=problem.dependence(state.fit).dependent)
         state = reinformed(problem, state)
-        seen = screened(problem, state)
+        seen = screened(problem, state, by_run=False)
     return state
 
 
 def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> CandidateFit | None:
-    """The candidate that gains most after its refit, if it gains enough.
-
-    What differs from run to run looks like dependence until it is named: where readings are independent next to a
-    candidate, its gain counts as it is, against random variation of as many numbers as there are runs. Otherwise it
-    counts by whole runs.
-    """
-    within, least = rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats
-    if not state.by_run:
-        if seen.largest < seen.critical:
-            return None
-        found = trials(problem, state, seen, within, least)
-        return found[0] if found and found[0].gain_nats >= needed_nats else None
-    uninflated = replace(seen, gain=seen.gain * seen.inflation, inflation=np.ones_like(seen.inflation))
-    names = len({candidate.key for candidate in problem.candidates})
-    for trial in trials(problem, state, uninflated, within, needed_nats):
-        if trial.gain_nats < needed_nats:
-            break
-        inflation = seen.inflation[nearest_candidate(problem, trial.term)]
-        if problem.dependence(trial.fit).independent:
-            if float(fisher.sf(2.0 * trial.gain_nats, 1, max(problem.runs - 2, 1))) < problem.alpha / names:
-                return trial
-        elif seen.largest >= seen.critical and trial.gain_nats / inflation >= needed_nats:
-            return trial
-    return None
+    """The candidate that gains most after its refit, if it gains enough."""
+    if seen.largest < seen.critical and not state.by_run:
+        return None
+    found = trials(problem, state, seen, rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats)
+    return found[0] if found and found[0].gain_nats >= needed_nats else None
