@@ -1,13 +1,14 @@
 """How much one joint fit gains over another, where readings of a run may share an offset.
 
 Two fits of the same readings enter, nats leave. Where runs differ by more than the model says, each run has an offset
-that is integrated out: per run u with the score S_u and the information I_u of an offset, a fit's log-likelihood grows
-by ``max over tau of sum_u [tau^2 S_u^2 / (1 + tau^2 I_u) - log(1 + tau^2 I_u)] / 2`` (Laplace). What is evident inside
-runs counts as it is, whatever the number of runs; what is evident only between runs counts by Student's t of as many
-runs. So an effect is judged at the level at which it varies.
+that is integrated out. With the slopes s by an offset as normal numbers, W their sum of squares about the runs' means
+m_u, n_u their counts, N their number and rho the variance between runs over that within, a fit's log-likelihood grows
+by the largest over rho of ``N log((W + sum n_u m_u^2) / (W + sum n_u m_u^2 / (1 + n_u rho))) / 2 - sum log(1 + n_u
+rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & McCulloch 1992, Variance Components).
+What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs counts by
+Student's t of as many runs. So an effect is judged at the level at which it varies: that of the shift by which the two
+fits differ.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,47 +16,44 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.refit import JointFit, sums_by
+from msp_lab.gap.refit import JointFit
 from msp_lab.gap.runs import Dependence
 
 _Array = NDArray[np.float64]
 
-TAU_GRID = np.geomspace(1e-3, 1e3, 121)
-"""Deviations between runs at which the likelihood is computed, in units of that which doubles a run's variance."""
+RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
+"""Variances between runs at which the likelihood is computed, over the variance within them."""
 
 
-@dataclass(frozen=True)
-class RunOffsets:
-    """What free offsets of the runs would add to a fit's log-likelihood.
+def offset_nats(fit: JointFit, unit: NDArray[np.intp], scale: float) -> float:
+    """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
+    slope = fit.here.by[:, 0]
+    counts = np.bincount(unit).astype(float)
+    counts, sums = counts[counts > 0.0], np.bincount(unit, slope)[counts > 0.0]
+    between = sums**2 / counts
+    within = float((slope**2).sum() - between.sum())
+    if within <= 0.0:
+        return 0.0
+    shrunk = 1.0 + scale * RATIO_GRID[:, None] * counts
+    spread = within + (between / shrunk).sum(axis=1)
+    gained = scale * slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
+    return 0.5 * float(gained.max(initial=0.0))
 
-    Attributes
-    ----------
-    free_nats
-        With an offset of its own for each run.
-    integrated_nats
-        With normal offsets of the best deviation, integrated out; at least 0.
-    runs
-        How many runs.
-    """
 
-    free_nats: float
-    integrated_nats: float
-    runs: int
+def share_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+    """Share of the variance of the shift from one fit to the other that lies between runs."""
+    shift = _residual(larger) - _residual(smaller)
+    shift = shift - shift.mean()
+    counts = np.maximum(np.bincount(unit), 1)
+    whole = float((shift**2).sum())
+    return float((np.bincount(unit, shift) ** 2 / counts).sum()) / whole if whole > 0.0 else 0.0
 
-    @classmethod
-    def of(cls, fit: JointFit, unit: NDArray[np.intp], scale: float) -> "RunOffsets":
-        """From the slopes by the offset; `scale` readings stand behind each that was fitted."""
-        slope = fit.here.by[:, 0]
-        counts = np.bincount(unit).astype(float)
-        sums, squares = sums_by(unit, np.column_stack([slope, slope**2])).T
-        some = counts > 1.0
-        # About the run's mean: an offset of the run itself is no information.
-        information = scale * np.maximum(squares - sums**2 / np.maximum(counts, 1.0), 1e-12)[some]
-        sums = scale * sums[some]
-        tau2 = TAU_GRID[:, None] ** 2 / np.median(information) if information.size else np.ones((1, 1))
-        gained = tau2 * sums**2 / (1.0 + tau2 * information) - np.log1p(tau2 * information)
-        best = 0.5 * float(gained.sum(axis=1).max(initial=0.0))
-        return cls(0.5 * float((sums**2 / information).sum()), best, int(some.sum()))
+
+def _residual(fit: JointFit) -> _Array:
+    """Residuals of normal readings from their slopes by an offset, which are the residuals over their variance."""
+    slope = fit.here.by[:, 0]
+    residual: _Array = slope / max(float((slope**2).mean()), 1e-12)
+    return residual
 
 
 def evidence_nats(
@@ -77,11 +75,10 @@ def evidence_nats(
     plain = (larger.log_likelihood - smaller.log_likelihood) * scale
     if unit is None:
         return plain
-    before, after = RunOffsets.of(smaller, unit, scale), RunOffsets.of(larger, unit, scale)
-    gained = plain + after.integrated_nats - before.integrated_nats
-    inside = float(np.clip(plain + after.free_nats - before.free_nats, 0.0, max(gained, 0.0)))
+    gained = plain + offset_nats(larger, unit, scale) - offset_nats(smaller, unit, scale)
     if gained > 0.0:
-        gained = inside + _between(gained - inside, after.runs)
+        inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
+        gained = inside + _between(gained - inside, int(np.unique(unit).size))
     if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
         gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
     return gained
