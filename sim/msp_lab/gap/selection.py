@@ -113,5 +113,11 @@ def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float)
     """The candidate that gains most after its refit, if it gains enough."""
     if seen.largest < seen.critical and not state.by_run:
         return None
-    found = trials(problem, state, seen, rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats)
-    return found[0] if found and found[0].gain_nats >= needed_nats else None
+    for trial in trials(problem, state, seen, rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats):
+        if trial.gain_nats < needed_nats:
+            break
+        # Of runs that all differ one is always the farthest off: an offset of it alone must leave the others alike.
+        of_one_run = trial.term.active.effect.per == "run"
+        if not (state.by_run and of_one_run) or problem.dependence(trial.fit).independent:
+            return trial
+    return None
