@@ -2,6 +2,7 @@
 # make test   run the tests, but for those of the tests' own tools
 # make test-all   run all tests
 # make check  what CI runs: format, lint, types, layers, then all tests
+# make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
 # make bench  run all benchmarks, and write the table in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
@@ -10,7 +11,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint check bench fuzz blind second faults mavproxy compile clean
+.PHONY: demo test test-all test-install lint check bench fuzz blind second faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -27,6 +28,9 @@ test: .venv/.installed-test compile mavproxy
 
 test-all: .venv/.installed-test compile mavproxy
 	$(PYTEST)
+
+test-install: .venv/.installed-test
+	$(BIN)/python -m tests.install
 
 lint: .venv/.installed-test
 	$(BIN)/ruff format --check .

@@ -23,7 +23,7 @@ KERNEL_TIMEOUT_S = 1.0
 
 def unit() -> configparser.SectionProxy:
     """The section Service of the unit file."""
-    parser = configparser.ConfigParser(interpolation=None)
+    parser = configparser.ConfigParser(interpolation=None, strict=False)  # DeviceAllow is there twice
     parser.read(UNIT, encoding="utf-8")
     return parser["Service"]
 
