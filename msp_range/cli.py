@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from msp_range import __version__
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
@@ -30,6 +31,22 @@ app = typer.Typer(
 FILE_KINDS = "msp_range.file_kinds"
 """Group of entry points: section class by kind of file, including those of the laboratory, which is not imported
 here."""
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"msp-range {__version__} (Python {sys.version.split()[0]})")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
+    ] = False,
+) -> None:
+    """Options of the program itself."""
+
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
@@ -148,6 +165,56 @@ def check(airframe_file: AirframeFile) -> None:
             )
     for line in describe(airframe.temperature, airframe.maximum_by_sound_m):
         console.print(line, highlight=False)
+
+
+@app.command()
+@report_user_errors
+def params(
+    airframe_file: AirframeFile,
+    out: Annotated[Path | None, typer.Option(help="file to write (.parm) instead of printing")] = None,
+    vehicle: Annotated[
+        Literal["copter", "plane", "sub", "rover"], typer.Option(help="ArduPilot's vehicle, where none is connected")
+    ] = "copter",
+    before_4_7: Annotated[bool, typer.Option("--before-4.7", help="names and units of ArduPilot before 4.7")] = False,
+    port: Annotated[
+        int, typer.Option(help="the autopilot's port with the bridge: n of ArduPilot's SERIALn, of PX4's TELEM n")
+    ] = 2,
+    compare: Annotated[bool, typer.Option("--compare", help="compare with the connected autopilot's values")] = False,
+    write: Annotated[bool, typer.Option("--write", help="set them, with a question for each change")] = False,
+    restore: Annotated[Path | None, typer.Option(help="set the values of this file (.parm) instead")] = None,
+    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+) -> None:
+    """Print the autopilot's parameters for an airframe, compare them with the autopilot's, or set them there.
+
+    Parameters are set only while the vehicle is disarmed. Exit code 1: --compare found differences.
+    """
+    from msp_range.clock import SystemClock
+    from msp_range.config import load_airframe
+    from msp_range.params import commands
+    from msp_range.params.settings import Firmware
+
+    airframe = load_airframe(airframe_file).changed(link=link)
+    if not (compare or write or restore):
+        text = commands.file_text(airframe, Firmware(airframe.link.autopilot, vehicle, before_4_7), port)
+        print(text, end="") if out is None else out.write_text(text)
+        return
+    clock = SystemClock()
+    client = commands.connect(airframe, clock)
+    firmware, settings = commands.wanted(airframe, client, port)
+    if out is not None:
+        out.write_text(commands.file_text(airframe, firmware, port))
+    if restore is not None:
+        settings = commands.restored(restore)
+    changes = commands.differences(client, settings)
+    print(f"{firmware}: {len(settings) - len(changes)} of {len(settings)} parameters are as they should be")
+    if not (write or restore):
+        for each in changes:
+            print(commands.described(each))
+        raise typer.Exit(bool(changes))
+    undo = commands.undo_path(clock)
+    done = commands.write(client, changes, lambda text: typer.confirm(f"{text}\nSet it?"), undo, airframe.vehicle)
+    if done:
+        print(f"{len(done)} set. Restart the autopilot. To undo: msp-range params {airframe_file} --restore {undo}")
 
 
 @app.command()

@@ -1,0 +1,200 @@
+"""An autopilot on a link, asked for its parameters and given new ones, by MAVLink's parameter protocol.
+
+ArduPilot sends every value as a float; PX4 sends integers as four bytes in the place of the float
+(https://mavlink.io/en/services/parameter.html). Nothing is set while the vehicle is armed, or while nobody knows.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from msp_range.clock import Clock
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.link import Link
+from msp_range.mavlink.transport import Transport
+from msp_range.params.settings import Firmware, Vehicle
+
+COMPONENT_ID = 192
+"""MAV_COMP_ID_ONBOARD_COMPUTER2: the bridge itself is the first, and may be running."""
+ANSWER_S = 1.0
+"""An autopilot on a wire answers a request in some 10 ms, over a radio in some 300 ms; longer only waits [s]."""
+TRIES = 3
+HEARTBEAT_OLD_S = 3.0
+"""A heartbeat that is older does not show that the vehicle is disarmed now [s]: it comes once a second."""
+
+_VEHICLES: dict[int, Vehicle] = {
+    dialect.MAV_TYPE_FIXED_WING: "plane",
+    **dict.fromkeys(range(19, 26), "plane"),  # MAV_TYPE_VTOL_...: their names have changed
+    dialect.MAV_TYPE_SUBMARINE: "sub",
+    dialect.MAV_TYPE_GROUND_ROVER: "rover",
+    dialect.MAV_TYPE_SURFACE_BOAT: "rover",
+}
+"""Kinds of vehicles by the heartbeat's type; all others are copters."""
+_AUTOPILOTS: dict[int, Autopilot] = {
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    dialect.MAV_AUTOPILOT_PX4: "px4",
+}
+_INTEGERS = {
+    dialect.MAV_PARAM_TYPE_UINT8: "<B",
+    dialect.MAV_PARAM_TYPE_INT8: "<b",
+    dialect.MAV_PARAM_TYPE_UINT16: "<H",
+    dialect.MAV_PARAM_TYPE_INT16: "<h",
+    dialect.MAV_PARAM_TYPE_UINT32: "<I",
+    dialect.MAV_PARAM_TYPE_INT32: "<i",
+}
+
+
+class NotSet(Exception):
+    """A parameter that was not set; the text says why, for the person who wants to set it."""
+
+
+class ParameterClient:
+    """One autopilot's parameters.
+
+    Parameters
+    ----------
+    transport
+        The link, which nobody else uses.
+    clock
+        How long to wait.
+    system_id
+        The autopilot's; None: that of the first autopilot that is received.
+
+    Attributes
+    ----------
+    link
+        The connection, for those who also want other messages.
+    """
+
+    def __init__(self, transport: Transport, clock: Clock, system_id: int | None = None) -> None:
+        self._clock = clock
+        self._values: dict[str, tuple[float, int]] = {}
+        self._heartbeat: Any = None
+        self._heartbeat_s = float("-inf")
+        self.link = Link(transport, clock, component_id=COMPONENT_ID, hear=self.on_message, system_id=system_id)
+
+    def on_message(self, now_s: float, message: Any) -> None:
+        """Take a message of the autopilot."""
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            self._heartbeat, self._heartbeat_s = message, now_s
+        elif kind == "PARAM_VALUE":
+            name = message.param_id
+            if isinstance(name, bytes):
+                name = name.rstrip(b"\0").decode("ascii", "replace")
+            self._values[name.rstrip("\0")] = (
+                self._decoded(message.param_value, message.param_type),
+                message.param_type,
+            )
+
+    def wait(self, is_there: Callable[[], bool], limit_s: float) -> bool:
+        """Serve the link until something is there, at most so long; whether it is."""
+        end_s = self._clock.now() + limit_s
+        while not is_there():
+            if self._clock.now() >= end_s:
+                return False
+            self._clock.sleep_until(min(self.link.next_event_s, end_s))
+            self.link.service()
+        return True
+
+    def connect(self, limit_s: float) -> bool:
+        """Wait for an autopilot's heartbeat."""
+        return self.wait(lambda: self._heartbeat is not None, limit_s)
+
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """What kind of autopilot it is; None where it is another one, or none was received."""
+        return None if self._heartbeat is None else _AUTOPILOTS.get(self._heartbeat.autopilot)
+
+    @property
+    def armed(self) -> bool | None:
+        """Whether the vehicle is armed; None where nobody knows."""
+        if self._clock.now() - self._heartbeat_s > HEARTBEAT_OLD_S:
+            return None
+        return bool(self._heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def firmware(self) -> Firmware | None:
+        """What decides names and units of parameters; None where the autopilot is neither ArduPilot nor PX4.
+
+        ArduPilot's generation follows from the names that it knows, which development versions changed before their
+        number did.
+        """
+        if self.autopilot is None:
+            return None
+        vehicle = _VEHICLES.get(self._heartbeat.type, "copter")
+        centimetres = self.autopilot == "ardupilot" and "RNGFND1_MAX_CM" in self._read("RNGFND1_MAX", "RNGFND1_MAX_CM")
+        return Firmware(self.autopilot, vehicle, centimetres)
+
+    def read(self, name: str) -> float | None:
+        """A parameter's value; None where the autopilot does not know it, or does not answer."""
+        return self._read(name).get(name)
+
+    def _read(self, *names: str) -> dict[str, float]:
+        """What is known as soon as one of several names was answered."""
+        for name in names:
+            self._values.pop(name, None)
+        for _ in range(TRIES):
+            for name in names:
+                self.link.send(dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1))
+            if self.wait(lambda: any(name in self._values for name in names), ANSWER_S):
+                break
+        return {name: self._values[name][0] for name in names if name in self._values}
+
+    def write(self, name: str, value: float) -> float:
+        """Set a parameter and read it back; returns what the autopilot has now.
+
+        Raises
+        ------
+        NotSet
+            The vehicle is armed, the autopilot does not know the parameter, or it has another value afterwards.
+        """
+        if self.read(name) is None:
+            raise NotSet(f"the autopilot does not know {name}")
+        kind = self._values[name][1]
+        for _ in range(TRIES):
+            # Checked for each try: somebody may arm the vehicle meanwhile.
+            if self.armed is None:
+                raise NotSet("no heartbeat of the autopilot: whether the vehicle is armed is not known")
+            if self.armed:
+                raise NotSet("the vehicle is armed: parameters are set only while it is disarmed")
+            encoded = self._encoded(value, kind)
+            self.link.send(dialect.MAVLink_param_set_message(*self._target, name.encode(), encoded, kind))
+            self.wait(lambda: False, 0.1)
+            found = self.read(name)
+            if found is not None and same(found, value):
+                return found
+        raise NotSet(f"{name} was set to {value:g}, and reads back as {found}")
+
+    @property
+    def _target(self) -> tuple[int, int]:
+        return self.link.autopilot_system or 1, dialect.MAV_COMP_ID_AUTOPILOT1
+
+    @property
+    def _bytewise(self) -> bool:
+        return self.autopilot == "px4"
+
+    def _decoded(self, value: float, kind: int) -> float:
+        if not self._bytewise or kind not in _INTEGERS:
+            return value
+        whole: int
+        (whole,) = struct.unpack_from(_INTEGERS[kind], struct.pack("<f", value))
+        return float(whole)
+
+    def _encoded(self, value: float, kind: int) -> float:
+        if not self._bytewise or kind not in _INTEGERS:
+            return value
+        coded: float
+        (coded,) = struct.unpack("<f", struct.pack(_INTEGERS[kind], round(value)).ljust(4, b"\0"))
+        return coded
+
+
+def same(found: float, wanted: float) -> bool:
+    """Whether two values are the same single-precision number, or nearly.
+
+    Examples
+    --------
+    >>> same(0.1899999976158142, 0.19), same(0.2, 0.19)
+    (True, False)
+    """
+    return abs(found - wanted) <= 1e-6 * max(1.0, abs(wanted))

@@ -1,0 +1,138 @@
+"""What `msp-range params` does: print parameters, write a file of them, compare them, or set them on the autopilot."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from msp_range.clock import Clock, stamp_of
+from msp_range.config import Airframe
+from msp_range.mavlink.transport import open_transport
+from msp_range.params.client import NotSet, ParameterClient, same
+from msp_range.params.parm_file import parm_text, read_parm, text_of
+from msp_range.params.settings import Firmware, Setting, remarks, settings
+from msp_range.yaml_file import ConfigError
+
+CONNECT_S = 10.0
+"""How long to wait for an autopilot: it sends a heartbeat each second, and a TCP or serial link may have to be opened
+again meanwhile [s]."""
+
+
+class Difference(NamedTuple):
+    """A setting, and what the autopilot has instead; None where it does not know the parameter."""
+
+    setting: Setting
+    found: float | None
+
+
+def connect(airframe: Airframe, clock: Clock) -> ParameterClient:
+    """The autopilot at the airframe's link.
+
+    Raises
+    ------
+    ConfigError
+        None is received there.
+    """
+    transport = open_transport(airframe.link.url, clock)
+    client = ParameterClient(transport, clock, airframe.link.system_id)
+    if not client.connect(CONNECT_S):
+        why = f" ({transport.last_error})" if transport.last_error else ""
+        raise ConfigError(
+            f"{airframe.link.url}: no autopilot received for {CONNECT_S:.0f} s{why}; does msp-range run use the link? "
+            "'msp-range doctor' looks for the reason"
+        )
+    return client
+
+
+def wanted(airframe: Airframe, client: ParameterClient, port: int) -> tuple[Firmware, list[Setting]]:
+    """The connected autopilot's firmware and the settings for it.
+
+    Raises
+    ------
+    ConfigError
+        It is neither ArduPilot nor PX4, or not the one that the airframe file names.
+    """
+    firmware = client.firmware()
+    if firmware is None:
+        raise ConfigError(f"{airframe.link.url}: the autopilot is neither ArduPilot nor PX4")
+    if firmware.autopilot != airframe.link.autopilot:
+        raise ConfigError(
+            f"{airframe.link.url}: the autopilot is {firmware}, and link.autopilot is {airframe.link.autopilot}"
+        )
+    return firmware, settings(airframe, firmware, port)
+
+
+def differences(client: ParameterClient, some: Sequence[Setting]) -> list[Difference]:
+    """The settings that the autopilot has otherwise."""
+    found = [Difference(setting, client.read(setting.name)) for setting in some]
+    return [each for each in found if each.found is None or not same(each.found, each.setting.value)]
+
+
+def heading(airframe: Airframe, firmware: Firmware) -> list[str]:
+    """First lines of a file of parameters."""
+    return [f"{airframe.vehicle}: parameters of {firmware} for msp-range, in this order.", *remarks(airframe, firmware)]
+
+
+def file_text(airframe: Airframe, firmware: Firmware, port: int) -> str:
+    """The file of parameters of an airframe."""
+    return parm_text(heading(airframe, firmware), settings(airframe, firmware, port))
+
+
+def described(difference: Difference) -> str:
+    """A line for a person."""
+    setting, found = difference
+    if found is None:
+        return f"{setting.name}: not known by this autopilot; expected {text_of(setting.value)} ({setting.reason})"
+    return f"{setting.name}: {text_of(found)} -> {text_of(setting.value)}: {setting.reason} ({setting.source})"
+
+
+def restored(path: Path) -> list[Setting]:
+    """The settings of a file, such as one that `write` left."""
+    return [Setting(name, value, "as it was", str(path)) for name, value in read_parm(path).items()]
+
+
+def write(
+    client: ParameterClient,
+    changes: Sequence[Difference],
+    confirm: Callable[[str], bool],
+    undo: Path,
+    vehicle: str,
+    show: Callable[[str], None] = print,
+) -> Mapping[str, float]:
+    """Set what a person agrees to, one after the other, and read each back; names and values that were set.
+
+    Parameters
+    ----------
+    confirm
+        Asks about one change.
+    undo
+        File to make with the values from before, of what was set; it is complete before each change.
+    show
+        Prints a line.
+
+    Raises
+    ------
+    ConfigError
+        A parameter could not be set; those before it are, and ``undo`` has their old values.
+    """
+    before: list[Setting] = []
+    done: dict[str, float] = {}
+    for change in changes:
+        setting, found = change
+        if found is None:
+            show(described(change))
+            continue
+        if not confirm(described(change)):
+            continue
+        before.insert(0, Setting(setting.name, found, "before msp-range params --write", "read from the autopilot"))
+        undo.write_text(parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
+        try:
+            done[setting.name] = client.write(setting.name, setting.value)
+        except NotSet as error:
+            raise ConfigError(f"{setting.name}: {error}. Set so far: {', '.join(done) or 'nothing'}") from None
+        show(f"{setting.name}: {text_of(done[setting.name])}, read back")
+    return done
+
+
+def undo_path(clock: Clock) -> Path:
+    """A file of its own for each writing."""
+    return Path(f"undo-{stamp_of(clock.utc())}.parm")

@@ -1,0 +1,197 @@
+"""The autopilot's parameters for an airframe, in the order in which they are set, each with its reason and source.
+
+The values are those of docs/flying.md and docs/sitl.md, with which ArduCopter and PX4 were flown in their simulators.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from msp_range.assembly import fused_stream, single_streams
+from msp_range.config import Airframe
+from msp_range.mavlink.distance_sensor import Autopilot, Stream
+from msp_range.mavlink.orientation import DOWN
+from msp_range.mavlink.transport.url import SerialUrl, parse_url
+
+Vehicle = Literal["copter", "plane", "sub", "rover"]
+VEHICLES: tuple[Vehicle, ...] = get_args(Vehicle)
+
+PROXIMITY_ORIENTATIONS = frozenset({*range(8), 24})
+"""Orientations that ArduPilot's proximity takes: eight around the vehicle, and up (AP_Proximity_MAV.cpp)."""
+DISTANCE_SENSOR_BY_MAVLINK = 10
+PROXIMITY_BY_MAVLINK = 2
+MAVLINK_2 = 2
+ONBOARD = 2
+PX4_TELEM_BASE = 100
+"""PX4's number of the port TELEM n is this plus n (Tools/serial/generate_config.py)."""
+USB_PATHS = ("/dev/ttyACM", "/dev/autopilot")
+"""Serial ports that are an autopilot's own USB: it speaks MAVLink there without being set up."""
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """What decides names and units of parameters.
+
+    Attributes
+    ----------
+    autopilot
+        ArduPilot or PX4.
+    vehicle
+        ArduPilot's kind of vehicle; without meaning for PX4.
+    centimetres
+        ArduPilot before 4.7: limits of range finders have other names and are in centimetres.
+    """
+
+    autopilot: Autopilot
+    vehicle: Vehicle = "copter"
+    centimetres: bool = False
+
+    def __str__(self) -> str:
+        if self.autopilot == "px4":
+            return "PX4"
+        return f"Ardu{self.vehicle.capitalize()} " + ("before 4.7" if self.centimetres else "4.7 or later")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One parameter.
+
+    Attributes
+    ----------
+    name, value
+        As the autopilot has them.
+    reason
+        Why this value, in one sentence.
+    source
+        Where the value comes from: a key of the airframe file, a document.
+    whole
+        PX4 keeps it as an integer.
+    """
+
+    name: str
+    value: float
+    reason: str
+    source: str
+    whole: bool = False
+
+
+def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]:
+    """The parameters to set, in this order.
+
+    Parameters
+    ----------
+    airframe
+        The vehicle.
+    firmware
+        The autopilot's.
+    port
+        Number of the autopilot's telemetry port that the bridge is wired to: SERIALn of ArduPilot, TELEM n of PX4.
+        Only a serial link needs it.
+
+    Examples
+    --------
+    >>> from msp_range.config import load_airframe
+    >>> for each in settings(load_airframe("configs/loopback.yaml"), Firmware("px4"), 2):
+    ...     print(each.name, f"{each.value:g}")
+    EKF2_RNG_CTRL 2
+    EKF2_HGT_REF 1
+    EKF2_MIN_RNG 0.2
+    EKF2_RNG_POS_Z 0.05
+    """
+    make = _px4 if firmware.autopilot == "px4" else _ardupilot
+    return list(make(airframe, firmware, port))
+
+
+def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
+    """What is to be known besides the values."""
+    lines = ["Restart the autopilot after setting them: some count only from then on."]
+    if firmware.autopilot == "px4" and downward_stream(airframe) is not None:
+        lines.append("EKF2_RNG_DELAY is to be the latency that you measure [ms]: msp-range doctor prints it.")
+    if firmware.autopilot == "ardupilot" and firmware.vehicle == "sub":
+        lines.append("ArduSub ignores distances with a quality below RNGFND_SQ_MIN (90).")
+    return lines
+
+
+def downward_stream(airframe: Airframe) -> Stream | None:
+    """The stream with orientation 25, down: the fused one, or a single sensor's; None where there is none."""
+    fused = fused_stream(airframe)
+    if fused is not None:
+        return fused
+    singles = [stream for stream in single_streams(airframe).values() if stream.orientation.value == DOWN]
+    return singles[0] if singles else None
+
+
+def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Setting]:
+    document = "docs/flying.md, Set up the autopilot"
+    baud = _baud(airframe)
+    if baud is not None:
+        yield Setting(
+            f"SERIAL{port}_PROTOCOL", MAVLINK_2, "MAVLink 2 on the port that the bridge is wired to", document
+        )
+        yield Setting(f"SERIAL{port}_BAUD", baud // 1000, f"{baud} baud, as this file says", "link.url")
+    stream = downward_stream(airframe)
+    if stream is not None:
+        yield Setting("RNGFND1_TYPE", DISTANCE_SENSOR_BY_MAVLINK, "distances come as MAVLink messages", document)
+        yield Setting("RNGFND1_ORIENT", DOWN, "down: the orientation selects the stream", document)
+        nearest_cm, farthest_cm = stream.min_distance_cm, 10 * math.ceil(stream.max_distance_cm / 10 - 1)
+        landed_cm = nearest_cm + 1
+        nearest = "below the shortest report, which is out of range otherwise: that is the reading on the ground"
+        farthest = "below the longest report, which stands for 'no echo'"
+        landed = "what it reads when the vehicle stands on the ground"
+        model = "the sensor model's limits"
+        if firmware.centimetres:
+            yield Setting("RNGFND1_MIN_CM", nearest_cm, nearest, model)
+            yield Setting("RNGFND1_MAX_CM", farthest_cm, farthest, model)
+            yield Setting("RNGFND1_GNDCLEAR", landed_cm, landed, model)
+        else:
+            yield Setting("RNGFND1_MIN", nearest_cm / 100, nearest, model)
+            yield Setting("RNGFND1_MAX", farthest_cm / 100, farthest, model)
+            yield Setting("RNGFND1_GNDCLR", landed_cm / 100, landed, model)
+        yield _position("RNGFND1_POS_Z", airframe)
+        if firmware.vehicle == "plane":
+            yield Setting("RNGFND_LANDING", 1, "the plane uses the range finder to land", "ArduPlane/Parameters.cpp")
+    around = [each for each in single_streams(airframe).values() if each.orientation.value in PROXIMITY_ORIENTATIONS]
+    # ArduPlane has no proximity (ArduPlane/Parameters.cpp).
+    if around and firmware.vehicle != "plane":
+        yield Setting(
+            "PRX1_TYPE", PROXIMITY_BY_MAVLINK, f"{len(around)} of the streams look around the vehicle", document
+        )
+
+
+def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
+    document = "docs/flying.md, Set up the autopilot"
+    baud = _baud(airframe)
+    if baud is not None:
+        instance = port - 1
+        what = "MAVLink on the port that the bridge is wired to"
+        yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document, whole=True)
+        yield Setting(f"MAV_{instance}_MODE", ONBOARD, "onboard mode: for a companion computer", document, whole=True)
+        yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url", whole=True)
+    stream = downward_stream(airframe)
+    if stream is not None:
+        yield Setting(
+            "EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", document, whole=True
+        )
+        yield Setting("EKF2_HGT_REF", 1, "with 2 the vehicle cannot be armed from PX4 1.17 on", document, whole=True)
+        landed_m = (stream.min_distance_cm + 1) / 100
+        yield Setting("EKF2_MIN_RNG", landed_m, "what it reads when the vehicle stands on the ground", document)
+        yield _position("EKF2_RNG_POS_Z", airframe)
+
+
+def _position(name: str, airframe: Airframe) -> Setting:
+    fused = airframe.send.fused
+    if fused is not None:
+        return Setting(name, fused.reference_down_m, "where the distance starts", "send.fused.reference_down_m")
+    down = next(
+        sensor for sensor in airframe.sensors if sensor.name in airframe.sent_names and sensor.orientation.value == DOWN
+    )
+    return Setting(name, down.position_m[2], "where the sensor is", f"position_m of {down.name}")
+
+
+def _baud(airframe: Airframe) -> int | None:
+    """The rate of a serial port that the autopilot must be set up for; None where there is none."""
+    url = parse_url(airframe.link.url)
+    if not isinstance(url, SerialUrl) or url.path.startswith(USB_PATHS):
+        return None
+    return url.baud
