@@ -174,6 +174,15 @@ load_rules() {
     fi
 }
 
+# Needs the bus and the port to itself; an upgrade is not to interrupt the distances for that long.
+report() {
+    ! has_systemd || ! systemctl -q is-active msp-range || return 0
+    say ""
+    say "What 'msp-range doctor' finds (it changes nothing):"
+    run runuser -u msp-range -- "$OPT/venv/bin/msp-range" doctor "$ETC/airframe.yaml" || true
+    say ""
+}
+
 start() {
     if ! has_systemd; then
         run systemctl enable msp-range 2>/dev/null || true
@@ -210,6 +219,7 @@ install_all() {
     install_files
     switch_to "$NEW"
     load_rules
+    report
     start
     remove_old
     say "Airframe file: $ETC/airframe.yaml (after a change: msp-range check, then systemctl reload msp-range)"

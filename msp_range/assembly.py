@@ -21,18 +21,20 @@ def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
 def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
     """The airframe's sensors in their polling order, from ``start_s`` on."""
     polled = polled_sensors(airframe, bus)
-    interval_s, near = _ping_interval_s(airframe), airframe.polling.near
+    interval_s, near = polling_interval_s(airframe), airframe.polling.near
     spacing = Spacing(interval_s) if near is None else Spacing(interval_s, near.below_m, near.ping_interval_s)
-    groups = [[polled[name] for name in group] for group in _polling_groups(airframe)]
+    groups = [[polled[name] for name in group] for group in polling_groups(airframe)]
     return RoundRobin(groups, spacing, start_s)
 
 
-def _polling_groups(airframe: Airframe) -> list[list[str]]:
+def polling_groups(airframe: Airframe) -> list[list[str]]:
+    """Names of the sensors that ping together, group after group."""
     groups = airframe.polling.groups
     return groups if groups is not None else [[sensor.name] for sensor in airframe.sensors]
 
 
-def _ping_interval_s(airframe: Airframe) -> float:
+def polling_interval_s(airframe: Airframe) -> float:
+    """Time between the pings of two groups [s]."""
     interval_s = airframe.polling.ping_interval_s
     if interval_s is not None:
         return interval_s
@@ -56,10 +58,10 @@ def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
 
 def windows_of(airframe: Airframe) -> Windows:
     """For how long a downward sensor's readings count, from the airframe's polling order."""
-    groups = _polling_groups(airframe)
+    groups = polling_groups(airframe)
     # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
-    interval_s = max(_ping_interval_s(airframe), ranging_s)
+    interval_s = max(polling_interval_s(airframe), ranging_s)
     downward = {sensor.name for sensor in airframe.downward}
     turns = [i for i, group in enumerate(groups) if downward & set(group)] or [0]
     longest = max(late - early for early, late in pairwise([*turns, turns[0] + len(groups)]))

@@ -169,6 +169,25 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 @report_user_errors
+def doctor(
+    airframe_file: Annotated[
+        Path, typer.Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")
+    ] = Path("/etc/msp-range/airframe.yaml"),
+    json_lines: Annotated[bool, typer.Option("--json", help="print one JSON object instead of text")] = False,
+) -> None:
+    """Look for what is wrong, from the bus to the autopilot, and say what to do. Changes nothing.
+
+    The sensors ping, and while the vehicle is disarmed the autopilot receives their distances for some seconds. If the
+    bridge runs, bus and port are left alone. Exit code 1: something is wrong.
+    """
+    from msp_range.doctor.command import show
+    from msp_range.doctor.computer import this_computer
+
+    raise typer.Exit(show(airframe_file, this_computer(), json_lines))
+
+
+@app.command()
+@report_user_errors
 def params(
     airframe_file: AirframeFile,
     out: Annotated[Path | None, typer.Option(help="file to write (.parm) instead of printing")] = None,

@@ -6,7 +6,7 @@ with further keys.
 
 from typing import Annotated
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails
 
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
@@ -14,6 +14,15 @@ from msp_range.sensors.base import Driver
 from msp_range.sensors.table import find_driver
 from msp_range.yaml_file import Section, load_named
 
+
+def _seven_bits(address: object) -> object:
+    """Refuse the 8-bit form of data sheets with the address that is meant."""
+    if isinstance(address, int) and 0x77 < address <= 0xEE:
+        raise ValueError(f"0x{address:02X} is the 8-bit form of 0x{address >> 1:02x}; expected the 7-bit form")
+    return address
+
+
+Address = Annotated[int, Field(ge=0x03, le=0x77), BeforeValidator(_seven_bits)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
@@ -22,7 +31,7 @@ class SensorOnBus(Section):
 
     name: Name
     """name of the sensor: lower-case letters, digits and underscores"""
-    address: int = Field(ge=0x03, le=0x77)
+    address: Address
     """7-bit I2C address, e.g. 0x70"""
     model: str
     """sensor model file, relative to this file"""

@@ -70,6 +70,11 @@ class AutopilotClock:
         """True if the autopilot's clock is known."""
         return self._offset_s is not None
 
+    @property
+    def round_trip_s(self) -> float | None:
+        """The shortest way there and back that TIMESYNC has shown lately [s]; None where it is not answered."""
+        return min((each.error_s for each in self._exchanges), default=None)
+
     def time_boot_ms(self, time_s: float) -> int:
         """Time since the autopilot's boot [ms] at ``time_s`` on the bridge's clock, as its messages count it."""
         offset_s = -self._start_s if self._offset_s is None else self._offset_s

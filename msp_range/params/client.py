@@ -5,7 +5,7 @@ ArduPilot sends every value as a float; PX4 sends integers as four bytes in the 
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from msp_range.clock import Clock
@@ -60,23 +60,37 @@ class ParameterClient:
         How long to wait.
     system_id
         The autopilot's; None: that of the first autopilot that is received.
+    wanted
+        Other messages to ask the autopilot for: name -> rate [Hz].
 
     Attributes
     ----------
     link
-        The connection, for those who also want other messages.
+        The connection.
+    messages
+        The last message of each kind that the autopilot sent.
     """
 
-    def __init__(self, transport: Transport, clock: Clock, system_id: int | None = None) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        clock: Clock,
+        system_id: int | None = None,
+        wanted: Mapping[str, float] | None = None,
+    ) -> None:
         self._clock = clock
         self._values: dict[str, tuple[float, int]] = {}
+        self.messages: dict[str, Any] = {}
         self._heartbeat: Any = None
         self._heartbeat_s = float("-inf")
-        self.link = Link(transport, clock, component_id=COMPONENT_ID, hear=self.on_message, system_id=system_id)
+        self.link = Link(
+            transport, clock, component_id=COMPONENT_ID, hear=self.on_message, wanted=wanted, system_id=system_id
+        )
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Take a message of the autopilot."""
         kind = message.get_type()
+        self.messages[kind] = message
         if kind == "HEARTBEAT":
             self._heartbeat, self._heartbeat_s = message, now_s
         elif kind == "PARAM_VALUE":

@@ -152,12 +152,15 @@ class Driver(ABC):
         Whether a changed address is kept without power.
     busy_s
         Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges.
+    stretches_clock
+        Whether it holds the bus clock low while it is not ready; not every computer waits for that.
     """
 
     part: ClassVar[str]
     default_address: ClassVar[int]
     keeps_address: ClassVar[bool]
     busy_s: ClassVar[float]
+    stretches_clock: ClassVar[bool] = False
 
     def __init__(self, bus: Bus, address: int) -> None:
         self._bus = bus

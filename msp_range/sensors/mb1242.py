@@ -98,6 +98,7 @@ class MB1242(Driver):
     default_address = 0x70
     keeps_address = True
     busy_s = RANGING_S
+    stretches_clock = True
 
     def __init__(self, bus: Bus, address: int) -> None:
         super().__init__(bus, address)

@@ -118,7 +118,9 @@ def install(machine: Machine, receiver: Receiver) -> None:
     expect(snapshot(machine) == before, "and a wrong command line changes nothing")
 
     start_s = time.monotonic()
-    say(machine.run("cd msp-range && ./install.sh --airframe /root/airframe.yaml").stdout)
+    done = machine.run("cd msp-range && ./install.sh --airframe /root/airframe.yaml")
+    say(done.stdout)
+    expect("airframe.yaml: loopback" in done.stdout, "doctor reported before the start")
     say(f"    installed in {time.monotonic() - start_s:.0f} s")
     expect(receiver.await_distance() < RESTARTED_S, "distances arrive")
     megabytes = int(machine.run("du -sm /opt/msp-range").stdout.split()[0])

@@ -137,6 +137,7 @@ class Machine:
             "(cat /root/sensors.json; exec sleep infinity) |\n"
             "    exec python3 -B /src/tests/support/kernel_bus_server.py >/srv/i2c/answer\n"
         )
+        self.run("rm -rf /srv/i2c")
         self.run("systemd-run --unit=emulated-i2c --quiet sh /root/sensors.sh")
         answer = self.root / "srv/i2c/answer"
         self.until("the emulated bus", lambda: answer.exists() and answer.read_text().endswith("\n"), 20.0)

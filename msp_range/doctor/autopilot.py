@@ -1,0 +1,254 @@
+"""The autopilot at the other end: its heartbeat and type, its parameters, whether distances reach it, the latency.
+
+Distances that the sensors have just measured are sent for some seconds, and only while the vehicle is disarmed.
+"""
+
+from collections.abc import Iterator, Mapping
+
+from msp_range.clock import Clock
+from msp_range.config import Airframe
+from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, MAVLINK_FIELDS, MavlinkSource
+from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.distance_sensor import distance_sensor
+from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.orientation import DOWN
+from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.transport.url import SerialUrl, parse_url
+from msp_range.params.client import ParameterClient, same
+from msp_range.params.commands import described, differences
+from msp_range.params.settings import Firmware, downward_stream, settings
+
+CONNECT_S = 6.0
+"""How long to wait for a heartbeat, which comes once a second; a link may have to be opened again [s]."""
+SENT_S, SENT_INTERVAL_S = 4.0, 0.1
+"""Distances are sent for this long at the bridge's rate [s]: ArduPilot wants three good ones in a row, and sends its
+own once or twice a second until a faster rate is asked for."""
+RETURNED_M = 0.10
+"""What comes back may differ from what was sent by this [m]: both are whole centimetres."""
+DELAY_MS = 15.0
+"""EKF2_RNG_DELAY may be off by this [ms]; at 1 m/s it is 1.5 cm."""
+PORT_NAMES = ("SERIAL", "MAV_", "SER_")
+"""Beginnings of names of parameters of the port: messages arrive, so it is set up, whichever port it is."""
+FIELD_OF_VIEW_RAD = 0.4
+QUALITY = 100
+
+
+class Tap:
+    """A transport that counts what arrives.
+
+    Attributes
+    ----------
+    received_bytes : int
+        All of them.
+    frames : list of Frame
+        The valid ones.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self._reader = FrameReader()
+        self.received_bytes = 0
+        self.frames: list[Frame] = []
+        self.stats = transport.stats
+        self.quiet_until_s = transport.quiet_until_s
+
+    @property
+    def description(self) -> str:
+        """The URL."""
+        return self._transport.description
+
+    @property
+    def last_error(self) -> str | None:
+        """Why the link is down."""
+        return self._transport.last_error
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody is there."""
+        return self._transport.connected
+
+    def send(self, frame: bytes) -> bool:
+        """Send one frame."""
+        return self._transport.send(frame)
+
+    def receive(self) -> bytes:
+        """Count and return what has arrived."""
+        arrived = self._transport.receive()
+        self.received_bytes += len(arrived)
+        self.frames += self._reader.read(arrived)
+        return arrived
+
+    def close(self) -> None:
+        """Release the link."""
+        self._transport.close()
+
+
+def check_autopilot(
+    airframe: Airframe,
+    transport: Transport,
+    clock: Clock,
+    ranges_m: Mapping[str, float],
+    latency_s: float | None,
+) -> Iterator[Finding]:
+    """All steps on the link.
+
+    Parameters
+    ----------
+    ranges_m
+        Distances that the sensors measured, by name [m].
+    latency_s
+        From an echo to its answer [s]; None where it was not measured.
+    """
+    tap = Tap(transport)
+    temperatures = [each for each in airframe.temperature.sources if isinstance(each, MavlinkSource)]
+    wanted = {each.message: 1.0 for each in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
+    client = ParameterClient(tap, clock, airframe.link.system_id, wanted)
+    if not client.connect(CONNECT_S):
+        yield _silence(airframe, tap)
+        return
+    # Others that send on the link, and the messages asked for, need a moment.
+    client.wait(lambda: False, 1.5)
+    found = _type(airframe, client)
+    yield found
+    yield from _others(airframe, tap)
+    yield from (_temperature(source, client) for source in temperatures)
+    if found.verdict is not Verdict.RIGHT:
+        return
+    if client.armed is not False:
+        yield unknown("distances", "the vehicle is armed: nothing is sent", "disarm it and try again")
+        return
+    firmware = client.firmware()
+    assert firmware is not None
+    yield _parameters(airframe, client, firmware)
+    yield _distances(airframe, client, clock, ranges_m)
+    if latency_s is not None:
+        yield _latency(client, latency_s)
+
+
+def _silence(airframe: Airframe, tap: Tap) -> Finding:
+    step = "heartbeat"
+    url = parse_url(airframe.link.url)
+    autopilot = "SERIALn_PROTOCOL 2" if airframe.link.autopilot == "ardupilot" else "MAV_n_CONFIG and MAV_n_MODE 2"
+    if tap.last_error and not tap.connected:
+        return wrong(step, f"the link cannot be opened: {tap.last_error}", "check link.url, and what else uses it")
+    autopilots = {frame.system for frame in tap.frames if frame.is_autopilot_heartbeat}
+    if autopilots:
+        text = f"link.system_id is {airframe.link.system_id}, and the autopilot received is {sorted(autopilots)}"
+        return wrong(step, text, "correct link.system_id, or leave it out")
+    if tap.frames:
+        senders = sorted({(frame.system, frame.component) for frame in tap.frames})
+        listed = ", ".join(f"{system}/{component}" for system, component in senders)
+        remedy = "connect the bridge to a port of the autopilot, or let the router pass its messages on"
+        return wrong(step, f"MAVLink comes from {listed} only, which is no autopilot", remedy)
+    if tap.received_bytes:
+        rate = f", not {url.baud} baud" if isinstance(url, SerialUrl) else ""
+        remedy = f"set the same baud rate on both sides, and {autopilot} on the autopilot's port"
+        return wrong(step, f"{tap.received_bytes} bytes arrive, and none are MAVLink{rate}", remedy)
+    if isinstance(url, SerialUrl):
+        remedy = f"exchange TX and RX, connect ground, switch the autopilot on, and set {autopilot} on its port"
+        return wrong(step, f"nothing arrives at {url.path}", remedy)
+    return wrong(
+        step, f"nothing arrives by {url}", "check address, port and firewall, and that the autopilot sends there"
+    )
+
+
+def _type(airframe: Airframe, client: ParameterClient) -> Finding:
+    step = "heartbeat"
+    name = {"ardupilot": "ArduPilot", "px4": "PX4", None: "neither ArduPilot nor PX4"}[client.autopilot]
+    text = f"system {client.link.autopilot_system} is {name}"
+    if client.autopilot != airframe.link.autopilot:
+        return wrong(step, f"{text}, and link.autopilot is {airframe.link.autopilot}", "correct link.autopilot")
+    return right(step, text)
+
+
+def _others(airframe: Airframe, tap: Tap) -> Iterator[Finding]:
+    autopilots = sorted({frame.system for frame in tap.frames if frame.is_autopilot_heartbeat})
+    if len(autopilots) > 1 and airframe.link.system_id is None:
+        text = f"heartbeats of several autopilots: systems {', '.join(map(str, autopilots))}"
+        yield wrong("other autopilots", text, "state the vehicle's own as link.system_id")
+    bridge = airframe.link.component_id
+    if any(frame.component == bridge and frame.system in autopilots for frame in tap.frames):
+        text = f"another program already sends as component {bridge}"
+        yield wrong("component id", text, "stop it (is the bridge running?), or change link.component_id")
+    if any(frame.data[0] == 0xFD and frame.data[2] & 1 for frame in tap.frames):
+        text = "the autopilot signs its messages and drops those of the bridge, which cannot sign"
+        yield wrong("signing", text, "connect to the autopilot's USB, or clear the key in the ground station")
+
+
+def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
+    step = "thermometer"
+    message = client.messages.get(source.message)
+    if message is None:
+        text = f"the autopilot does not send {source.message}"
+        return wrong(step, text, "does it have that sensor? Otherwise take it out of temperature.sources")
+    value_c = getattr(message, source.field) * MAVLINK_FIELDS[source.message, source.field].c_per_unit
+    if source.field == "temperature_press_diff" and value_c == 0:
+        return wrong(step, f"{source.name} is 0: there is no airspeed sensor", "take it out of temperature.sources")
+    air_c = value_c - source.bias_c
+    if not COLDEST_C <= air_c <= HOTTEST_C:
+        return wrong(step, f"{source.name} says {value_c:.1f} C, less bias_c {air_c:.1f} C", "check bias_c")
+    return right(step, f"{source.name} says {value_c:.1f} C, less bias_c {air_c:.1f} C")
+
+
+def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
+    step = "parameters"
+    needed = [each for each in settings(airframe, firmware, 2) if not each.name.startswith(PORT_NAMES)]
+    others = differences(client, needed)
+    if others:
+        listed = "; ".join(described(each) for each in others)
+        return wrong(step, f"{len(others)} of {len(needed)} differ: {listed}", "msp-range params AIRFRAME.yaml --write")
+    return right(step, f"{len(needed)} of {firmware} are as they should be")
+
+
+def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges_m: Mapping[str, float]) -> Finding:
+    step = "distances"
+    stream = downward_stream(airframe)
+    downward = {each.name for each in airframe.downward} or {
+        each.name for each in airframe.sensors if each.orientation.value == DOWN
+    }
+    measured = [range_m for name, range_m in ranges_m.items() if name in downward]
+    if stream is None:
+        return unknown(step, "nothing looks down: what the autopilot makes of the others is not tried")
+    if not measured:
+        return unknown(step, "not tried: no downward sensor has a distance", "first let the sensors see something")
+    range_m = sorted(measured)[len(measured) // 2]
+    client.messages.pop("DISTANCE_SENSOR", None)
+    end_s = clock.now() + SENT_S
+    while clock.now() < end_s:
+        if client.armed is not False:
+            return unknown(step, "the vehicle was armed meanwhile", "disarm it and try again")
+        boot_ms = client.link.autopilot_clock.time_boot_ms(clock.now())
+        client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, FIELD_OF_VIEW_RAD, QUALITY))
+        client.wait(lambda: False, SENT_INTERVAL_S)
+    back = client.messages.get("DISTANCE_SENSOR")
+    status = client.messages.get("SYS_STATUS")
+    remedy = "msp-range params AIRFRAME.yaml --write, then restart the autopilot: the type counts from then on"
+    if back is None:
+        return wrong(step, f"{range_m:.2f} m was sent, and the autopilot reports no distance of its own", remedy)
+    back_m = back.current_distance / 100
+    if back.orientation != DOWN or abs(back_m - range_m) > RETURNED_M:
+        remedy = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
+        return wrong(step, f"{range_m:.2f} m was sent, and the autopilot has {back_m:.2f} m", remedy)
+    bit = dialect.MAV_SYS_STATUS_SENSOR_LASER_POSITION
+    if status is not None and bit & status.onboard_control_sensors_present & ~status.onboard_control_sensors_health:
+        return wrong(step, f"the autopilot has {back_m:.2f} m and calls its range finder unhealthy", remedy)
+    return right(step, f"{range_m:.2f} m was sent, and the autopilot has {back_m:.2f} m")
+
+
+def _latency(client: ParameterClient, latency_s: float) -> Finding:
+    step = "latency"
+    round_trip_s = client.link.autopilot_clock.round_trip_s
+    if round_trip_s is None:
+        remedy = "it does not answer TIMESYNC; messages are stamped by SYSTEM_TIME"
+        return unknown(step, f"echo to answer {1e3 * latency_s:.0f} ms, and the way to the autopilot unknown", remedy)
+    total_ms = 1e3 * (latency_s + round_trip_s / 2)
+    parts = f"echo to answer {1e3 * latency_s:.0f} ms, to the autopilot {500 * round_trip_s:.1f} ms"
+    if client.autopilot != "px4":
+        return right(step, f"{total_ms:.0f} ms: {parts}")
+    delay_ms = client.read("EKF2_RNG_DELAY")
+    if delay_ms is not None and not same(delay_ms, total_ms) and abs(delay_ms - total_ms) > DELAY_MS:
+        return wrong(
+            step, f"{total_ms:.0f} ms ({parts}), and EKF2_RNG_DELAY is {delay_ms:g}", f"set it to {total_ms:.0f}"
+        )
+    return right(step, f"{total_ms:.0f} ms: {parts}; EKF2_RNG_DELAY is {delay_ms or 0:g}")

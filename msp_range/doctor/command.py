@@ -1,0 +1,45 @@
+"""What `msp-range doctor` prints: each finding as it comes, or all of them as JSON."""
+
+import json
+import textwrap
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+from msp_range.clock import SystemClock
+from msp_range.doctor.computer import Computer
+from msp_range.doctor.examination import examine
+from msp_range.doctor.finding import Finding, Verdict
+from msp_range.input_file import printable
+
+WIDTH = 80
+INDENT = 9
+
+
+def lines_of(finding: Finding) -> list[str]:
+    """A finding for a person, at most 80 columns wide."""
+    lines = _wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
+    if finding.remedy is not None and finding.verdict is not Verdict.RIGHT:
+        lines += _wrapped(" " * INDENT + "-> ", finding.remedy)
+    return lines
+
+
+def _wrapped(first: str, text: str) -> list[str]:
+    return textwrap.wrap(
+        printable(text), WIDTH, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
+    )
+
+
+def show(path: Path, computer: Computer, as_json: bool) -> int:
+    """Examine and print; 1 where something is wrong, else 0."""
+    findings = []
+    for finding in examine(path, computer, SystemClock()):
+        findings.append(finding)
+        if not as_json:
+            print("\n".join(lines_of(finding)), flush=True)
+    counts = Counter(finding.verdict.value for finding in findings)
+    if as_json:
+        print(json.dumps({"findings": [asdict(each) for each in findings], "counts": counts}, indent=2))
+    else:
+        print(f"\n{counts['right']} right, {counts['wrong']} wrong, {counts['unknown']} unknown")
+    return int(counts["wrong"] > 0)

@@ -1,0 +1,187 @@
+"""The computer's facts: files below a root folder, a user with groups, a clock, free space.
+
+``/`` is the root of the computer that the program runs on. Nothing here changes a file.
+"""
+
+import grp
+import os
+import pwd
+import re
+import stat
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from msp_range.clock import SystemClock
+from msp_range.doctor.finding import Finding, right, wrong
+
+SERVICE_USER = "msp-range"
+"""The user of the service, made by install.sh."""
+BOOT_CONFIGS = ("/boot/firmware/config.txt", "/boot/config.txt")
+"""The Raspberry Pi's configuration, newest place first."""
+
+
+@dataclass(frozen=True)
+class User:
+    """Who is to use the devices: name, number, and the numbers of its groups as its processes have them."""
+
+    name: str
+    uid: int
+    gids: frozenset[int]
+
+
+def user_of_this_program() -> User:
+    """The service's user where root asks and there is one: root itself may use everything; else the own user."""
+    if os.geteuid() == 0:
+        try:
+            entry = pwd.getpwnam(SERVICE_USER)
+        except KeyError:
+            return User("root", 0, frozenset())
+        return User(SERVICE_USER, entry.pw_uid, frozenset(os.getgrouplist(SERVICE_USER, entry.pw_gid)))
+    try:
+        name = pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        name = str(os.geteuid())
+    return User(name, os.geteuid(), frozenset([os.getegid(), *os.getgroups()]))
+
+
+def free_bytes(path: Path) -> int:
+    """Space that is left on the disk of an existing path."""
+    found = os.statvfs(path)
+    return found.f_bavail * found.f_frsize
+
+
+@dataclass(frozen=True)
+class Computer:
+    """Facts of a computer.
+
+    Attributes
+    ----------
+    root
+        Its root folder.
+    user
+        Who is to use its devices.
+    utc_s
+        Its date [s since 1970].
+    free_bytes
+        Space that is left on the disk of an existing path of this program.
+    """
+
+    root: Path
+    user: User
+    utc_s: Callable[[], float]
+    free_bytes: Callable[[Path], int] = free_bytes
+
+    def at(self, path: str | Path) -> Path:
+        """Where this program finds a path of the computer."""
+        return self.root / str(path).lstrip("/")
+
+    def exists(self, path: str | Path) -> bool:
+        """Whether there is such a file, also where it may not be read."""
+        return os.path.lexists(self.at(path))
+
+    def text(self, path: str | Path) -> str | None:
+        """A file's content without what ends it; None where it cannot be read."""
+        try:
+            return self.at(path).read_bytes().decode(errors="replace").strip("\0\n ")
+        except OSError:
+            return None
+
+    def number(self, path: str | Path) -> int | None:
+        """A device tree's number, most significant byte first; None where there is none."""
+        try:
+            return int.from_bytes(self.at(path).read_bytes(), "big")
+        except OSError:
+            return None
+
+    def names(self, pattern: str) -> list[str]:
+        """Paths of the computer that fit a pattern."""
+        return sorted(f"/{each.relative_to(self.root)}" for each in self.root.glob(pattern.lstrip("/")))
+
+    def target(self, path: str) -> str:
+        """What a path is in the end: /dev/serial0 is a link to another name."""
+        seen = path
+        for _ in range(8):
+            if not self.at(seen).is_symlink():
+                break
+            seen = os.path.normpath(os.path.join(os.path.dirname(seen), os.readlink(self.at(seen))))
+        return seen
+
+    @property
+    def raspberry_pi(self) -> str | None:
+        """The model, such as 'Raspberry Pi 4 Model B Rev 1.4'; None for another computer."""
+        model = self.text("/proc/device-tree/model") or ""
+        return model if "Raspberry Pi" in model else None
+
+    @property
+    def boot_config(self) -> str:
+        """Name of the file that switches I2C and serial ports on."""
+        return next((each for each in BOOT_CONFIGS if self.exists(each)), BOOT_CONFIGS[0])
+
+    def boots_with(self, pattern: str) -> bool:
+        """Whether a line of that file, not commented out, fits a pattern."""
+        lines = (self.text(self.boot_config) or "").splitlines()
+        return any(re.match(pattern, line.split("#")[0].strip()) for line in lines)
+
+    def holders(self, path: str) -> Iterator[tuple[int, str]]:
+        """Processes that have a file open, as far as this user may see: number and command."""
+        names = {path, self.target(path)}
+        for link in self.root.glob("proc/[0-9]*/fd/*"):
+            process = int(link.parts[-3])
+            try:
+                is_open = os.readlink(link) in names
+            except OSError:
+                continue
+            if is_open and process != os.getpid():
+                yield process, (self.text(f"/proc/{process}/cmdline") or "").replace("\0", " ") or "?"
+
+    def may_write(self, path: str) -> bool:
+        """Whether the user may read and write a file, by its mode."""
+        found = self.at(path).stat()
+        if self.user.uid == 0:
+            return True
+        if found.st_uid == self.user.uid:
+            bits = stat.S_IRUSR | stat.S_IWUSR
+        elif found.st_gid in self.user.gids:
+            bits = stat.S_IRGRP | stat.S_IWGRP
+        else:
+            bits = stat.S_IROTH | stat.S_IWOTH
+        return found.st_mode & bits == bits
+
+    def permission(self, step: str, path: str, usual_group: str) -> Finding:
+        """Whether the user may use a device, and how it is to be allowed."""
+        if self.may_write(path):
+            return right(step, f"{self.user.name} may use {path}")
+        found = self.at(path).stat()
+        group = self._group_name(found.st_gid)
+        text = f"{self.user.name} may not use {path} (group {group}, mode {stat.S_IMODE(found.st_mode):04o})"
+        if not found.st_mode & stat.S_IWGRP or group == "root":
+            return wrong(
+                step, text, f"install the udev rule that gives it to the group {usual_group}: sudo ./install.sh"
+            )
+        if self.user.name in self._members(group):
+            return wrong(
+                step, f"{text}; {self.user.name} is in that group since after this login", "log out and in again"
+            )
+        return wrong(step, text, f"sudo usermod -aG {group} {self.user.name}, then log out and in again")
+
+    def _groups(self) -> list[list[str]]:
+        lines = (self.text("/etc/group") or "").splitlines()
+        return [fields for line in lines if len(fields := line.split(":")) == 4]
+
+    def _group_name(self, gid: int) -> str:
+        for name, _, number, _ in self._groups():
+            if number == str(gid):
+                return name
+        try:
+            return grp.getgrgid(gid).gr_name
+        except KeyError:
+            return str(gid)
+
+    def _members(self, group: str) -> list[str]:
+        return [each for name, _, _, members in self._groups() if name == group for each in members.split(",")]
+
+
+def this_computer() -> Computer:
+    """The one that the program runs on."""
+    return Computer(Path("/"), user_of_this_program(), SystemClock().utc)

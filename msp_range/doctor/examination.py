@@ -1,0 +1,98 @@
+"""The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from msp_range.bus.smbus import BusInUse, KernelBus
+from msp_range.clock import Clock
+from msp_range.config import Airframe, load_airframe
+from msp_range.doctor.autopilot import check_autopilot
+from msp_range.doctor.computer import Computer
+from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.i2c import check_interface
+from msp_range.doctor.port import check_port
+from msp_range.doctor.sensors import Looked, look
+from msp_range.doctor.storage import check_date, check_disk, check_supply
+from msp_range.doctor.thermometer import check_files
+from msp_range.mavlink.transport import Transport, open_transport
+from msp_range.mavlink.transport.url import SerialUrl, parse_url
+from msp_range.plausible import doubts
+from msp_range.yaml_file import ConfigError
+
+NOTHING = Looked([], {}, None)
+
+
+def examine(
+    path: Path,
+    computer: Computer,
+    clock: Clock,
+    make_bus: Callable[[int | str], KernelBus] = KernelBus,
+    make_transport: Callable[[str, Clock], Transport] = open_transport,
+) -> Iterator[Finding]:
+    """All steps, each as soon as it is done.
+
+    Parameters
+    ----------
+    path
+        The airframe file.
+    computer
+        Whose files are looked at.
+    clock
+        Times of pings and messages.
+    make_bus, make_transport
+        Open what the airframe file names.
+    """
+    try:
+        airframe = load_airframe(path)
+    except ConfigError as error:
+        yield wrong("airframe file", str(error), f"correct it; msp-range check {path} shows the rest")
+        return
+    yield right("airframe file", f"{path}: {airframe.vehicle}")
+    for doubt in doubts(airframe):
+        yield unknown("airframe file", doubt, "correct it if that is so")
+    looked, in_use = NOTHING, False
+    bus_is_right = True
+    stretches = any(sensor.driver.stretches_clock for sensor in airframe.sensors)
+    for finding in check_interface(computer, airframe.bus, stretches):
+        yield finding
+        bus_is_right = bus_is_right and (finding.verdict is not Verdict.WRONG or finding.step == "I2C clock")
+    if bus_is_right:
+        bus = make_bus(airframe.bus)
+        try:
+            bus.claim()
+        except BusInUse as error:
+            in_use = True
+            remedy = "sudo systemctl stop msp-range, then again"
+            yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
+        else:
+            looked = look(airframe, bus, clock)
+            yield from looked.findings
+            bus.close()
+    yield from check_files(computer, airframe.temperature)
+    if not in_use:
+        yield from _link(airframe, computer, clock, looked, make_transport)
+    yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
+    yield check_date(computer, path)
+    supply = check_supply(computer)
+    if supply is not None:
+        yield supply
+
+
+def _link(
+    airframe: Airframe,
+    computer: Computer,
+    clock: Clock,
+    looked: Looked,
+    make_transport: Callable[[str, Clock], Transport],
+) -> Iterator[Finding]:
+    url = parse_url(airframe.link.url)
+    if isinstance(url, SerialUrl):
+        for finding in check_port(computer, url):
+            yield finding
+            if finding.verdict is not Verdict.RIGHT:
+                return
+    transport = make_transport(airframe.link.url, clock)
+    try:
+        yield from check_autopilot(airframe, transport, clock, looked.ranges_m, looked.latency_s)
+    finally:
+        transport.close()

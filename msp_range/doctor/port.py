@@ -1,0 +1,62 @@
+"""The serial port to the autopilot: there, allowed, and nobody else's. It is not opened here."""
+
+import re
+from collections.abc import Iterator
+
+from msp_range.doctor.computer import SERVICE_USER, Computer
+from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.mavlink.transport.url import SerialUrl
+
+UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
+"""Beginnings of the names of a Raspberry Pi's own serial ports."""
+_CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
+
+
+def check_port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
+    """The steps before the port is opened; the first one that is not right ends them."""
+    for step in (_there, _allowed, _free):
+        finding = step(computer, url.path)
+        yield finding
+        if finding.verdict is not Verdict.RIGHT:
+            return
+
+
+def _there(computer: Computer, path: str) -> Finding:
+    step = "serial port"
+    target = computer.target(path)
+    if computer.exists(target):
+        return right(step, path if target == path else f"{path} is {target}")
+    if path.startswith(UARTS) and computer.raspberry_pi:
+        config = computer.boot_config
+        if not computer.boots_with(r"enable_uart=1"):
+            how = f"enable_uart=1 in {config} (or raspi-config: Interface Options, Serial Port)"
+            return wrong(step, f"there is no {path}: the serial port is off", f"{how}, then restart the computer")
+        return wrong(step, f"there is no {path}, although {config} has enable_uart=1", "restart the computer")
+    others = [*computer.names("/dev/serial/by-id/*"), *computer.names("/dev/ttyACM*"), *computer.names("/dev/ttyUSB*")]
+    there = f"; there is {', '.join(others)}" if others else "; no USB serial port is there"
+    remedy = "name one of these as link.url; names in /dev/serial/by-id stay" if others else "plug the autopilot in"
+    return wrong(step, f"there is no {path}{there}", remedy)
+
+
+def _allowed(computer: Computer, path: str) -> Finding:
+    return computer.permission("serial permission", computer.target(path), "dialout")
+
+
+def _free(computer: Computer, path: str) -> Finding:
+    step = "serial port in use"
+    target = computer.target(path)
+    login = "raspi-config: Interface Options, Serial Port, no login shell, then restart the computer"
+    for name in _CONSOLE.findall(computer.text("/proc/cmdline") or ""):
+        if computer.target(f"/dev/{name}") == target:
+            return wrong(step, f"the kernel's console is on {path}: it writes there, and a login reads", login)
+    for process, command in computer.holders(path):
+        who = f"process {process} ({command.strip()})"
+        if "getty" in command:
+            return wrong(step, f"a login shell has {path} open: {who}", login)
+        if SERVICE_USER in command:
+            return unknown(step, f"the bridge runs and has {path}: {who}", "sudo systemctl stop msp-range, then again")
+        remedy = "stop it"
+        if "ModemManager" in command:
+            remedy = "sudo systemctl disable --now ModemManager, or the udev rule of install.sh"
+        return wrong(step, f"another program has {path} open: {who}", remedy)
+    return right(step, f"no console and no other program on {path}")

@@ -1,0 +1,30 @@
+"""What is legal in an airframe file and probably a mistake: lengths in centimetres, sensors of one place."""
+
+from collections.abc import Iterator
+
+from msp_range.config import Airframe
+
+FAR_M = 3.0
+"""A sensor further from the reference point than this [m] was probably written in centimetres: vehicles that land on a
+pallet are 1 to 3 m across. Larger misses 5 cm written as 5; smaller warns of large vehicles."""
+
+
+def doubts(airframe: Airframe) -> Iterator[str]:
+    """One sentence for each."""
+    for sensor in airframe.sensors:
+        far = max(abs(each) for each in sensor.position_m)
+        if far > FAR_M:
+            yield (
+                f"sensors.{sensor.name}.position_m: {far:g} m from the reference point; positions are in metres: "
+                f"is it {far:g} cm, so {far / 100:g}?"
+            )
+    fused = airframe.send.fused
+    if fused is not None and abs(fused.reference_down_m) > FAR_M:
+        far = fused.reference_down_m
+        yield f"send.fused.reference_down_m: {far:g} m; lengths are in metres: is it {far:g} cm, so {far / 100:g}?"
+    places: dict[tuple[float, ...], str] = {}
+    for sensor in airframe.sensors:
+        key = (*sensor.position_m, *(round(each, 3) for each in sensor.boresight))
+        if key in places:
+            yield f"sensors.{sensor.name}: at the same place and angle as {places[key]}"
+        places[key] = sensor.name

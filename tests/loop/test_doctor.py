@@ -1,0 +1,459 @@
+"""`msp-range doctor` on computers that their owners have set up well, or with one mistake each.
+
+A set-up is what a person did: files of the computer, sensors on umockdev's I2C bus, a serial port or a network address
+with an autopilot that pymavlink plays, an airframe file. What doctor looks at was no guide in choosing them.
+"""
+
+import json
+import os
+import pty
+import socket
+import sys
+import threading
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from msp_sim.device.device import Fault
+from msp_sim.device.lidar_lite_v3 import TIMING as LASER_TIMING
+from tests.support.fake_computer import FakeComputer
+from tests.support.kernel_bus import Other, Sonar, kernel_bus
+from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.transports import free_port
+
+ROOT = Path(__file__).parents[2]
+PROGRAM = ROOT / "tests/support/doctor_program.py"
+AT_ONCE = 6
+"""Set-ups that are examined at the same time: each waits for sensors and autopilots most of its time."""
+THERE = 1e9
+"""Until the end of a test."""
+COPTER = {
+    "RNGFND1_TYPE": 10.0,
+    "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_MIN": 0.19,
+    "RNGFND1_MAX": 7.6,
+    "RNGFND1_GNDCLR": 0.2,
+    "RNGFND1_POS_Z": 0.05,
+}
+PX4 = {
+    "EKF2_RNG_CTRL": 2.0,
+    "EKF2_HGT_REF": 1.0,
+    "EKF2_MIN_RNG": 0.2,
+    "EKF2_RNG_POS_Z": 0.05,
+    "EKF2_RNG_DELAY": 30.0,
+}
+FOUR = tuple(Sonar(0x70 + number, [300, 301]) for number in range(4))
+
+
+class Found(NamedTuple):
+    """One finding."""
+
+    step: str
+    verdict: str
+    text: str
+    remedy: str
+
+
+class Setup:
+    """What its owner has: a good quad pallet, until a test changes it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.computer = FakeComputer(folder / "computer")
+        self.devices: list[Sonar | Other] = [*FOUR, Other(0x44, "000000")]
+        self.timeout_s = 0.0
+        self.airframe = "quad_pallet"
+        self.edits: list[tuple[str, str]] = []
+        self.parameters: dict[str, float] | None = dict(COPTER)
+        self.options: dict[str, bool] = {}
+        self.noise: bytes | None = None
+        """What arrives at the serial port instead of MAVLink."""
+        self.udp = False
+
+    def edit(self, old: str, new: str) -> None:
+        """Change the airframe file."""
+        self.edits.append((old, new))
+
+    def examine(self) -> list[Found]:
+        """What doctor finds."""
+        text = (ROOT / f"configs/{self.airframe}.yaml").read_text()
+        for old, new in self.edits:
+            assert old in text
+            text = text.replace(old, new)
+        path = self.folder / "airframe.yaml"
+        path.write_text(
+            text.replace("sensors/mb1242.yaml", "mb1242").replace("sensors/lidar_lite_v3.yaml", "lidar_lite_v3")
+        )
+        with ExitStack() as stack:
+            specification = {
+                "root": str(self.computer.root),
+                "airframe": str(path),
+                "user": self.computer.user,
+                "gids": self.computer.gids,
+                "utc_s": self.computer.utc_s,
+                "free_bytes": self.computer.free_bytes,
+                "link": self._autopilot(stack),
+            }
+            testbed = stack.enter_context(kernel_bus(self.devices, timeout_s=self.timeout_s))
+            done = testbed.run([sys.executable, PROGRAM, json.dumps(specification)], timeout_s=120.0)
+        assert done.returncode == 0, done.stderr
+        return [Found(*each) for each in json.loads(done.stdout)]
+
+    def _autopilot(self, stack: ExitStack) -> str:
+        """The link's URL to what is at its other end."""
+        if self.udp:
+            port = free_port(socket.SOCK_DGRAM)
+            if self.parameters is not None:
+                stack.enter_context(ParameterAutopilot(f"udpin:127.0.0.1:{port}", self.parameters, **self.options))
+            return f"udpout:127.0.0.1:{port}"
+        ours, theirs = pty.openpty()
+        tty.setraw(ours)
+        tty.setraw(theirs)
+        stack.callback(os.close, ours)
+        stack.callback(os.close, theirs)
+        # By another name: umockdev answers for whatever is opened by a name in /dev.
+        line = self.folder / "line"
+        line.symlink_to(os.ttyname(theirs))
+        url = f"serial:{line}:57600"
+        if self.noise is not None:
+            stack.enter_context(writing(ours, self.noise))
+        elif self.parameters is not None:
+            stack.enter_context(bridged(ours, self.parameters, self.options))
+        return url
+
+
+@contextmanager
+def writing(file: int, noise: bytes) -> Iterator[None]:
+    """Write again and again."""
+    os.set_blocking(file, False)
+    stop = threading.Event()
+
+    def run() -> None:
+        while not stop.wait(0.05):
+            with suppress(OSError):
+                os.write(file, noise)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@contextmanager
+def bridged(file: int, parameters: dict[str, float], options: dict[str, bool]) -> Iterator[None]:
+    """An autopilot at the other end of a serial line: what arrives there goes on by UDP, and back."""
+    stop = threading.Event()
+    port = free_port(socket.SOCK_DGRAM)
+    with (
+        ParameterAutopilot(f"udpin:127.0.0.1:{port}", parameters, **options),
+        socket.socket(type=socket.SOCK_DGRAM) as end,
+    ):
+        end.connect(("127.0.0.1", port))
+        end.setblocking(False)
+        os.set_blocking(file, False)
+
+        def run() -> None:
+            while not stop.wait(0.002):
+                with suppress(OSError):
+                    end.send(os.read(file, 4096))
+                with suppress(OSError):
+                    os.write(file, end.recv(4096))
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+
+Change = Callable[[Setup], None]
+BROKEN: dict[str, tuple[Change, str, str, str]] = {}
+"""Name -> what the owner did, and what must be said of it: step, words of the text, words of the remedy."""
+GOOD: dict[str, Change] = {}
+
+
+def broken(step: str, text: str, remedy: str) -> Callable[[Change], Change]:
+    """A set-up with a mistake, and what is to be found."""
+
+    def add(change: Change) -> Change:
+        BROKEN[change.__name__] = (change, step, text, remedy)
+        return change
+
+    return add
+
+
+def good(change: Change) -> Change:
+    """A set-up without a mistake."""
+    GOOD[change.__name__] = change
+    return change
+
+
+@broken("I2C interface", "I2C is off", "dtparam=i2c_arm=on")
+def fresh_raspberry_pi_os(setup: Setup) -> None:
+    setup.computer.remove("/dev/i2c-1")
+    setup.computer.remove("/sys/bus/i2c/devices/i2c-1")
+    setup.computer.write("/boot/firmware/config.txt", "#dtparam=i2c_arm=on\nenable_uart=1\ndtparam=audio=on\n")
+
+
+@broken("I2C interface", "although /boot/firmware/config.txt enables", "restart the computer")
+def enabled_and_not_restarted(setup: Setup) -> None:
+    setup.computer.remove("/dev/i2c-1")
+    setup.computer.remove("/sys/bus/i2c/devices/i2c-1")
+
+
+@broken("I2C interface", "i2c-dev is not loaded", "modprobe i2c-dev")
+def plain_debian_without_the_module(setup: Setup) -> None:
+    setup.computer.remove("/dev/i2c-1")
+
+
+@broken("I2C permission", "pi may not use /dev/i2c-1", "usermod -aG i2c pi")
+def user_not_in_the_group(setup: Setup) -> None:
+    setup.computer.user, setup.computer.gids = "pi", [54321]
+
+
+@broken("I2C permission", "since after this login", "log out and in again")
+def added_to_the_group_and_not_logged_in_again(setup: Setup) -> None:
+    setup.computer.gids = [54321]
+
+
+@broken("I2C clock", "100 kHz", "i2c_arm_baudrate=50000")
+def bus_at_its_usual_rate(setup: Setup) -> None:
+    setup.computer.bus("brcm,bcm2835-i2c\0", None)
+    setup.computer.write("/boot/firmware/config.txt", "dtparam=i2c_arm=on\nenable_uart=1\n")
+
+
+@broken("addresses", "nothing answers on the bus", "SDA and SCL")
+def data_and_clock_exchanged(setup: Setup) -> None:
+    setup.devices = []
+
+
+@broken("address of rear_left", "0x70 (0xE0 in the 8-bit form), the address from the factory", "address 0x70 0x73")
+def one_sensor_as_it_was_delivered(setup: Setup) -> None:
+    for number in reversed(range(4)):
+        setup.edit(f"address: 0x{0x70 + number:02x}", f"address: 0x{0x71 + number:02x}")
+    setup.devices = [Sonar(0x71), Sonar(0x72), Sonar(0x74), Sonar(0x70)]
+
+
+@broken("airframe file", "0xE0 is the 8-bit form", "correct it")
+def addresses_in_the_form_of_the_data_sheet(setup: Setup) -> None:
+    for number in range(4):
+        setup.edit(f"address: 0x{0x70 + number:02x}", f"address: 0x{0xE0 + 2 * number:02X}")
+
+
+@broken("address of rear_left", "nothing answers at 0x72", "power and wires")
+def plug_of_one_sensor_is_loose(setup: Setup) -> None:
+    setup.devices = [Sonar(0x70), Sonar(0x71), Sonar(0x73)]
+
+
+@broken("sensor front_left", "not an MB1242", "connect one at a time")
+def humidity_sensor_at_a_sonars_address(setup: Setup) -> None:
+    setup.devices = [Other(0x70, "beef92"), *FOUR[1:]]
+
+
+@broken("readings of front_right", "not answered", "supply")
+def supply_without_a_capacitor(setup: Setup) -> None:
+    weak = Fault("silent", 0.0, THERE, probability=0.6)
+    setup.devices = [FOUR[0], Sonar(0x71, [300], [weak]), *FOUR[2:]]
+
+
+@broken("readings of rear_right", "clock is too fast", "i2c_arm_baudrate=50000")
+def clock_stretching_not_waited_for(setup: Setup) -> None:
+    setup.computer.write("/proc/device-tree/model", "Some other board")
+    setup.computer.bus("vendor,i2c\0", None)
+    setup.devices = [*FOUR[:3], Sonar(0x73, [300], [Fault("clock_fault", 0.0, THERE, probability=0.6)])]
+
+
+@broken("crosstalk", "rear_left reads 3.00 m alone", "ping_interval_s")
+def sensors_that_hear_each_other(setup: Setup) -> None:
+    # One ping to be recognised and five alone; six in turn with the others, which it hears; then alone again.
+    setup.devices = [FOUR[0], FOUR[1], Sonar(0x72, [*[300] * 6, *[120] * 6, *[300] * 9]), FOUR[3]]
+
+
+@broken("addresses", "SDA or SCL is held low", "short")
+def a_wire_pinched_to_ground(setup: Setup) -> None:
+    setup.devices = [Sonar(0x70, [300], [Fault("locked_up", 0.0, THERE)]), *FOUR[1:]]
+
+
+@broken("thermometer", "cpu_thermal", "outside air")
+def thermometer_of_the_processor(setup: Setup) -> None:
+    setup.edit("/sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input", "/sys/class/hwmon/hwmon0/temp1_input")
+
+
+@broken("thermometer", "no file fits", "driver is loaded")
+def thermometer_without_its_driver(setup: Setup) -> None:
+    setup.computer.remove("/sys/bus/i2c/devices/1-0044")
+
+
+@broken("thermometer", "21450 C", "scale")
+def thermometer_in_the_wrong_unit(setup: Setup) -> None:
+    setup.edit("max_age_s: 10", "max_age_s: 10, scale: 1")
+
+
+@broken("serial port", "the serial port is off", "enable_uart=1")
+def serial_port_never_enabled(setup: Setup) -> None:
+    setup.computer.write("/boot/firmware/config.txt", "dtparam=i2c_arm=on,i2c_arm_baudrate=50000\n")
+    setup.computer.remove("/dev/serial0")
+    setup.computer.remove("/dev/ttyAMA0")
+
+
+@broken("serial port in use", "console is on /dev/serial0", "no login shell")
+def login_shell_left_on_the_port(setup: Setup) -> None:
+    setup.computer.write("/proc/cmdline", "console=serial0,115200 console=tty1 root=PARTUUID=0a\n")
+
+
+@broken("serial port in use", "ModemManager", "disable --now ModemManager")
+def modem_manager_takes_the_port(setup: Setup) -> None:
+    setup.edit("/dev/serial0:921600", "/dev/ttyACM0:115200")
+    setup.computer.device("/dev/ttyACM0")
+    setup.computer.process(612, "/usr/sbin/ModemManager", "/dev/ttyACM0")
+
+
+@broken("serial port", "there is /dev/serial/by-id/usb-ArduPilot_CubeOrange-if00", "by-id")
+def usb_port_under_another_name(setup: Setup) -> None:
+    setup.edit("/dev/serial0:921600", "/dev/ttyACM0:115200")
+    setup.computer.device("/dev/ttyACM1")
+    setup.computer.link("/dev/serial/by-id/usb-ArduPilot_CubeOrange-if00", "../../ttyACM1")
+
+
+@broken("heartbeat", "nothing arrives", "exchange TX and RX")
+def transmit_and_receive_not_crossed(setup: Setup) -> None:
+    setup.parameters = None
+
+
+@broken("heartbeat", "none are MAVLink", "same baud rate")
+def baud_rates_differ(setup: Setup) -> None:
+    setup.noise = bytes(range(128, 250)) * 2
+
+
+@broken("heartbeat", "is PX4, and link.autopilot is ardupilot", "link.autopilot")
+def file_for_another_autopilot(setup: Setup) -> None:
+    setup.parameters, setup.options = PX4, {"px4": True}
+
+
+@broken("parameters", "RNGFND1_TYPE: 0 -> 10", "params")
+def range_finder_not_set_up(setup: Setup) -> None:
+    setup.udp = True
+    setup.parameters = COPTER | {"RNGFND1_TYPE": 0.0}
+    setup.options = {"uses_range_finder": False}
+
+
+@broken("distances", "reports no distance of its own", "restart the autopilot")
+def autopilot_not_restarted(setup: Setup) -> None:
+    setup.udp = True
+    setup.options = {"uses_range_finder": False}
+
+
+@broken("latency", "EKF2_RNG_DELAY is 200", "set it to")
+def delay_in_the_wrong_unit(setup: Setup) -> None:
+    setup.udp = True
+    setup.airframe = "loopback"
+    setup.edit("autopilot: ardupilot", "autopilot: px4")
+    setup.parameters, setup.options = PX4 | {"EKF2_RNG_DELAY": 200.0}, {"px4": True}
+
+
+@broken("disk", "0 MB left", "delete old recordings")
+def card_full_of_recordings(setup: Setup) -> None:
+    setup.computer.free_bytes = 300_000
+
+
+@broken("disk", "may not write into", "chown")
+def folder_of_another_user(setup: Setup) -> None:
+    setup.computer.folder("/var/lib/msp-range", 0o755)
+
+
+@broken("date", "before that of the airframe file", "clock module")
+def no_clock_and_no_network(setup: Setup) -> None:
+    setup.computer.utc_s = 1000.0
+    setup.computer.remove("/run/systemd/timesync/synchronized")
+
+
+@good
+def quad_pallet_on_a_raspberry_pi_4(setup: Setup) -> None:
+    pass
+
+
+@good
+def quad_pallet_standing_on_the_ground(setup: Setup) -> None:
+    setup.devices = [Sonar(0x70 + number, [20]) for number in range(4)]
+    setup.udp = True
+
+
+@good
+def px4_by_network_on_a_raspberry_pi_5(setup: Setup) -> None:
+    setup.computer.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
+    setup.computer.bus("snps,designware-i2c\0", 400_000)
+    setup.airframe, setup.udp = "loopback", True
+    setup.edit("autopilot: ardupilot", "autopilot: px4")
+    setup.parameters, setup.options = PX4, {"px4": True}
+
+
+@good
+def laser_on_a_computer_that_tells_little(setup: Setup) -> None:
+    setup.computer.write("/proc/device-tree/model", "")
+    setup.computer.remove("/sys/bus/i2c/devices/i2c-1/of_node")
+    setup.computer.remove("/run/systemd/timesync/synchronized")
+    setup.airframe = "lidar_down"
+    setup.edit("{filter: kalman, model: constant_velocity, acceleration_std_m_s2: 1.0}", "{filter: changepoint}")
+    setup.devices = [Sonar(0x62, [1234], kind="lidar_lite_v3", timing=LASER_TIMING)]
+    setup.parameters = COPTER | {"RNGFND1_MIN": 0.04, "RNGFND1_MAX": 39.9, "RNGFND1_GNDCLR": 0.05}
+
+
+@good
+def armed_vehicle_on_a_bit_banged_bus(setup: Setup) -> None:
+    setup.computer.bus("i2c-gpio\0", None)
+    setup.computer.write("/boot/firmware/config.txt", "dtoverlay=i2c-gpio,bus=1\nenable_uart=1\n")
+    setup.options = {"armed": True}
+
+
+@good
+def hall_without_an_echo(setup: Setup) -> None:
+    setup.devices = [Sonar(0x70 + number, [765]) for number in range(4)]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, "Future[list[Found]]"]]:
+    """All set-ups, several at a time."""
+
+    def examine(name: str, change: Change) -> list[Found]:
+        setup = Setup(tmp_path_factory.mktemp(name))
+        change(setup)
+        return setup.examine()
+
+    changes = {name: each[0] for name, each in BROKEN.items()} | GOOD
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        yield {name: pool.submit(examine, name, change) for name, change in changes.items()}
+
+
+def wrong(findings: Sequence[Found]) -> list[Found]:
+    """Those that are wrong."""
+    return [each for each in findings if each.verdict == "wrong"]
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_mistake_is_named_and_nothing_else(name: str, results: dict[str, "Future[list[Found]]"]) -> None:
+    _, step, text, remedy = BROKEN[name]
+    findings = wrong(results[name].result())
+    named = [each for each in findings if each.step == step and text in each.text and remedy in each.remedy]
+    assert len(named) == 1, findings
+    # A parameter that is not set keeps distances from coming back, too; and who may not use one device may use none.
+    allowed = {"range_finder_not_set_up": {"distances"}, "user_not_in_the_group": {"serial permission", "disk"}}
+    allowed["added_to_the_group_and_not_logged_in_again"] = {"serial permission", "disk"}
+    others = {each.step for each in findings} - {step}
+    assert others <= allowed.get(name, set()), findings
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_no_false_alarm(name: str, results: dict[str, "Future[list[Found]]"]) -> None:
+    findings = results[name].result()
+    assert wrong(findings) == []
+    assert len(findings) >= 10
