@@ -121,50 +121,11 @@ def driver_of(text: str) -> "type[Driver]":
 @report_user_errors
 def check(airframe_file: AirframeFile) -> None:
     """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
-    from rich.table import Table
-
-    from msp_range.assembly import fused_stream, intervals_s
+    from msp_range.check import show
     from msp_range.config import load_airframe
-    from msp_range.correction.air_temperature import describe
-    from msp_range.mavlink.distance_sensor import TIME_OUT_S
     from msp_range.terminal import PlainConsole
 
-    airframe = load_airframe(airframe_file)
-    table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
-    for heading in ("sensor", "id", "address", "orientation", "sent", "in fused"):
-        table.add_column(heading)
-    downward = {sensor.name for sensor in airframe.downward}
-    for sensor in airframe.sensors:
-        orientation = sensor.orientation
-        table.add_row(
-            sensor.name,
-            str(sensor.id),
-            f"0x{sensor.address:02x}",
-            f"{orientation.value} {orientation.name}",
-            "yes" if sensor.name in airframe.sent_names else "no",
-            "yes" if sensor.name in downward else "no",
-        )
-    console = PlainConsole()
-    console.print(table)
-    if airframe.send.fused is not None:
-        bounds = fused_stream(airframe)
-        assert bounds is not None
-        console.print(
-            f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(downward)} sensors, "
-            f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm",
-            highlight=False,
-        )
-    time_out_s = TIME_OUT_S[airframe.link.autopilot]
-    for name, interval_s in intervals_s(airframe).items():
-        console.print(f"{name}: a message every {interval_s:.2f} s", highlight=False)
-        if interval_s > time_out_s:
-            console.print(
-                f"warning: {airframe.link.autopilot} drops a range finder after {time_out_s} s without a message, and "
-                f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s",
-                highlight=False,
-            )
-    for line in describe(airframe.temperature, airframe.maximum_by_sound_m):
-        console.print(line, highlight=False)
+    show(load_airframe(airframe_file), PlainConsole())
 
 
 @app.command()

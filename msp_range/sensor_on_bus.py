@@ -17,7 +17,7 @@ from msp_range.yaml_file import Section, load_named
 
 def _seven_bits(address: object) -> object:
     """Refuse the 8-bit form of data sheets with the address that is meant."""
-    if isinstance(address, int) and 0x77 < address <= 0xEE:
+    if isinstance(address, int) and 0x80 <= address <= 0xEE:
         raise ValueError(f"0x{address:02X} is the 8-bit form of 0x{address >> 1:02x}; expected the 7-bit form")
     return address
 

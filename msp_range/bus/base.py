@@ -22,6 +22,11 @@ class BusError(OSError):
         self.address = address
 
     @property
+    def never_opened(self) -> bool:
+        """True if the bus could not be opened since the program started: it is not set up, rather than lost."""
+        return False
+
+    @property
     def locked_up(self) -> bool:
         """True if the bus itself, and not a single device, did not respond within the kernel's timeout."""
         return self.errno == errno_names.ETIMEDOUT

@@ -39,6 +39,25 @@ class BusInUse(BusError):
         return self._text
 
 
+class BusNotOpened(BusError):
+    """The bus has not been there since the program started, or may not be opened."""
+
+    def __init__(self, path: Path, number: int) -> None:
+        super().__init__(number, f"open {path}", 0)
+        self._path = path
+
+    @property
+    def never_opened(self) -> bool:
+        """True."""
+        return True
+
+    def __str__(self) -> str:
+        how = "'msp-range doctor' finds out what is missing"
+        if self.errno == errno.ENOENT:
+            return f"{self._path}: no such I2C bus; enable I2C, or name another bus ({how})"
+        return f"{self._path}: cannot be opened: {os.strerror(self.errno or 0)} ({how})"
+
+
 class KernelBus:
     """``/dev/i2c-N`` as a Bus, locked against other processes that use it by this class.
 
@@ -52,6 +71,7 @@ class KernelBus:
     def __init__(self, bus: int | str) -> None:
         self._bus = bus
         self._smbus: SMBus | None = None
+        self._was_open = False
 
     @property
     def path(self) -> Path:
@@ -83,7 +103,10 @@ class KernelBus:
         try:
             smbus: Any = SMBus(str(self.path))
         except OSError as error:
-            raise BusError(error.errno or errno.EIO, f"open {self.path}", 0) from None
+            number = error.errno or errno.EIO
+            raise (
+                BusError(number, f"open {self.path}", 0) if self._was_open else BusNotOpened(self.path, number)
+            ) from None
         try:
             fcntl.flock(smbus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -91,6 +114,7 @@ class KernelBus:
             smbus.close()
             raise BusInUse(self.path, holder) from None
         self._smbus = smbus
+        self._was_open = True
 
     def claim(self) -> None:
         """Open and lock the device file now if it exists; raises BusInUse if another process uses it."""

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 
 from msp_range.doctor.computer import SERVICE_USER, Computer
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.mavlink.transport.serial import UARTS
 from msp_range.mavlink.transport.url import SerialUrl
 
-UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
-"""Beginnings of the names of a Raspberry Pi's own serial ports."""
 _CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
 
 

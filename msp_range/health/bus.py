@@ -1,11 +1,14 @@
 """Whether the bus works, from the rangings that it failed."""
 
+import errno
+
 from msp_range.health.conditions import Condition, Severity
 from msp_range.sensors.polling import Ranging
 
 WORKS_AGAIN_S = 2.0
 """A bus that has worked for this long since its last fault works again [s]. One that fails again within it is reported
 once; longer reports later that it is back."""
+_NOT_OPENED = {errno.ENOENT: "no I2C bus: enable I2C", errno.EACCES: "no permission for the I2C bus"}
 
 
 class BusHealth:
@@ -20,8 +23,10 @@ class BusHealth:
         error = ranging.error
         if error is not None and error.bus_at_fault:
             self._fault_s = now_s
-            what = "locked up" if error.locked_up else "gone"
-            self._text = f"Range: I2C bus {what}, reopening (errno {error.errno})"
+            what = "I2C bus locked up, reopening" if error.locked_up else "I2C bus gone, reopening"
+            if error.never_opened:
+                what = _NOT_OPENED.get(error.errno or 0, "I2C bus cannot be opened")
+            self._text = f"Range: {what} (errno {error.errno})"
 
     def conditions(self, now_s: float) -> list[Condition]:
         """As it is now."""

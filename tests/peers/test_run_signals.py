@@ -173,7 +173,7 @@ def test_a_bus_that_is_not_there_yet_is_no_reason_to_end(tmp_path: Path) -> None
         with log.open("w") as stream:
             command: list[str | Path] = [COMMAND, "run", AIRFRAME, "--bus", "9", "--link", end.url, "--log", "json"]
             process = testbed.popen(command, stderr=stream)
-        await_text(end, "Range: I2C bus gone, reopening (errno 2)")
+        await_text(end, "Range: no I2C bus: enable I2C (errno 2)")
         process.send_signal(signal.SIGTERM)
         assert process.wait(LIMIT_S) == 0
 

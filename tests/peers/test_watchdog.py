@@ -104,7 +104,7 @@ def test_an_adapter_that_is_not_there_does_not_restart_the_bridge(
     with Systemd(tmp_path) as systemd, kernel_bus([]) as testbed, LinkEnd() as end:
         monkeypatch.setenv("NOTIFY_SOCKET", str(systemd.path))
         with running_service(testbed, end.url, tmp_path, "--bus", "7") as service:
-            end.run_until(lambda: any("bus gone" in each.text for each in end.of("STATUSTEXT")))
+            end.run_until(lambda: any("no I2C bus" in each.text for each in end.of("STATUSTEXT")))
             end.run_until(lambda: len(end.of("HEARTBEAT")) >= 3)
             assert service.stop() == 0
         assert systemd.longest_wait_s() < WATCHDOG_S

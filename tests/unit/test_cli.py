@@ -25,7 +25,7 @@ from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-COMMANDS = ["run", "check", "schema", "scan", "address", "replay", "recover", "export", "tune"]
+COMMANDS = ["run", "check", "doctor", "params", "schema", "scan", "address", "replay", "recover", "export", "tune"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -95,7 +95,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
     [
         (["check", "configs/quad_palet.yaml"], "next to it there is quad_pallet.yaml"),
         (["run", "configs/quad_pallet.yaml", "--link", "udp:1"], "--link:"),
-        (["scan", "--bus", "/nonexistent/i2c-9"], "No such file"),
+        (["scan", "--bus", "/nonexistent/i2c-9"], "no such I2C bus; enable I2C"),
         (["address", "0x70", "0x28"], "ignores the address 0x28"),
         (["address", "0x70", "seventy"], "expected a 7-bit address"),
         (["export", "README.md", "out.csv"], "not an MCAP recording"),

@@ -13,6 +13,8 @@ from msp_range.mavlink.transport.url import BAUD_RATES, SerialUrl
 
 #: Start bit, eight data bits, stop bit.
 BITS_PER_BYTE = 10
+UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
+"""Beginnings of the names of a computer's own serial ports, which may have to be switched on."""
 
 
 class Serial(StreamTransport):
@@ -28,7 +30,11 @@ class Serial(StreamTransport):
 
     def _open(self) -> bool:
         # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.
-        self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except FileNotFoundError as error:
+            hint = "; on a Raspberry Pi: enable_uart=1 in config.txt" if self._path.startswith(UARTS) else ""
+            raise OSError(error.errno, f"there is no such port{hint}") from None
         try:
             _make_exclusive(self._file)
             _make_raw(self._file, self._speed)

@@ -1,0 +1,133 @@
+"""What `msp-range check` shows of an airframe: where sensors are and look, what is sent, and what becomes of it."""
+
+from collections.abc import Iterator
+
+from rich.table import Table
+
+from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s
+from msp_range.config import Airframe
+from msp_range.correction.air_temperature import describe
+from msp_range.mavlink.distance_sensor import TIME_OUT_S
+from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
+from msp_range.mavlink.transport.url import SerialUrl, parse_url
+from msp_range.plausible import doubts
+from msp_range.terminal import PlainConsole
+
+WIDTH, HEIGHT = 33, 9
+"""Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
+
+
+def show(airframe: Airframe, console: PlainConsole) -> None:
+    """Print all of it."""
+    console.print(_table(airframe))
+    for line in lines(airframe):
+        console.print(line, highlight=False)
+
+
+def lines(airframe: Airframe) -> Iterator[str]:
+    """What stands below the table."""
+    yield from drawing(airframe)
+    yield ""
+    yield from (f"warning: {doubt}" for doubt in doubts(airframe))
+    yield _link(airframe)
+    yield _polling(airframe)
+    yield from _streams(airframe)
+    yield from describe(airframe.temperature, airframe.maximum_by_sound_m)
+    folder = airframe.recording.folder if airframe.recording else None
+    yield f"recording: {folder}" if folder else "recording: none, unless --record names a folder"
+    yield "the autopilot's parameters for this: msp-range params"
+
+
+def _table(airframe: Airframe) -> Table:
+    table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
+    for heading in ("sensor", "id", "address", "orientation", "sent", "in fused"):
+        table.add_column(heading)
+    downward = {sensor.name for sensor in airframe.downward}
+    for sensor in airframe.sensors:
+        orientation = sensor.orientation
+        table.add_row(
+            sensor.name,
+            str(sensor.id),
+            f"0x{sensor.address:02x}",
+            f"{orientation.value} {orientation.name}",
+            "yes" if sensor.name in airframe.sent_names else "no",
+            "yes" if sensor.name in downward else "no",
+        )
+    return table
+
+
+def drawing(airframe: Airframe) -> list[str]:
+    """The sensors from above by their ids, forward is up; + is the reference point.
+
+    Sensors at one place share a cell, where the last id is shown.
+    """
+    places = [(sensor.id, sensor.position_m) for sensor in airframe.sensors]
+    farthest_m = max([abs(each) for _, place in places for each in place[:2]] + [0.01])
+    rows = [[" "] * WIDTH for _ in range(HEIGHT)]
+    middle_row, middle_column = HEIGHT // 2, WIDTH // 2
+    rows[middle_row][middle_column] = "+"
+    for number, (forward_m, right_m, _) in places:
+        row = middle_row - round(forward_m / farthest_m * middle_row)
+        column = middle_column + round(right_m / farthest_m * (middle_column - 2))
+        for offset, letter in enumerate(str(number)):
+            rows[row][column + offset] = letter
+    names = ", ".join(f"{sensor.id} {sensor.name}" for sensor in airframe.sensors)
+    heights = {sensor.position_m[2] for sensor in airframe.sensors}
+    below = ", ".join(f"{each:g}" for each in sorted(heights))
+    return [
+        f"from above, forward is up, {2 * farthest_m:g} m from edge to edge, {below} m below the reference point (+):",
+        *[f"  |{''.join(row)}|" for row in rows],
+        f"  {names}",
+    ]
+
+
+def _link(airframe: Airframe) -> str:
+    url = parse_url(airframe.link.url)
+    how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
+    return f"link: {how}, as component {airframe.link.component_id}"
+
+
+def _polling(airframe: Airframe) -> str:
+    groups = polling_groups(airframe)
+    order = ", then ".join(" with ".join(group) for group in groups)
+    near = airframe.polling.near
+    faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
+    return f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
+
+
+def _streams(airframe: Airframe) -> Iterator[str]:
+    if airframe.send.fused is not None:
+        bounds = fused_stream(airframe)
+        assert bounds is not None
+        yield (
+            f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(airframe.downward)} sensors, "
+            f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm: {_use(airframe, DOWN)}"
+        )
+    if airframe.sent_names:
+        names = ", ".join(each.filter for each in airframe.filters) or "none"
+        yield f"filters of the single streams: {names}"
+    for sensor in airframe.sensors:
+        if sensor.name in airframe.sent_names:
+            yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"
+    time_out_s = TIME_OUT_S[airframe.link.autopilot]
+    for name, interval_s in intervals_s(airframe).items():
+        yield f"{name}: a message every {interval_s:.2f} s"
+        if interval_s > time_out_s:
+            yield (
+                f"warning: {airframe.link.autopilot} drops a range finder after {time_out_s} s without a message, and "
+                f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s"
+            )
+
+
+def _use(airframe: Airframe, orientation: int) -> str:
+    """What the autopilot makes of a stream, by its orientation (docs/flying.md)."""
+    if airframe.link.autopilot == "ardupilot":
+        if orientation == DOWN:
+            return "height above ground (RNGFND1)"
+        if orientation == CUSTOM:
+            return "shown in the ground station, and not used: no axis of ArduPilot's fits the mounting"
+        around = orientation in range(8) or orientation == PITCH_90
+        return "obstacles (PRX1_TYPE 2)" if around else "not used: no axis of ArduPilot's proximity"
+    if orientation == DOWN:
+        return "height above ground (EKF2_RNG_CTRL)"
+    return "not used: it looks up" if orientation == PITCH_90 else "collision prevention (CP_DIST)"
