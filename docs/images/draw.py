@@ -147,7 +147,7 @@ def draw_filters(path: Path) -> None:
     """Figure 5.15 of the filter study: the Kalman filters and the changepoint filter."""
     with tempfile.TemporaryDirectory() as folder:
         _run("msp-lab", "filters", "--out", f"{folder}/study")
-        shutil.copy(f"{folder}/study/{path.name}", path)
+        shutil.copy(f"{folder}/study/figure_5_15.png", path)
 
 
 def _run(command: str, *arguments: str) -> None:
