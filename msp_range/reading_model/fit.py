@@ -7,13 +7,22 @@ from the observed information, intervals, and the log-likelihood. The likelihood
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from msp_range.reading_model import densities as mix
-from msp_range.reading_model.fit_result import BOUNDS, FitError, FitResult, GrowthTrial, columns, result_of
+from msp_range.reading_model.fit_result import (
+    BOUNDS,
+    FitError,
+    FitResult,
+    GrowthTrial,
+    bounds_of,
+    columns,
+    result_of,
+)
 from msp_range.reading_model.grid import NOWHERE, ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
 from msp_range.reading_model.newton import GAIN, NotConvergedError, Optimum, maximise
@@ -176,7 +185,11 @@ def _with_growth(
             continue
         theta = np.array(base.theta)
         theta[number] = start
-        gain = _climb_from(rows, theta, [*moving, number]).value - base.value
+        try:
+            gain = _climb_from(rows, theta, [*moving, number]).value - base.value
+        except NotConvergedError as error:
+            trials.append(GrowthTrial(name, 0.0, False, f"left out: its fit does not converge, {error}"))
+            continue
         keep = gain > threshold
         verb = "kept" if keep else "left out"
         why = f"{verb}: it gains {gain:.1f} in log-likelihood, and BIC requires {threshold:.1f}"
@@ -185,10 +198,13 @@ def _with_growth(
             kept.append(number)
     if not kept:
         return base, moving, tuple(trials)
-    moving = [*moving, *kept]
     theta = np.array(base.theta)
     theta[mix.V] = 1e-6 if mix.V in kept else 0.0
-    return _climb_from(rows, theta, moving), moving, tuple(trials)
+    try:
+        return _climb_from(rows, theta, [*moving, *kept]), [*moving, *kept], tuple(trials)
+    except NotConvergedError as error:
+        trials = [replace(each, kept=False, why=f"left out: {error}") if each.kept else each for each in trials]
+        return base, moving, tuple(trials)
 
 
 def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
@@ -214,7 +230,9 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
             theta[mix.T], theta[mix.L] = math.log(sigma), per_length / few.mean_length_cm
             theta[mix.U], theta[mix.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)
             try:
-                found = maximise(partial(few.derivatives, free=mix.optional(moving)), theta, moving, BOUNDS, 1e-2)
+                found = maximise(
+                    partial(few.derivatives, free=mix.optional(moving)), theta, moving, bounds_of(moving), 1e-2
+                )
             except NotConvergedError:
                 continue
             if best is None or found.value > best.value:
@@ -240,7 +258,7 @@ def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: fl
     theta[[mix.U, mix.R, mix.M]] = np.maximum(theta[[mix.U, mix.R, mix.M]], 1e-4)
     if mix.S in moving:
         theta[mix.S] = min(max(theta[mix.S], 1e-3), 1.0 - 1e-3)
-    return maximise(partial(rows.derivatives, free=mix.optional(moving)), theta, moving, BOUNDS, gain)
+    return maximise(partial(rows.derivatives, free=mix.optional(moving)), theta, moving, bounds_of(moving), gain)
 
 
 def _quantile(ordinate: _Array, weight: _Array, share: float) -> float:

@@ -6,7 +6,7 @@ weights by the delta method) and with intervals that respect the bounds of the p
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -42,14 +42,55 @@ _NUMBERS = {
     "offset_cm": mix.B,
     "scale": mix.C,
 }
+MIN_WEIGHT = 1e-4
+"""Floor of a weight in a sensor model file, and of the share of missed echoes at 3 m that depends on range. A kind of
+reading with a share of 0 could never be compared with any reading, and an outlier in flight would have no probability.
+20,000 readings without one of a kind are compatible with this share; a smaller floor lets a fit whose missed echoes are
+all near move the share at 3 m to 1e-30, and the growth with it."""
+MAX_GROWTH_PER_M = 10.0
+"""Largest growth of the log odds of missed echoes with range [1/m]: from `MIN_WEIGHT` to certainty within 1.5 m. With a
+larger one the share at one range says nothing of another, and its derivatives overflow."""
 #                             U    R    M    T            L     S    V    G    B     C
 BOUNDS = Bounds(
-    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -1.0, -1e4, 0.1]),
-    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, 1.0, 1e4, 10.0]),
+    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -MAX_GROWTH_PER_M / 100.0, -1e4, 0.1]),
+    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, MAX_GROWTH_PER_M / 100.0, 1e4, 10.0]),
     stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01, 20.0, 0.2]),
     relative=np.arange(len(mix.NAMES)) == mix.L,
 )
+
+
+def bounds_of(moving: Sequence[int]) -> Bounds:
+    """Return the bounds of a fit in which these parameters move: with growth, missed echoes are possible anywhere."""
+    if mix.G not in moving:
+        return BOUNDS
+    lower, upper = np.array(BOUNDS.lower), np.array(BOUNDS.upper)
+    lower[mix.M], upper[mix.M] = MIN_WEIGHT, 1.0 - MIN_WEIGHT
+    return replace(BOUNDS, lower=lower, upper=upper)
+
+
 _SHARES = frozenset({"hit", "short", "missed", "random", "saturated_fraction"})
+
+
+def with_floors(parameters: MixtureParameters) -> tuple[MixtureParameters, tuple[str, ...]]:
+    """Return the parameters with no weight below `MIN_WEIGHT`, and the names of the weights that were raised.
+
+    Examples
+    --------
+    >>> weights = {"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0}
+    >>> given = {"weights": weights, "sigma_cm": 1.0, "short_rate_per_m": 0.5, "saturated_fraction": 0.0}
+    >>> found, raised = with_floors(MixtureParameters.model_validate(given))
+    >>> print(f"{found.weights.hit:.4f} {found.weights.random:g} {', '.join(raised)}")
+    0.9997 0.0001 short, missed, random
+    """
+    shares = parameters.weights.model_dump()
+    raised = tuple(name for name, share in shares.items() if share < MIN_WEIGHT)
+    if not raised:
+        return parameters, ()
+    floored = {name: max(share, MIN_WEIGHT) for name, share in shares.items()}
+    # The largest share pays for it.
+    largest = max(shares, key=lambda name: shares[name])
+    floored[largest] -= sum(floored.values()) - 1.0
+    return parameters.model_copy(update={"weights": parameters.weights.model_copy(update=floored)}), raised
 
 
 class FitError(ValueError):
@@ -168,9 +209,10 @@ class FitResult:
         if number not in self._optimum.inside and gradient > 0.0:
             guess = min(guess, drop / gradient)
         guess = min(guess, float(BOUNDS.stride[number]))
+        bounds = bounds_of(self._moving)
         limits = []
         for sign in (-1.0, 1.0):
-            limit = profile_limit(derivatives, self._optimum, self._moving, number, BOUNDS, sign * guess, drop)
+            limit = profile_limit(derivatives, self._optimum, self._moving, number, bounds, sign * guess, drop)
             theta = np.array(self._optimum.theta)
             theta[number] = limit
             limits.append(_named(theta)[name])

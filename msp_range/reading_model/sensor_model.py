@@ -85,8 +85,9 @@ class CalibrationKnot(Section):
     true_cm: float = Field(ge=0.0, le=10_000.0)
     """True range [cm]."""
 
-    reading_cm: float = Field(gt=0.0, le=10_000.0)
-    """Mean reading there, in air of the calibration temperature [cm]."""
+    reading_cm: float = Field(ge=-10_000.0, le=10_000.0)
+    """Mean reading there, in air of the calibration temperature, before the sensor's limits [cm]: an offset may take it
+    below 0, where the sensor reads its minimum."""
 
 
 class Weights(Section):

@@ -18,7 +18,7 @@ RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 
 def calibrated(data: MeasuredData, reference_std_cm: float | None = None) -> CalibrationFindings:
-    found = calibrate(sort_into_points(data, SENSOR), SENSOR, reference_std_cm)
+    found = calibrate(sort_into_points(data, SENSOR), reference_std_cm)
     assert found is not None
     return found
 
@@ -51,7 +51,7 @@ def test_what_set_ups_differ_by_is_the_sensors_where_the_tape_is_better(
     stated_cm: float, low: float, high: float
 ) -> None:
     data = bench(3, lambda z: 0.0 * z, setup_cm=0.4)
-    found = calibrate(sort_into_points(data, SENSOR), SENSOR, set_up_std_cm=stated_cm)
+    found = calibrate(sort_into_points(data, SENSOR), set_up_std_cm=stated_cm)
     assert found is not None
     assert found.set_up_offset is not None
     assert low < found.set_up_offset.value < high
@@ -70,7 +70,7 @@ def test_readings_that_depend_on_each_other_are_no_offsets_of_set_ups() -> None:
         made = point(rng, range_cm, n=400)
         made["reading_cm"] = np.rint(range_cm + noise)
         parts.append(made)
-    found = calibrate(sort_into_points(table(*parts), SENSOR), SENSOR, set_up_std_cm=0.0)
+    found = calibrate(sort_into_points(table(*parts), SENSOR), set_up_std_cm=0.0)
     assert found is not None
     assert found.set_up_offset is not None
     assert found.set_up_offset.low == pytest.approx(0.0, abs=0.02)
@@ -167,4 +167,4 @@ def test_few_ranges_are_said_to_be_too_few() -> None:
 
 def test_nothing_heard_is_no_calibration() -> None:
     rng = np.random.default_rng(8)
-    assert calibrate(sort_into_points(table(point(rng, 100.0, missed=1.0)), SENSOR), SENSOR) is None
+    assert calibrate(sort_into_points(table(point(rng, 100.0, missed=1.0)), SENSOR)) is None

@@ -180,7 +180,7 @@ def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> 
     model, started = load_sensor_model(out), load_sensor_model(SENSOR)
     assert model.calibration == ()
     # Nothing read short, so how such readings fall off is still as it was.
-    assert model.reading_model.weights.short == 0.0
+    assert model.reading_model.weights.short == 1e-4
     assert model.reading_model.short_rate_per_m == started.reading_model.short_rate_per_m
 
 

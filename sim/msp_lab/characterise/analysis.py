@@ -99,7 +99,7 @@ def characterise(
 
     say("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
-    calibration = calibrate(undisturbed, sensor, reference_std_cm, set_up_std_cm)
+    calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = _curve(calibration)
     if found_base is None:
         absent["baseline"] = "no readings of the surface with nothing varied"

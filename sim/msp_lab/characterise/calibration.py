@@ -8,7 +8,6 @@ simpler one does.
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,6 @@ from msp_lab.characterise.estimates import (
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, IntervalEstimate, Knot
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import IDENTITY, Calibration, PiecewiseLinear
-from msp_range.reading_model.sensor_model import SensorModel
 
 LEAST_RANGES = 4
 """A straight line that is to predict a range which it has not seen needs three others."""
@@ -56,7 +54,6 @@ class _Points(NamedTuple):
 
 def calibrate(
     points: Sequence[PointReadings],
-    sensor: SensorModel,
     reference_std_cm: float | None = None,
     set_up_std_cm: float | None = None,
 ) -> CalibrationFindings | None:
@@ -66,8 +63,6 @@ def calibrate(
     ----------
     points
         On the axis, nothing varied.
-    sensor
-        Of which the readings are.
     reference_std_cm
         Standard deviation of an error that the reference may have at all ranges alike [cm], as its owner states it;
         it widens the bias's interval, for readings cannot tell it from the sensor's own.
@@ -98,7 +93,7 @@ def calibrate(
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
     # Set-ups differ by more than chance in the readings; what the line leaves over is added to every point.
     between_cm2 = 0.0 if line is None else line.between
-    form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2), sensor)
+    form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2))
     linearity, by_chance = (None, None) if line is None else _linearity(data, line)
     step_cm = used[0].step_cm
     return CalibrationFindings(
@@ -170,7 +165,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     return IntervalEstimate(value, value - half, value + half, "cm", residual.size, "points"), by_chance
 
 
-def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
+def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
     """The form whose predictions of what it has not seen are surely better than those of the simpler ones."""
     ranges = np.unique(data.range_cm)
     if ranges.size < LEAST_RANGES:
@@ -187,18 +182,22 @@ def _choose(data: _Points, sensor: SensorModel) -> tuple[Form, tuple[Knot, ...],
     tried += [("piecewise linear", best)] if best is not None else []
     kept: tuple[Form, int] = ("none", 0)
     held_out = [HeldOut("none", _rms(errors[0]), None)]
+    refused: list[str] = []
     for form, count in tried:
         gain = _gain(errors[kept[1]], errors[count], data.range_cm)
         held_out.append(HeldOut(form, _rms(errors[count]), gain))
         is_better = gain.low is not None and gain.low > 0.0
         if is_better and by_run:
             is_better = _rms(_left_out_errors(data, count, data.run)) < _rms(_left_out_errors(data, kept[1], data.run))
-        if is_better and _is_possible(_knots(data, count), sensor):
+        if is_better and (why := _refused(_knots(data, count))):
+            refused.append(f"{_named(form)} would predict better and is no calibration: {why}")
+        elif is_better:
             kept = form, count
     reason = f"ranges left out are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
     others = [f"{each.rms_cm:.2f} cm by {_named(each.form)}" for each in held_out if each.form != kept[0]]
     reason += f", against {' and '.join(others)}; a more complex form is kept where its gain is sure"
     reason += " and runs left out agree" if by_run else ""
+    reason = "; ".join([reason, *refused])
     return kept[0], _knots(data, kept[1]), reason, tuple(held_out)
 
 
@@ -255,15 +254,13 @@ def _knots(data: _Points, pieces: int) -> tuple[Knot, ...]:
     return tuple(Knot(round(x, 2), round(y, 3)) for x, y in zip(*(each.tolist() for each in found), strict=True))
 
 
-def _is_possible(knots: Sequence[Knot], sensor: SensorModel) -> bool:
-    """True where the sensor model file takes these knots."""
-    if any(not b.reading_cm > a.reading_cm for a, b in pairwise(knots)):
-        return False
+def _refused(knots: Sequence[Knot]) -> str:
+    """Why a sensor model cannot have these knots; "" where it can."""
     try:
-        curve = Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
-    except ValueError:
-        return False
-    return curve.inverse(float(max(sensor.minimum_cm, 1))) > 0.0
+        Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _rms(errors: _Array) -> float:

@@ -17,7 +17,7 @@ from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixturePara
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import FitError, FitResult
+from msp_range.reading_model.fit_result import MIN_WEIGHT, FitError, FitResult, with_floors
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit
@@ -25,6 +25,11 @@ from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParame
 
 ENOUGH_HITS = 50
 """Set-ups with fewer stay where the reference puts them: their own mean would take 2 % and more off the variance."""
+
+AT_FLOOR = (
+    f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
+)
+AT_BOUND = "at its bound; the readings say only to which side of it the value is"
 
 UNIT = {
     "sigma_cm": "cm",
@@ -82,10 +87,14 @@ def fit_mixture(
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
     try:
         result = fit_readings(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
-        good = goodness_of_fit(result, whole, expected_cm, rng)
     except (FitError, ValueError) as error:
         return str(error)
-    notes.append(good.note)
+    good = None
+    try:
+        good = goodness_of_fit(result, whole, expected_cm, rng)
+        notes.append(good.note)
+    except ValueError as error:
+        notes.append(f"how well it fits is not known: {error}")
     moved = tuple(each for each in set_ups if each is not None)
     if moved:
         farthest_cm = max(abs(each.error_cm) for each in moved)
@@ -94,20 +103,22 @@ def fit_mixture(
             f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
             "reference was off by"
         )
-    notes += [_of_bound(name) for name in result.at_bound]
+    fitted, raised = with_floors(result.parameters)
+    bound = {*result.at_bound, *raised}
+    notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.names if name in bound]
     notes += [f"{name}: these readings do not say what it is; the one before is kept" for name in result.not_identified]
     found = Mixture(
-        parameters=tuple(_parameter(name, result, sensor.reading_model) for name in result.names),
+        parameters=tuple(_parameter(name, result, sensor.reading_model, name in bound) for name in result.names),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
-        pit_counts=good.pit_histogram,
-        pit_p_value=good.chi_square_p_value,
+        pit_counts=() if good is None else good.pit_histogram,
+        pit_p_value=None if good is None else good.chi_square_p_value,
         conditional=_conditional(result, expected_cm),
         notes=tuple(notes),
         set_ups=moved,
     )
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
-    return FittedMixture(found, result.parameters.model_copy(update=unknown))
+    return FittedMixture(found, fitted.model_copy(update=unknown))
 
 
 def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError | None:
@@ -120,12 +131,12 @@ def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError 
     return SetUpError(point.condition, point.run, point.range_cm, error_cm)
 
 
-def _of_bound(name: str) -> str:
-    return f"{name}: at the end of what it can be; a kind of reading that was not seen here may still come in flight"
-
-
-def _parameter(name: str, result: FitResult, before: MixtureParameters) -> MixtureParameter:
-    low, high = result.interval(name)
+def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound: bool) -> MixtureParameter:
+    try:
+        low, high = result.interval(name)
+    except ValueError:
+        # The profile of the likelihood has no end here.
+        low, high = -math.inf, math.inf
     value = result.estimates[name]
     estimate = IntervalEstimate(
         value,
@@ -136,7 +147,7 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters) -> Mixtu
     )
     is_weight = name in ("hit", "short", "missed", "random")
     started = getattr(before.weights if is_weight else before, name, None)
-    return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started)
+    return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started, at_bound)
 
 
 def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from msp_lab.characterise.analysis import Changes, provenance
 from msp_lab.characterise.findings import Findings, IntervalEstimate
+from msp_range.reading_model.fit_result import MIN_WEIGHT
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
@@ -146,11 +147,14 @@ def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[st
     found = findings.mixture
     if changes.reading_model is None or found is None:
         return [f"{kept}: {findings.absent.get('mixture', 'nothing was fitted')}."]
-    shown = "; ".join(f"{each.name} {_interval(each.fitted, 4)}" for each in found.parameters)
+    shown = "; ".join(
+        f"{each.name} {_interval(each.fitted, 4)}{', at its bound' if each.at_bound else ''}"
+        for each in found.parameters
+    )
     return [
         f"Fitted to {found.readings} undisturbed readings by maximum likelihood, 95 % intervals: {shown}.",
         "These are a bench's. A vehicle shakes, and there are objects below it: kinds of reading that a bench does not "
-        "show have a weight of 0 here, and a filter that trusts this spread in flight may be too sure.",
+        f"show have a weight of {MIN_WEIGHT:g} here, and a filter that trusts this spread in flight may be too sure.",
     ]
 
 

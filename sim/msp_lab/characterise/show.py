@@ -53,8 +53,12 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str | Text]]:
         peaks = f"peaks: {len(longest.peaks_before)}, and {len(longest.peaks_after)} with codes for no echo masked"
         yield f"at {longest.true_range_cm:g} cm", f"{peaks}, at {longest.peak.value:g} cm"
     if findings.mixture is not None:
-        shown = ", ".join(f"{each.name} {each.fitted.value:.3g}" for each in findings.mixture.parameters)
-        fits = f"p of the fit {findings.mixture.pit_p_value:.2g}"
+        shown = ", ".join(
+            f"{each.name} {each.fitted.value:.3g}{' (at its bound)' if each.at_bound else ''}"
+            for each in findings.mixture.parameters
+        )
+        p_value = findings.mixture.pit_p_value
+        fits = "too few readings for a goodness of fit" if p_value is None else f"p of the fit {p_value:.2g}"
         yield "mixture", f"{shown}; {findings.mixture.conditional}; {fits}"
     view = findings.field_of_view
     if view is not None:

@@ -101,6 +101,24 @@ def ranging_timing(kind: EmulatedKind, model: SensorModel) -> DeviceTiming:
     )
 
 
+def within_limits(echo: Callable[[float], int], model: SensorModel, kind: EmulatedKind) -> Callable[[float], int]:
+    """Readings of a model as a device of this kind can answer them.
+
+    A model of another sensor may read less or more than the device: what is below the device's shortest reading is
+    that, and no echo or more than its longest is its code for no echo.
+    """
+    if kind.minimum_cm <= model.minimum_cm and model.maximum_cm == kind.no_echo_cm:
+        return echo
+
+    def limited(ping_s: float) -> int:
+        reading_cm = echo(ping_s)
+        if reading_cm >= min(model.maximum_cm, kind.no_echo_cm):
+            return kind.no_echo_cm
+        return max(reading_cm, kind.minimum_cm)
+
+    return limited
+
+
 def emulated_bus(
     airframe: Airframe,
     models: dict[str, SensorModel],
@@ -121,5 +139,6 @@ def emulated_bus(
         chance = random.Random(int(for_faults.generate_state(1)[0]))
         kind = emulated_kind(sensor.sensor_model.driver)
         timing = ranging_timing(kind, model)
-        devices.append(kind(sensor.address, now, emulated.echo, timing, faults.get(sensor.name, ()), chance))
+        echo = within_limits(emulated.echo, model, kind)
+        devices.append(kind(sensor.address, now, echo, timing, faults.get(sensor.name, ()), chance))
     return EmulatedBus(devices, now)

@@ -40,6 +40,16 @@ class EmulatedKind(Protocol):
         """How long such a sensor is busy."""
         ...
 
+    @property
+    def minimum_cm(self) -> int:
+        """Shortest reading [cm]."""
+        ...
+
+    @property
+    def no_echo_cm(self) -> int:
+        """Reading without an echo, beyond the longest [cm]."""
+        ...
+
     def check_fault(self, fault: Fault) -> None:
         """Raise ValueError where such a sensor cannot show a fault."""
         ...

@@ -7,11 +7,15 @@ from msp_lab.characterise.findings.estimate import IntervalEstimate
 
 @dataclass(frozen=True)
 class MixtureParameter:
-    """One parameter of the fitted mixture: its name in the sensor model file, and what the starting model said."""
+    """One parameter of the fitted mixture: its name in the sensor model file, and what the starting model said.
+
+    `at_bound` marks a value at the end of what it can be: the model has its bound or its floor, and not an estimate.
+    """
 
     name: str
     fitted: IntervalEstimate
     before: float | None
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Mixture:
     pit_counts
         Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model fits.
     pit_p_value
-        Of uniformity; a small one says that the model does not fit.
+        Of uniformity; a small one says that the model does not fit. None: too few readings for it.
     conditional
         What was said to depend on range, and why, in a sentence.
     notes
@@ -52,7 +56,7 @@ class Mixture:
     readings: int
     log_likelihood: float
     pit_counts: tuple[int, ...]
-    pit_p_value: float
+    pit_p_value: float | None
     conditional: str
     notes: tuple[str, ...] = ()
     set_ups: tuple[SetUpError, ...] = ()

@@ -182,9 +182,12 @@ def _mixture(findings: Findings) -> Iterator[Conclusion]:
     weights = [each for each in found.parameters if each.name.startswith("weights.")]
     shown = ", ".join(f"{each.name.removeprefix('weights.')} {100.0 * each.fitted.value:.3g} %" for each in weights)
     sigma = next((f"; σ {interval(each.fitted)}" for each in found.parameters if each.name == "sigma_cm"), "")
+    if found.pit_p_value is None:
+        yield Conclusion("Kinds of readings", f"{shown}{sigma}", "open", "too few to test")
+        return
     fits = found.pit_p_value >= 0.05
     yield Conclusion(
-        "Mixture of the readings",
+        "Kinds of readings",
         f"{shown}{sigma}; of the fit, p: {p_text(found.pit_p_value)}",
         "no" if fits else "yes",
         "fits" if fits else "does not fit",

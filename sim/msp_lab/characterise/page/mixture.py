@@ -156,6 +156,8 @@ def _pit(findings: Findings, rows: PictureData) -> Drawn:
     found = findings.mixture
     if found is None:
         raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
+    if found.pit_p_value is None:
+        raise Absent("There are too few readings for a goodness of fit.")
     caption = (
         "Where the model is right the bars are level. A slope is a bias, a bowl too small a spread, a hump too large a "
         f"one. Of uniform, p: {p_text(found.pit_p_value)}, over {found.readings:,} readings."
@@ -173,7 +175,7 @@ def mixture_table(mixture: Mixture) -> PageTable:
             (
                 each.name,
                 _SYMBOLS.get(each.name, "–"),
-                interval(each.fitted),
+                interval(each.fitted) + (" at its bound" if each.at_bound else ""),
                 "–" if each.before is None else f"{each.before:.4g}",
             )
             for each in mixture.parameters
@@ -189,5 +191,10 @@ def mixture_table(mixture: Mixture) -> PageTable:
 
 def _parameters(mixture: Mixture, kind: str) -> str:
     found = {each.name: each.fitted for each in mixture.parameters}
-    shown = [f"{name} = {interval(found[name])}" for name in _MIXTURE_PARAMETERS[kind] if name in found]
+    at_bound = {each.name for each in mixture.parameters if each.at_bound}
+    shown = [
+        f"{name} = {interval(found[name])}{' (at its bound)' if name in at_bound else ''}"
+        for name in _MIXTURE_PARAMETERS[kind]
+        if name in found
+    ]
     return f"Fitted: {'; '.join(shown)}." if shown else ""

@@ -1,0 +1,152 @@
+"""A characterisation ends with a model that loads and gives every reading, for every shipped sensor and odd readings.
+
+The readings are those of a plain sensor with the file's limits; shares no code with the reading model.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from msp_lab.cli import app
+from msp_range.reading_model.mixture import ReadingModel
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.recording.csv_form import write_csv
+from msp_sim.cli import app as sim_app
+from tests.support.data import measured_data
+from tests.support.measured import ROOT
+
+SENSORS = sorted((ROOT / "configs" / "sensors").glob("*.yaml"))
+SHARES = {"missed": 0.02, "short": 0.02, "random": 0.01}
+RANGES = 8
+READINGS = 60
+"""At each range."""
+
+
+def table(
+    file: Path, offset_cm: float = 0.0, scale: float = 1.0, ranges: int = RANGES, **shares: float
+) -> dict[str, Any]:
+    sensor, rng = load_sensor_model(file), np.random.default_rng(7)
+    lowest, highest = sensor.minimum_cm, sensor.maximum_cm
+    true_cm = np.repeat(np.linspace(lowest + 20.0, min(0.7 * highest, 400.0), ranges).round(1), READINGS)
+    n = true_cm.size
+    reading_cm = np.clip(np.rint(offset_cm + scale * true_cm + 1.2 * rng.standard_normal(n)), lowest, highest - 1)
+    share = SHARES | shares
+    kind = rng.random(n)
+    limit = 0.0
+    for name, other_cm in (
+        ("missed", np.full(n, highest)),
+        ("short", np.rint(rng.uniform(lowest, true_cm))),
+        ("random", rng.integers(lowest, highest, n)),
+    ):
+        reading_cm = np.where((kind >= limit) & (kind < limit + share[name]), other_cm, reading_cm)
+        limit += share[name]
+    return {
+        "time_s": 0.1 * np.arange(n),
+        "sensor": np.full(n, "down"),
+        "run": np.array([f"{each:g} cm" for each in true_cm]),
+        "true_range_cm": true_cm,
+        "reading_cm": reading_cm.astype(float),
+        "air_temperature_c": np.full(n, 22.5),
+    }
+
+
+def characterised(folder: Path, file: Path, columns: dict[str, Any]) -> tuple[SensorModel, str]:
+    """The new model, which gives each of the readings, and what was printed."""
+    write_csv(folder / "bench.csv", columns)
+    out = folder / "model.yaml"
+    command = ["characterise", str(folder / "bench.csv"), "--out", str(out), "--sensor", str(file)]
+    result = CliRunner().invoke(app, command, env={"COLUMNS": "500"})
+    assert result.exit_code == 0, result.output
+    model = load_sensor_model(out)
+    given = ReadingModel.of(model)
+    log_prob = given.log_prob(columns["reading_cm"], {"true_range_cm": columns["true_range_cm"]})
+    assert np.isfinite(log_prob).all()
+    drawn = given.sample({"true_range_cm": columns["true_range_cm"]}, np.random.default_rng(1))
+    assert np.isfinite(drawn).all()
+    return model, result.output
+
+
+@pytest.mark.parametrize("offset_cm", [-5.0, 0.0, 1.0, 5.0])
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_an_offset_is_calibrated(file: Path, offset_cm: float, tmp_path: Path) -> None:
+    """Also where it takes the shortest reading, or the reading of a range of 0, below 0."""
+    model, _ = characterised(tmp_path, file, table(file, offset_cm))
+    corrected = model.calibration_curve.forward(200.0) - 200.0
+    assert corrected == pytest.approx(offset_cm, abs=1.0)
+    assert (model.calibration != ()) or abs(offset_cm) < 2.0
+
+
+@pytest.mark.parametrize("scale", [0.95, 1.05])
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_a_scale_is_calibrated(file: Path, scale: float, tmp_path: Path) -> None:
+    model, _ = characterised(tmp_path, file, table(file, scale=scale))
+    curve = model.calibration_curve
+    assert (curve.forward(250.0) - curve.forward(150.0)) / 100.0 == pytest.approx(scale, abs=0.01)
+
+
+@pytest.mark.parametrize("absent", [("missed",), ("missed", "short", "random")], ids=" ".join)
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_a_kind_of_reading_that_never_comes_has_a_floor_and_a_mark(
+    file: Path, absent: tuple[str, ...], tmp_path: Path
+) -> None:
+    model, printed = characterised(tmp_path, file, table(file, **dict.fromkeys(absent, 0.0)))
+    weights = model.reading_model.weights.model_dump()
+    assert min(weights.values()) >= 0.99e-4
+    text = (tmp_path / "model.yaml").read_text(encoding="utf-8").replace("\n# ", " ")
+    for name in absent:
+        assert weights[name] < 0.01, name
+        if weights[name] < 1.01e-4:
+            assert f"weights.{name} 0 (at its bound)" in printed or f"weights.{name} 0.0001 (at its bound)" in printed
+            assert text.count("at its bound") >= 1
+
+
+@pytest.mark.parametrize("kind", ["missed", "short", "random"])
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_one_kind_of_reading_only_is_a_note_or_a_refusal(file: Path, kind: str, tmp_path: Path) -> None:
+    shares = dict.fromkeys(SHARES, 0.0) | {kind: 1.0}
+    write_csv(tmp_path / "bench.csv", table(file, **shares))
+    command = ["characterise", str(tmp_path / "bench.csv"), "--out", str(tmp_path / "m.yaml"), "--sensor", str(file)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code in (0, 3), result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    if result.exit_code == 0:
+        load_sensor_model(tmp_path / "m.yaml")
+
+
+def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
+    columns = {name: column[::8] for name, column in table(SENSORS[0], missed=0.0, short=0.0, random=0.0).items()}
+    _, printed = characterised(tmp_path, SENSORS[0], columns)
+    assert "too few readings for a goodness of fit" in printed
+
+
+@pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
+def test_every_model_flies(file: Path, tmp_path: Path) -> None:
+    """Also that of a sensor whose readings the airframe's sensors cannot answer, such as 18 cm."""
+    scenario = tmp_path / "scenario.yaml"
+    text = (ROOT / "configs" / "scenarios" / "terrain.yaml").read_text(encoding="utf-8")
+    scenario.write_text(text.replace("../", f"{ROOT / 'configs'}/"), encoding="utf-8")
+    result = CliRunner().invoke(sim_app, ["fly", str(scenario), "--model", str(file), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_echoes_that_are_missed_near_only_give_a_model_that_the_gap_can_use(tmp_path: Path) -> None:
+    """The MB1433 misses echoes nearer than 50 cm: its share at 3 m was 1e-17 with a growth of -13 per metre."""
+    columns = ["--map", str(ROOT / "configs/maps/enmt482-sonar2.yaml")]
+    out, sensor = tmp_path / "m.yaml", ROOT / "configs/sensors/mb1433.yaml"
+    bench = str(measured_data("enmt482/calibration.csv"))
+    lab = CliRunner()
+    result = lab.invoke(app, ["characterise", bench, *columns, "--sensor", str(sensor), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    model = load_sensor_model(out).reading_model
+    assert model.weights.missed >= 1e-4
+    assert abs(model.missed_growth_per_m) <= 10.0
+    command = ["compare", str(measured_data("enmt482/training1.csv")), *columns, "--model", str(out)]
+    result = lab.invoke(app, [*command, "--out", str(tmp_path / "gap")])
+    assert result.exit_code == 0, result.output
+    gap = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))["gap"]
+    assert 0.0 < gap["nats_per_reading"]["before"] < 5.0
