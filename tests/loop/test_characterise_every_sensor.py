@@ -4,6 +4,7 @@ The readings are those of a plain sensor with the file's limits; shares no code 
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,14 @@ READINGS = 60
 
 
 def table(
-    file: Path, offset_cm: float = 0.0, scale: float = 1.0, ranges: int = RANGES, **shares: float
+    file: Path, offset_cm: float = 0.0, scale: float = 1.0, shares: Mapping[str, float] = SHARES
 ) -> dict[str, Any]:
     sensor, rng = load_sensor_model(file), np.random.default_rng(7)
     lowest, highest = sensor.minimum_cm, sensor.maximum_cm
-    true_cm = np.repeat(np.linspace(lowest + 20.0, min(0.7 * highest, 400.0), ranges).round(1), READINGS)
+    true_cm = np.repeat(np.linspace(lowest + 20.0, min(0.7 * highest, 400.0), RANGES).round(1), READINGS)
     n = true_cm.size
     reading_cm = np.clip(np.rint(offset_cm + scale * true_cm + 1.2 * rng.standard_normal(n)), lowest, highest - 1)
-    share = SHARES | shares
+    share = {**SHARES, **shares}
     kind = rng.random(n)
     limit = 0.0
     for name, other_cm in (
@@ -93,7 +94,7 @@ def test_a_scale_is_calibrated(file: Path, scale: float, tmp_path: Path) -> None
 def test_a_kind_of_reading_that_never_comes_has_a_floor_and_a_mark(
     file: Path, absent: tuple[str, ...], tmp_path: Path
 ) -> None:
-    model, printed = characterised(tmp_path, file, table(file, **dict.fromkeys(absent, 0.0)))
+    model, printed = characterised(tmp_path, file, table(file, shares=dict.fromkeys(absent, 0.0)))
     weights = model.reading_model.weights.model_dump()
     assert min(weights.values()) >= 0.99e-4
     text = (tmp_path / "model.yaml").read_text(encoding="utf-8").replace("\n# ", " ")
@@ -108,7 +109,7 @@ def test_a_kind_of_reading_that_never_comes_has_a_floor_and_a_mark(
 @pytest.mark.parametrize("file", SENSORS, ids=lambda each: each.stem)
 def test_one_kind_of_reading_only_is_a_note_or_a_refusal(file: Path, kind: str, tmp_path: Path) -> None:
     shares = dict.fromkeys(SHARES, 0.0) | {kind: 1.0}
-    write_csv(tmp_path / "bench.csv", table(file, **shares))
+    write_csv(tmp_path / "bench.csv", table(file, shares=shares))
     command = ["characterise", str(tmp_path / "bench.csv"), "--out", str(tmp_path / "m.yaml"), "--sensor", str(file)]
     result = CliRunner().invoke(app, command)
     assert result.exit_code in (0, 3), result.output
@@ -118,7 +119,7 @@ def test_one_kind_of_reading_only_is_a_note_or_a_refusal(file: Path, kind: str, 
 
 
 def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
-    columns = {name: column[::8] for name, column in table(SENSORS[0], missed=0.0, short=0.0, random=0.0).items()}
+    columns = {name: column[::8] for name, column in table(SENSORS[0], shares=dict.fromkeys(SHARES, 0.0)).items()}
     _, printed = characterised(tmp_path, SENSORS[0], columns)
     assert "too few readings for a goodness of fit" in printed
 
