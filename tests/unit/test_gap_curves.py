@@ -47,7 +47,7 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0) -> Array:
 
 def forms(contexts: Columns, reading_cm: Array) -> list[CandidateCurve]:
     fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
-    return scan(curves_of(contexts), fitted.scores, fitted.here.shares, None)
+    return scan(curves_of(contexts), fitted.here.by, fitted.scores, fitted.here.shares, None)
 
 
 def hidden(channel: str, contexts: Columns, seed: int) -> Array:

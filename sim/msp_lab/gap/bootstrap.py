@@ -37,41 +37,33 @@ def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Ar
     return per_cell, per_cell - size[:, :, None] * mean[:, None, :], there
 
 
-def unit_variance(scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _Array) -> _Array:
-    """Variance of each cell's sum of scores by units, (K, m, m).
+def unit_variance(
+    scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _Array
+) -> tuple[_Array, NDArray[np.bool_]]:
+    """Variance of each cell's sum of scores by units, (K, m, m), and which cells have too few units of their own, (K,).
 
     Parameters
     ----------
     scores, unit, stack
         As for `unit_sums`.
     given
-        Scores of each reading at the model as it is, (n, m), for where all cells have few units. Cells of few units
-        have the variance of their single readings, as many times as units inflate it in the other cells.
+        Scores of each reading at the model as it is, (n, m), for where all cells have few units. What few units share
+        is taken to be as in the other cells.
     """
     _, about_mean, there = unit_sums(scores, unit, stack)
     found = np.einsum("kui,kuj->kij", about_mean, about_mean, optimize=True)
     found *= (there / np.maximum(there - 1, 1))[:, None, None]
     few = there < rules.MIN_CELL_UNITS
-    if not few.any():
-        return np.asarray(found, dtype=np.float64)
-    cell = np.repeat(np.arange(len(stack)), stack.counts)
     if few.all():
         number = np.unique(unit, return_inverse=True)[1]
         units = int(number.max()) + 1
-        centred = given - given.mean(axis=0)
-        sums = np.stack([np.bincount(number, column, units) for column in centred.T], axis=1)
-        of_units = (sums**2).sum(axis=0) * units / max(units - 1, 1)
-        of_readings = (centred**2).sum(axis=0)
+        sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
+        usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
     else:
         # Of scores at the free fit: at the model as it is, the gap itself would look like scatter.
-        of_units = np.diagonal(found[~few], axis1=1, axis2=2).sum(axis=0)
-        of_readings = (scores[~few[cell]] ** 2).sum(axis=0)
-    inflation = np.sqrt(np.maximum(of_units / np.maximum(of_readings, 1e-12), 1.0))
-    ends = np.cumsum(stack.counts)
-    for k in np.flatnonzero(few):
-        own = scores[ends[k] - stack.counts[k] : ends[k]] * inflation
-        found[k] = own.T @ own
-    return np.asarray(found, dtype=np.float64)
+        usual = found[~few].sum(axis=0) / stack.counts[~few].sum()
+    found[few] = stack.counts[few, None, None] * usual
+    return np.asarray(found, dtype=np.float64), few
 
 
 def inflation_of_units(about_mean: _Array, there: NDArray[np.intp], squares: _Array) -> _Array:

@@ -136,11 +136,14 @@ def candidates_of(
 ) -> tuple[tuple[CandidateEffect, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
     """Candidates that these contexts can show, and effects with the columns that are missing for them.
 
-    An effect that the model already has is a candidate again: more of it may be there.
+    An effect that the model already has is a candidate again: more of it may be there. What happens to sound only is no
+    candidate for a sensor that ranges with light.
     """
     found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
+        if model.sensor.medium not in effect.media:
+            continue
         required = (*effect.requires, *((effect.per,) if effect.per else ()))
         absent = tuple(name for name in required if not _is_recorded(contexts, name))
         if absent:

@@ -203,8 +203,11 @@ def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack:
     prior = 0.5 * np.einsum("ki,ij,kj->k", numbers, PRIOR, numbers)
     inverse = np.asarray(np.linalg.inv(best.information), dtype=np.float64)
     _, given = scores_of(rows, reading_cm)
-    by_unit = unit_variance(scores, unit, stack, given)
+    by_unit, few = unit_variance(scores, unit, stack, given)
     variance, determined = _of_units(inverse, best.information - PRIOR, by_unit)
+    # What is borrowed from other cells may fit badly: no cell is noisier than those that speak for themselves.
+    if not few.all():
+        determined = np.where(few, np.minimum(determined, determined[~few].max()), determined)
     scale = _scale(stack, rows.sigma_cm)
     gain = best.posterior + prior - base
     return CellFits(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)

@@ -132,6 +132,7 @@ def curves_of(contexts: Mapping[str, Any]) -> CurveWeights:
 
 def scan(
     asked: CurveWeights,
+    slopes: _Array,
     nuisance: _Array,
     shares: _Array,
     unit: NDArray[np.intp] | None,
@@ -143,8 +144,10 @@ def scan(
     ----------
     asked
         Curves that can be asked for, on n readings.
+    slopes
+        Of each reading by the channels, which come first as in `BASE`, (n, 7).
     nuisance
-        Scores of all that is fitted, (n, numbers), the channels first as in `BASE`.
+        Scores of all that is fitted and not held at a bound, (n, numbers).
     shares
         Shares of short, missed and random readings at the fit, (n, 3).
     unit
@@ -160,7 +163,7 @@ def scan(
     own_of_units = None if units is None else units @ own
     found = []
     for channel in channels_asked:
-        slope = nuisance[:, CHANNELS.index(channel)]
+        slope = slopes[:, CHANNELS.index(channel)]
         if not np.any(slope):
             continue
         events = float(slope @ slope)

@@ -5,19 +5,22 @@ an effect goes when a free curve on its channel gains clearly more than it does.
 """
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import SelectedTerm
+from msp_lab.gap.candidates import SelectedTerm, change_of
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss
+from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import make_curve_term
+from msp_sim.model.model import applies, make_curve_term
 
 
 def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
@@ -85,6 +88,34 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
     least = 0.5 * float(chi2.isf(p_value, max(form.degrees - numbers, 1))) - 0.5 * max(len(named) - 1, 0)
     better = loss(problem, state.fit, there) > form.pair_cost_nats + least
     return there if better else state
+
+
+def merge_cancelling(problem: Problem, state: State) -> State:
+    """With one curve in place of two effects that mostly cancel each other: their sum is known, and neither of them."""
+    effects = [each for each in state.terms if each.candidate is not None and "bias" in each.active.effect.channels]
+    for one, other in combinations(effects, 2):
+        shared = set(one.active.effect.requires) & set(other.active.effect.requires)
+        variable = next(iter(sorted(shared - {TRUE_RANGE})), TRUE_RANGE)
+        first_cm, second_cm = _bias_cm(problem, one), _bias_cm(problem, other)
+        smaller_cm = min(first_cm.std(), second_cm.std())
+        if not shared or (first_cm + second_cm).std() > rules.CANCEL_SHARE * smaller_cm:
+            continue
+        rest = [each for each in state.terms if each not in (one, other)]
+        less = state.having(problem.refit([each.active for each in rest], state.fit.base), rest)
+        forms = [each for each in free_curves(problem, less, ("bias",)) if each.variables == (variable,)]
+        for form in forms[:1]:
+            there = _with_curve(problem, less, form)
+            if loss(problem, there.fit, state) <= rules.ALTERNATIVE_NATS:
+                return there
+    return state
+
+
+def _bias_cm(problem: Problem, term: SelectedTerm) -> NDArray[np.float64]:
+    """What a term adds to the hits of each reading that is refitted [cm]."""
+    scene = problem.some.scene
+    added_cm = change_of(scene, term.active).bias_cm
+    bias_cm = np.nan_to_num(np.where(applies(scene, term.active), added_cm, 0.0))
+    return np.broadcast_to(bias_cm, (len(problem.some),))
 
 
 def _is_unlikely(form: CandidateCurve, asked: int) -> bool:

@@ -5,14 +5,15 @@ runs: on the runs on which an effect was selected it looks larger than it is.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from msp_lab.gap import experiment, rules
-from msp_lab.gap.candidates import Key
+from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
@@ -21,6 +22,8 @@ from msp_lab.gap.problem import Problem, State
 from msp_lab.gap.refit import JointFit, knot_weights
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
@@ -80,20 +83,27 @@ def found_terms(
         place = own.stop
         gained = validated.gains[term.key]
         if active.shape is not None:
-            unknown.append(_unknown_effect(active, held_out.widened[own, own], gained, held_out.readings))
+            found = _unknown_effect(active, held_out.widened[own, own], gained, held_out.readings)
+            unknown.append(replace(found, likely_causes=_likely_causes(problem, found)))
             continue
         near = alternatives.get(term.key, ())
         values = _values(active, held_out.half_widths[own])
+        if term.candidate is not None:
+            name, neutral = term.candidate.parameter.name, term.candidate.neutral
+            low, high = values[name].low, values[name].high
+            if low is not None and high is not None and low <= neutral <= high:
+                values[name] = _by_likelihood(term, active, held_out)
         base = active.effect.base
         if base is not None and not near:
             number = next(iter(values.values()))
             if number.low is not None and number.high is not None and not number.low <= 0.0 <= number.high:
                 calibration.append(_calibration(base, 0.0, number.value, number.low, number.high, number.unit))
             continue
+        doubt = _doubt(term, values)
         effects.append(
             FoundEffect(
                 active.effect.name,
-                "indistinguishable" if near else "named",
+                "suggested" if doubt else "indistinguishable" if near else "named",
                 values,
                 gained.nats_per_reading,
                 gained.z or None,
@@ -103,9 +113,65 @@ def found_terms(
                 ),
                 experiment.to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
                 active.of,
+                doubt,
             )
         )
     return effects, unknown, calibration
+
+
+def _by_likelihood(term: SelectedTerm, active: Term, held_out: HeldOutFit) -> FittedValue:
+    """A strength with the interval in which the likelihood falls by no more than that of 95 %, all else held.
+
+    For a strength whose standard error says nothing: odds that are as good as 0 or 1 do not change with it any more.
+    """
+    assert term.candidate is not None
+    parameter, neutral = term.candidate.parameter, term.candidate.neutral
+    value = active.values[parameter.name]
+    grid = np.unique(
+        np.clip(
+            neutral + (value - neutral) * np.append(np.geomspace(0.01, 10.0, 40), 0.0), parameter.low, parameter.high
+        )
+    )
+    k = held_out.fit.effects.index(active)
+    heights = []
+    for each in grid:
+        changed = replace(active, values={**active.values, parameter.name: float(each)})
+        effects = [*held_out.fit.effects[:k], changed, *held_out.fit.effects[k + 1 :]]
+        heights.append(float(held_out.readings.log_prob(held_out.fit.base, effects).sum()))
+    inside = grid[np.array(heights) > max(heights) - 0.5 * held_out.width**2]
+    return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
+
+
+def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
+    """Why an effect is only suggested; empty where it is a finding."""
+    assert term.candidate is not None
+    parameter = term.candidate.parameter
+    found = values[parameter.name]
+    neutral = term.candidate.neutral
+    near = 1e-3 * (parameter.high - parameter.low)
+    at_bound = min(found.value - parameter.low, parameter.high - found.value) < near
+    if found.low is None or found.high is None or (at_bound and abs(found.value - neutral) > near):
+        return f"{parameter.name} is at its bound, {found.value:.3g}"
+    if found.low <= neutral <= found.high:
+        return f"on held-out runs {parameter.name} may be {neutral:g} ({found.low:.3g} to {found.high:.3g})"
+    if parameter.physical_low is not None and found.value < parameter.physical_low:
+        causes = " or ".join(term.active.effect.equivalent_causes)
+        return f"{parameter.name} cannot be {found.value:.3g}: {causes or 'another cause'} would explain it"
+    return ""
+
+
+def _likely_causes(problem: Problem, unknown: UnknownEffect) -> tuple[tuple[str, str], ...]:
+    """Effects that lack one column and depend on the variables of an unknown effect, with that column."""
+    found = []
+    for name, absent in problem.untestable:
+        effect = CATALOGUE[name]
+        reaches = unknown.channel in effect.channels or (
+            "component" in effect.channels and unknown.channel in ("short", "random")
+        )
+        special = set(unknown.variables) - {TRUE_RANGE}
+        if len(absent) == 1 and reaches and special and special <= effect.columns:
+            found.append((name, absent[0]))
+    return tuple(found)
 
 
 def _values(active: Term, half_widths: _Array) -> dict[str, FittedValue]:
@@ -127,7 +193,10 @@ def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepa
     values = about_mean @ np.array(list(active.values.values()))
     half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
     if len(variables) > 1:
-        return UnknownEffect(channel, variables, "", gained.nats_per_reading)
+        text = (
+            f"a table of {len(values)} values over {' and '.join(variables)}, {values.min():.3g} to {values.max():.3g}"
+        )
+        return UnknownEffect(channel, variables, text, gained.nats_per_reading)
     if isinstance(knots[0][0], str):
         text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
         return UnknownEffect(channel, variables, text, gained.nats_per_reading)
@@ -147,25 +216,34 @@ def calibrated(problem: Problem, state: State, training: JointFit, held_out: Hel
     # The shares' sum, which is 1 again in the file.
     total = shares.hit + float(np.array([shares.short, shares.missed, shares.random]) @ np.exp(base[2:5]))
     found = []
-    names = ("offset_cm", "sigma_cm", "weights.short", "weights.missed", "weights.random", "short_rate_per_m")
-    given = (0.0, mixture.sigma_cm, shares.short, shares.missed, shares.random, mixture.short_rate_per_m)
-    numbers = [
-        *enumerate(zip(names, given, strict=True)),
-        (BASE.index("correlation"), ("correlation", mixture.correlation)),
-    ]
-    for k, (name, before) in numbers:
+    given = {
+        "offset_cm": 0.0,
+        "sigma_cm": mixture.sigma_cm,
+        "weights.short": shares.short,
+        "weights.missed": shares.missed,
+        "weights.random": shares.random,
+        "short_rate_per_m": mixture.short_rate_per_m,
+        "saturated_fraction": mixture.saturated_fraction,
+        "correlation": mixture.correlation,
+    }
+    for k, (name, before) in enumerate(given.items()):
         error = float(np.sqrt(max(covariance[k, k], 0.0) / problem.scale))
         z = float(training.base[k] / error) if error > 0.0 else 0.0
         if abs(z) < rules.CALIBRATION_Z or np.sign(training.base[k]) != np.sign(base[k]):
             continue
         half = held_out.half_widths[k]
-        number = _times(before / total if name.startswith("weights") else before)
-        if name in ("offset_cm", "correlation"):
-            number = before.__add__
+        number: Callable[[float], float] = _times(before / total if name.startswith("weights") else before)
+        if name in ("offset_cm", "saturated_fraction", "correlation"):
+            number = partial(_plus, before)
         value, low, high = (number(float(each)) for each in (base[k], base[k] - half, base[k] + half))
-        if not low <= before <= high:
+        # What rounds to the given value is that value.
+        if not low <= before <= high and f"{value:.2g}" != f"{before:.2g}":
             found.append(_calibration(name, before, value, low, high, UNITS.get(name, "1")))
     return found
+
+
+def _plus(before: float, change: float) -> float:
+    return before + change
 
 
 def _times(before: float) -> Callable[[float], float]:

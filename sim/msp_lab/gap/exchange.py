@@ -1,7 +1,7 @@
 """Which selected terms stay, and which candidates do as well in their place.
 
-A state enters, a better one leaves, and for each term its alternatives: candidates that gain as much after a refit of
-their own and that these data cannot tell from it.
+A state enters, a better one leaves, and for each term its alternatives: candidates that gain nearly as much after a
+refit of their own.
 """
 
 from collections.abc import Sequence
@@ -137,9 +137,7 @@ def _in_its_place(
     return None, tuple(
         AlternativeTerm(other.term.active, float(own - gain(other.fit)), correlation, separation)
         for other, correlation, separation in zip(others, correlations, separations, strict=True)
-        if own - gain(other.fit) <= rules.ALTERNATIVE_NATS
-        and separation < rules.SEPARABLE_Z
-        and other.term.active.effect.name != term.active.effect.name
+        if own - gain(other.fit) <= rules.ALTERNATIVE_NATS and other.term.active.effect.name != term.active.effect.name
     )
 
 
@@ -148,7 +146,9 @@ def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[fl
     left = []
     for fit, k, term in fits:
         assert term.candidate is not None
-        others = fit.scores[:, [not name.startswith(f"{k}.") for name in fit.names]]
+        others = fit.scores[
+            :, [not (name.startswith(f"{k}.") or held) for name, held in zip(fit.names, fit.held, strict=True)]
+        ]
         basis = np.linalg.qr(others[:, np.any(others != 0.0, axis=0)])[0]
         own = fit.scores[:, fit.names.index(f"{k}.{term.candidate.parameter.name}")]
         rest = own - basis @ (basis.T @ own)

@@ -21,7 +21,7 @@ LARGEST_BYTES = 64 * 2**20
 """A larger file was not written by the gap workflow, whose files have 0.1 to 1 MB."""
 
 Verdict: TypeAlias = Literal["nothing missing", "explained", "partly explained", "unexplained"]
-Kind: TypeAlias = Literal["named", "indistinguishable", "unknown"]
+Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,8 @@ class FoundEffect:
     name, of
         As in a model file; `of` is the sensor, run or target that it is of.
     verdict
-        named: no other effect of the catalogue does as well; indistinguishable: the alternatives do.
+        named: no other effect of the catalogue does as well; indistinguishable: the alternatives do;
+        suggested: it is no finding, for the reason in `doubt`.
     parameters
         By name, from held-out readings.
     gain_nats
@@ -138,6 +139,8 @@ class FoundEffect:
         Other names that these data cannot tell from it.
     experiment
         What would tell them apart, or what would show it alone.
+    doubt
+        Why it is only suggested.
     """
 
     name: str
@@ -148,6 +151,7 @@ class FoundEffect:
     alternatives: tuple[Alternative, ...] = ()
     experiment: str = ""
     of: str | None = None
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -163,9 +167,11 @@ class UnknownEffect:
     formula
         Short, in the variables.
     gain_nats
-        Gain in log score a reading on the confirming readings [nat].
+        Gain in log score per reading on held-out readings [nat].
     curve
         Points of its curve, for drawing: value of the variable, effect, ends of its band.
+    likely_causes
+        Effects of the catalogue that depend on the same, and the one column that each of them lacks.
     """
 
     channel: str
@@ -173,6 +179,7 @@ class UnknownEffect:
     formula: str
     gain_nats: float | None
     curve: tuple[tuple[float, float, float, float], ...] = ()
+    likely_causes: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ def headline(findings: GapFindings) -> str:
     named = [
         " or ".join([effect_label(each.name, each.of), *(effect_label(one.name, one.of) for one in each.alternatives)])
         for each in findings.effects
+        if each.verdict != "suggested"
     ]
     named += [
         f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"

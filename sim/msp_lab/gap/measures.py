@@ -150,7 +150,7 @@ def replicates(
         totals.append(total)
         information = information + outer / count
         # Replicates show what the model itself lets runs share.
-        shared = unit_variance(scores[stack.readings], readings.unit, stack, scores) if depends else None
+        shared = unit_variance(scores[stack.readings], readings.unit, stack, scores)[0] if depends else None
         variances.append(shared)
 
     def fits(totals: Iterable[_Array], variances: Iterable[_Array | None]) -> list[CellFits]:

@@ -17,7 +17,7 @@ from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats
-from msp_lab.gap.prepared import CHANNELS, Prepared
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
@@ -206,7 +206,8 @@ def screened(problem: Problem, state: State, by_run: bool | None = None) -> Scre
         state.information,
         problem.some.spacing_s,
     )
-    return screen(sums, state.information, problem.candidates, accepted, by_run, problem.alpha, problem.rng)
+    free = ~state.fit.held[: len(BASE)]
+    return screen(sums, state.information, problem.candidates, accepted, free, by_run, problem.alpha, problem.rng)
 
 
 def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
@@ -323,4 +324,5 @@ def free_curves(
 ) -> list[CandidateCurve]:
     """Curves that explain what is left, the least likely by chance first."""
     unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
-    return curve_scan.scan(problem.curves, state.fit.scores, state.fit.here.shares, unit, channels)
+    fit = state.fit
+    return curve_scan.scan(problem.curves, fit.here.by, fit.scores[:, ~fit.held], fit.here.shares, unit, channels)

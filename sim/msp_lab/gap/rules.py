@@ -239,6 +239,11 @@ FORM_P_FACTOR = 0.1
 """A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
 right names become unknown."""
 
+CANCEL_SHARE = 0.5
+"""Two effects whose sum varies by less than this share of the smaller one cancel, and are one curve. A bend of 11 %
+with a scale of -10 % stands for a curve of 1 %, and neither number means anything. Higher: two right effects of
+opposite signs become a curve."""
+
 # Exchange, alternatives, elimination.
 
 EXCHANGE_TURNS = 3

@@ -25,6 +25,8 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     says. Where they are missing, the spread within runs is as it says, and the whole is larger.
     """
     left = problem.dependence(fit)
+    if problem.runs < rules.MIN_RUNS:
+        return 0.0
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
@@ -81,7 +83,9 @@ def validated_run_offsets(
     # 95 % interval of a likelihood: half of chi-squared's 3.84.
     inside = grid[height > height.max() - 1.92]
     effect = CATALOGUE["run_offsets"]
-    value = FittedValue(float(grid[height.argmax()]), float(inside[0]), float(inside[-1]), "cm")
+    # One value in sentence and file: that of the training runs, which was validated.
+    low, high = min(float(inside[0]), deviation_cm), max(float(inside[-1]), deviation_cm)
+    value = FittedValue(deviation_cm, low, high, "cm")
     found = FoundEffect(
         effect.name,
         "named",

@@ -259,6 +259,7 @@ def screen(
     information: _Array,
     candidates: Sequence[CandidateEffect],
     accepted: Sequence[int],
+    free: NDArray[np.bool_],
     by_run: bool,
     alpha: float,
     rng: np.random.Generator,
@@ -275,13 +276,16 @@ def screen(
         What is tested.
     accepted
         Places of those that the model has: nuisance for the others.
+    free
+        Numbers of the base that are free at the fit, (7,). One that is held at a bound has a score sum that is not 0,
+        so that projecting on it would remove evidence.
     by_run
         Whether the unit is the run.
     alpha, rng
         Of the critical value.
     """
     nb, count = len(BASE), len(candidates)
-    nuisance = np.array([*range(nb), *(nb + j for j in accepted)])
+    nuisance = np.array([*np.flatnonzero(free), *(nb + j for j in accepted)])
     others = np.arange(nb, nb + count)
     cross = _projection(information, nuisance, others)
     efficient = information[np.ix_(others, others)] - cross @ information[np.ix_(nuisance, others)]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves
+from msp_lab.gap.curves import add_curves, merge_cancelling
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
     CandidateFit,
@@ -77,7 +77,7 @@ def settled(problem: Problem, selection: Selection) -> Selection:
     needed = selection.needed_nats
     state = compete_with_tails(problem, selection.state, needed)
     state, alternatives = exchange(problem, state, needed)
-    state = eliminate(problem, state, needed)
+    state = merge_cancelling(problem, eliminate(problem, state, needed))
     return replace(
         selection,
         state=state,

@@ -50,6 +50,12 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
     for each in findings.effects:
         if each.alternatives and each.experiment:
             out.print(capitalised(each.experiment), highlight=False)
+        if each.doubt:
+            out.print(f"{each.name} is suggested and no finding: {each.doubt}", highlight=False)
+    for unknown in findings.unknown:
+        for name, column in unknown.likely_causes:
+            text = f"{name} needs {column} and depends on {' and '.join(unknown.variables)} too: a likely cause"
+            out.print(text, highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"

@@ -68,7 +68,8 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
     closed = is_closed(findings, model)
     if not findings.effects and not findings.unknown:
         return "nothing missing" if closed else "unexplained"
-    if closed:
+    sure = findings.unknown or any(each.verdict != "suggested" for each in findings.effects)
+    if closed and sure:
         return "explained"
     gap = findings.gap
     assert gap is not None
@@ -87,7 +88,9 @@ def sentence(findings: GapFindings) -> str:
     }[findings.verdict]
     if findings.verdict is None and (findings.effects or findings.unknown):
         text = "Named, not yet added"
-    parts = [*(_effect_words(each) for each in findings.effects), *(_unknown_words(each) for each in findings.unknown)]
+    sure = [each for each in findings.effects if each.verdict != "suggested"]
+    parts = [*(_effect_words(each) for each in sure), *(_unknown_words(each) for each in findings.unknown)]
+    parts += [f"suggested, no finding: {_effect_words(each)}" for each in findings.effects if each not in sure]
     if parts:
         text += ": " + "; ".join(parts)
     gap = findings.gap

@@ -21,4 +21,5 @@ AIR_TEMPERATURE = Effect(
     channels=("bias",),
     experiment="the same target at 0 and at 30 deg C: readings differ by 5 % of the range",
     apply=_apply,
+    media=("sound",),
 )

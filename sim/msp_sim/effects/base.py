@@ -50,6 +50,8 @@ class Parameter:
         A small change, for numeric derivatives.
     power
         Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero.
+    physical_low
+        A fit below this means another cause: an age below 0 is that of the reference. None: no such limit.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
     step: float = 1e-3
     power: int = 1
+    physical_low: float | None = None
 
 
 class Scene:
@@ -186,6 +189,8 @@ class Effect:
         Parameter of the sensor model with the same meaning; adding the effect is then calibration.
     equivalent_causes
         Other causes that change every reading in the same way.
+    media
+        What the sensors range with that it happens to.
     """
 
     name: str
@@ -201,6 +206,7 @@ class Effect:
     per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None
     equivalent_causes: tuple[str, ...] = ()
+    media: tuple[Literal["sound", "light"], ...] = ("sound", "light")
 
     @property
     def columns(self) -> frozenset[str]:

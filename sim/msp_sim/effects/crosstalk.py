@@ -29,5 +29,6 @@ CROSSTALK = Effect(
     channels=("component",),
     experiment="two sensors side by side, pinged together and then in turn",
     apply=_apply,
+    media=("sound",),
     optional=("true_range_cm",),
 )

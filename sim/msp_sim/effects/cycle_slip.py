@@ -25,4 +25,5 @@ CYCLE_SLIP = Effect(
     channels=("component",),
     experiment="a histogram of ten thousand readings of one target: a second peak next to the first",
     apply=_apply,
+    media=("sound",),
 )

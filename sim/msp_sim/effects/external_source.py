@@ -56,5 +56,6 @@ EXTERNAL_SOURCE = Effect(
     channels=("component",),
     experiment="a 42 kHz transmitter on and off, at three distances",
     apply=_apply,
+    media=("sound",),
     optional=("true_range_cm", "external_frequency_khz"),
 )

@@ -49,4 +49,5 @@ HOT_BOX = Effect(
     channels=("bias",),
     experiment="sensor in a warm box, target outside, ranges below and above the box's length",
     apply=_apply,
+    media=("sound",),
 )

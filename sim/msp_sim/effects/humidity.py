@@ -28,4 +28,5 @@ HUMIDITY = Effect(
     channels=("bias",),
     experiment="a room at 30 deg C, first dry and then with wet cloths: readings differ by 0.5 % of the range",
     apply=_apply,
+    media=("sound",),
 )

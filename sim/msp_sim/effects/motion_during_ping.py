@@ -27,5 +27,6 @@ MOTION_DURING_PING = Effect(
     channels=("bias",),
     experiment="climb and descend fast at 1 m and at 5 m: this lag grows with range, that of latency does not",
     apply=_apply,
+    media=("sound",),
     optional=("air_temperature_c",),
 )

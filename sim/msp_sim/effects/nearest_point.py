@@ -24,4 +24,5 @@ NEAREST_POINT = Effect(
     channels=("bias",),
     experiment="gravel at angles below and beyond the breakaway angle: no error below, growing beyond",
     apply=_apply,
+    media=("sound",),
 )

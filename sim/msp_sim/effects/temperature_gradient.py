@@ -26,4 +26,5 @@ TEMPERATURE_GRADIENT = Effect(
     channels=("bias",),
     experiment="hot asphalt at noon and cool asphalt in the morning, thermometers at sensor and ground",
     apply=_apply,
+    media=("sound",),
 )

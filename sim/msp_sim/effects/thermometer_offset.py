@@ -23,5 +23,6 @@ THERMOMETER_OFFSET = Effect(
     channels=("bias",),
     experiment="a second thermometer in the shade next to the first",
     apply=_apply,
+    media=("sound",),
     equivalent_causes=("range_scale, unless the temperature varies by tens of degrees",),
 )

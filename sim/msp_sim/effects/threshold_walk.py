@@ -30,11 +30,12 @@ THRESHOLD_WALK = Effect(
     ),
     source="time walk of leading-edge discriminators; levels: msp_range.acoustics",
     parameters=(
-        Parameter("walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker", -5.0, 5.0),
+        Parameter("walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker", 0.0, 5.0),
     ),
     requires=("true_range_cm",),
     channels=("bias",),
     experiment="a carpet and a plate at the same range, one after the other: the carpet gives the larger reading",
     apply=_apply,
+    media=("sound",),
     optional=("incidence_deg",),
 )

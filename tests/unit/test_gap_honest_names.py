@@ -1,0 +1,117 @@
+"""What is called a finding: nothing that may be nothing, no impossible sign, no cancelling pair, no sound of light."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_lab.gap.candidates import candidates_of
+from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.problem import Problem, first_state, free_curves, screened
+from msp_lab.gap.refit import refit
+from msp_lab.gap.runs import numbered, split
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.model.model import Model
+from tests.support.measured import MODEL as FILE
+from tests.support.measured import ROOT, sensor
+
+Array = NDArray[np.float64]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+N, RUNS = 2000, 20
+
+
+def flown(seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    return {
+        "time_s": 0.1 * np.arange(N),
+        "sensor": np.full(N, "front"),
+        "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
+        "true_range_cm": rng.uniform(60.0, 350.0, N),
+        "range_rate_cm_s": 60.0 * rng.standard_normal(N),
+        "neighbour_lag_ms": rng.uniform(0.0, 50.0, N),
+        "throttle": rng.uniform(0.2, 0.9, N),
+    }
+
+
+def read(contexts: dict[str, Any], seed: int, bias_cm: Array | float = 0.0, **changes: float) -> Array:
+    return np.array(sensor(**changes).readings((contexts["true_range_cm"] + bias_cm).tolist(), seed))
+
+
+def named(contexts: dict[str, Any], reading_cm: Array, model: Model = MODEL) -> NamedModel:
+    rng = np.random.default_rng(1)
+    return name_effects(model, contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+
+
+def test_readings_from_the_future_are_suggested_and_no_finding() -> None:
+    contexts = flown(1)
+    found = named(contexts, read(contexts, 1, 0.02 * contexts["range_rate_cm_s"]))
+    (effect,) = [each for each in found.effects if each.name == "latency"]
+    assert effect.verdict == "suggested"
+    assert "delay_ms cannot be -2" in effect.doubt
+    assert "reference's delay" in effect.doubt
+
+
+def test_what_held_out_runs_leave_open_is_suggested() -> None:
+    """An effect that half of the runs have: the others say that it may be nothing, or that it is not there."""
+    contexts = flown(4)
+    reading_cm = read(contexts, 4)
+    parts = split(contexts, reading_cm, np.random.default_rng(1))
+    delay_s = np.where(parts.held_out, 0.0012, 0.02)
+    found = named(contexts, read(contexts, 4, -delay_s * contexts["range_rate_cm_s"]))
+    for each in found.effects:
+        value = each.parameters["delay_ms"]
+        if value.low <= 0.0 <= value.high:
+            assert each.verdict == "suggested"
+            assert "may be 0" in each.doubt
+
+
+def test_light_is_not_asked_for_sound() -> None:
+    contexts = flown(1) | {"air_temperature_c": np.random.default_rng(1).uniform(0.0, 30.0, N)}
+    ranger = Model.of(load_sensor_model(ROOT / "configs" / "sensors" / "tof_ranger.yaml"))
+    asked = {each.effect.name for each in candidates_of(ranger, contexts)[0]}
+    heard = {each.effect.name for each in candidates_of(MODEL, contexts)[0]}
+    assert {"air_temperature", "threshold_walk", "cycle_slip", "motion_during_ping"} <= heard
+    assert not {"air_temperature", "threshold_walk", "cycle_slip", "motion_during_ping", "thermometer_offset"} & asked
+    assert {"latency", "range_scale", "bend"} <= asked
+
+
+def test_what_lacks_one_column_is_a_likely_cause_of_the_curve() -> None:
+    contexts = flown(6)
+    lag_ms = contexts["neighbour_lag_ms"]
+    reading_cm = read(contexts, 6)
+    heard = (np.random.default_rng([6, 1]).random(N) < 0.4) & (lag_ms > 10.0) & (lag_ms < 18.0)
+    reading_cm = np.where(heard, np.rint(0.5 * contexts["true_range_cm"]), reading_cm)
+    found = named(contexts, reading_cm)
+    curves = [each for each in found.unknown if each.variables == ("neighbour_lag_ms",)]
+    assert curves
+    assert ("crosstalk", "neighbour_range_cm") in curves[0].likely_causes
+
+
+@pytest.mark.parametrize("cut_cm", [150.0])
+def test_two_effects_that_cancel_are_one_curve(cut_cm: float) -> None:
+    contexts = flown(7)
+    range_cm = contexts["true_range_cm"]
+    bias_cm = np.where(range_cm < cut_cm, 0.0, 3.0 * np.sin((range_cm - cut_cm) / 40.0))
+    found = named(contexts, read(contexts, 7, bias_cm))
+    names = {each.name for each in found.effects}
+    assert not {"bend", "range_scale"} <= names
+    assert [each.variables for each in found.unknown] == [("true_range_cm",)]
+
+
+def test_a_number_that_is_held_at_its_bound_removes_no_evidence() -> None:
+    """No reading is 255, so the saturated share ends at its bound; missed readings stand out all the same."""
+    contexts = flown(8)
+    reading_cm = read(contexts, 8, second_share=0.0)
+    reading_cm[reading_cm == 255.0] = 256.0
+    lost = (contexts["throttle"] > 0.6) & (np.random.default_rng([8, 1]).random(N) < 0.08)
+    reading_cm[lost] = 765.0
+    prepared = Prepared.of(MODEL, contexts, reading_cm)
+    assert refit(prepared, []).held[BASE.index("saturated")]
+    problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), np.random.default_rng(1))
+    state = first_state(problem)
+    (best, *_) = free_curves(problem, state, ("missed",))
+    assert best.variables == ("throttle",)
+    assert best.gain > 30.0
+    assert screened(problem, state).largest >= 0.0
