@@ -20,7 +20,7 @@ NUMBERS = "gap.json"
 LARGEST_BYTES = 64 * 2**20
 """A larger file was not written by the gap workflow, whose files have 0.1 to 1 MB."""
 
-Verdict: TypeAlias = Literal["nothing missing", "explained", "partly explained", "unexplained"]
+Verdict: TypeAlias = Literal["nothing missing", "explained", "improved", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
 
 

@@ -23,6 +23,8 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
+SLOW = ("air_temperature_c", "target_temperature_c", "humidity_pct", "uptime_s")
+"""Columns that change little between neighbouring readings, so that a blank cell is known from those around it."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,13 @@ def read_readings(
         ReadingsFile(str(path), each.sha256, each.rows) for path, each in zip(paths, loaded.sources, strict=True)
     )
     data, left_out = _compared_rows(data)
+    data, copies = _without_copies(data)
+    data, filled = _filled(data)
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
     constant = _constant(data)
-    messages = (*loaded.messages, *left_out, *_about_contexts(constant), *_about_runs(data["run"]))
+    messages = (*loaded.messages, *left_out, *copies, *filled, *_suspicious(data))
+    messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"]))
     return Readings(data, sources, (*calibration, *codes), messages, constant)
 
 
@@ -97,6 +102,69 @@ def _compared_rows(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
         messages.append(f"{(lost & ~silent).sum()} readings have no true range and are left out.")
     kept = ~(silent | lost)
     return (data if kept.all() else data.select(kept)), messages
+
+
+def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
+    """Leave out runs whose readings and true ranges are all those of another run: they would validate themselves."""
+    first: dict[bytes, str] = {}
+    messages, kept = [], np.ones(len(data), dtype=bool)
+    for run in np.unique(data["run"]).tolist():
+        rows = np.flatnonzero(data["run"] == run)
+        content = data["reading_cm"][rows].tobytes() + data["true_range_cm"][rows].tobytes()
+        if rows.size >= rules.MIN_COPIED and content in first:
+            kept[rows] = False
+            messages.append(f"Run {run} has the readings of run {first[content]} and is left out.")
+        first.setdefault(content, run)
+    return (data if kept.all() else data.select(kept)), messages
+
+
+def _filled(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
+    """Fill blank cells of what changes slowly from those before and after them in the run; other blanks stay."""
+    columns, messages = dict(data.columns), []
+    for name in SLOW:
+        if name not in columns or not np.isnan(columns[name]).any():
+            continue
+        column, count = columns[name].copy(), 0
+        for run in np.unique(data["run"]):
+            rows = np.flatnonzero(data["run"] == run)
+            known = rows[~np.isnan(column[rows])]
+            blank = rows[np.isnan(column[rows])]
+            if known.size >= rules.MIN_KNOWN_SHARE * rows.size and blank.size:
+                order = known[np.argsort(data["time_s"][known], kind="stable")]
+                column[blank] = np.interp(data["time_s"][blank], data["time_s"][order], column[order])
+                count += blank.size
+        if count:
+            columns[name] = column
+            messages.append(f"{name}: {count} blank cells are interpolated in time from the others of their run.")
+    return MeasuredData(columns), messages
+
+
+def _suspicious(data: MeasuredData) -> list[str]:
+    """What looks like another unit or another direction of time."""
+    found = []
+    if "incidence_deg" in data:
+        angle = np.abs(data["incidence_deg"][~np.isnan(data["incidence_deg"])])
+        if angle.size and 0.05 < float(angle.max()) <= np.pi / 2.0:
+            found.append(
+                f"incidence_deg is at most {float(angle.max()):.2f}: if it is in radians, convert it with --map."
+            )
+    if "range_rate_cm_s" in data and len(data) > rules.MIN_COPIED:
+        same = (data["run"][1:] == data["run"][:-1]) & (data["sensor"][1:] == data["sensor"][:-1])
+        step_s = np.diff(data["time_s"])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(data["true_range_cm"]) / step_s
+        rate = data["range_rate_cm_s"][1:]
+        known = same & (step_s > 0.0) & (step_s < 1.0) & np.isfinite(slope) & np.isfinite(rate)
+        if known.sum() > rules.MIN_COPIED and _correlation(slope[known], rate[known]) < rules.BACKWARDS:
+            found.append(
+                "true_range_cm falls where range_rate_cm_s is positive: time runs backwards or the sign is wrong."
+            )
+    return found
+
+
+def _correlation(one: NDArray[Any], other: NDArray[Any]) -> float:
+    varies = np.std(one) > 0.0 and np.std(other) > 0.0
+    return float(np.corrcoef(one, other)[0, 1]) if varies else 0.0
 
 
 def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:

@@ -69,9 +69,11 @@ def slice_label(where: str) -> str:
 
 def headline(findings: GapFindings) -> str:
     """The verdict and the names, in a few words."""
-    text = {"nothing missing": "Nothing is missing", None: "Readings against the model"}.get(
-        findings.verdict, f"The gap is {findings.verdict}"
-    )
+    text = {
+        "nothing missing": "Nothing is missing",
+        None: "Readings against the model",
+        "improved": "A small gap is smaller",
+    }.get(findings.verdict, f"The gap is {findings.verdict}")
     named = [
         " or ".join([effect_label(each.name, each.of), *(effect_label(one.name, one.of) for one in each.alternatives)])
         for each in findings.effects

@@ -133,6 +133,7 @@ def refit(
     effects: Sequence[Term],
     start: _Array | None = None,
     rounds: int = ROUNDS,
+    fit_effects: bool = True,
 ) -> JointFit:
     """Fit base and effects together.
 
@@ -146,10 +147,12 @@ def refit(
         Of the base; the given model's unless given.
     rounds
         At most.
+    fit_effects
+        False: the effects keep their values, and only the base is fitted.
     """
     base = np.zeros(len(BASE)) if start is None else start.copy()
     effects = [_off_neutral(each) for each in effects]
-    numbers = free_numbers(effects)
+    numbers = free_numbers(effects) if fit_effects else []
     nb = len(BASE)
     low = np.concatenate([-rules.BASE_BOUND, [p.low for _, p in numbers]])
     high = np.concatenate([rules.BASE_BOUND, [p.high for _, p in numbers]])

@@ -60,6 +60,17 @@ COARSE_SHARE = 0.99
 """Readings are on a coarser grid if this share of them is a multiple of its step. The rest are codes and outliers that
 pass a filter. Lower: chance makes a grid of few readings."""
 
+MIN_COPIED = 20
+"""Two runs of at least so many equal readings and true ranges are copies of one. Independent noise of one centimetre
+repeats 20 readings in fewer than one case of 1e9. Fewer: short runs at one place are dropped as copies."""
+BACKWARDS = -0.5
+"""A rate of the range that correlates with the true range's change by less is reported as backwards. Right ones
+correlate by nearly 1 and unrelated ones by 0. It changes a message and nothing else."""
+MIN_KNOWN_SHARE = 0.3
+"""Blank cells of a slow column are interpolated in runs that have this share of it. With fewer the neighbours are too
+far; without interpolation an effect that needs the column does nothing on blank rows, and 30 % of blanks hid a
+temperature. Higher: more rows count as without the effect."""
+
 # Cells of context, and the free fit of five numbers in each.
 
 MAX_BINS = 12
@@ -292,6 +303,10 @@ VALIDATED_Z = 0.5
 of the selection's alpha; tuned on the blind tables. Higher: weak right names are lost."""
 VALIDATED_NATS = 2.0
 """And if it gains so much in all. The smallest gain of a term of 2 standard errors. Higher: as above."""
+ROW_NATS = 5.0
+"""A held-out reading counts for at most so many nats for or against a term. A hit that becomes a random reading loses
+about 8; nine such rows of 700 removed a true slant range. Lower: effects that explain rare readings need more of them;
+higher: single rows decide."""
 HELD_OUT_ROWS = 60_000
 """Validation uses every k-th held-out reading beyond so many. Three times the training's. More: slower."""
 CALIBRATION_Z = 4.0

@@ -13,7 +13,13 @@ from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import PlainConsole, console
 from msp_sim.terminal import Bar
 
-COLOURS = {"nothing missing": "green", "explained": "green", "partly explained": "yellow", "unexplained": "red"}
+COLOURS = {
+    "nothing missing": "green",
+    "explained": "green",
+    "improved": "green",
+    "partly explained": "yellow",
+    "unexplained": "red",
+}
 SLICES = 5
 
 

@@ -55,6 +55,14 @@ def is_closed(findings: GapFindings, model: Model) -> bool:
     return not added and all(_within(measures[key].before, bound) for key, bound in limits.items())
 
 
+def _was_closed(findings: GapFindings, model: Model) -> bool:
+    """Whether the gap of the given model was within the bounds already."""
+    gap = findings.gap
+    assert gap is not None
+    limits = bounds(findings, model)
+    return all(_within(getattr(gap, key).before, limit) for key, limit in limits.items())
+
+
 def verdict(findings: GapFindings, model: Model) -> Verdict:
     """What the findings amount to.
 
@@ -70,7 +78,7 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
         return "nothing missing" if closed else "unexplained"
     sure = findings.unknown or any(each.verdict != "suggested" for each in findings.effects)
     if closed and sure:
-        return "explained"
+        return "improved" if _was_closed(findings, model) else "explained"
     gap = findings.gap
     assert gap is not None
     before, after = gap.nats_per_reading.before or 0.0, gap.nats_per_reading.after or 0.0
@@ -82,6 +90,7 @@ def sentence(findings: GapFindings) -> str:
     text = {
         "nothing missing": "Nothing is missing",
         "explained": "The gap is explained",
+        "improved": "The gap was within its bounds and is smaller now",
         "partly explained": "The gap is partly explained",
         "unexplained": "There is a gap that no effect explains",
         None: "Compared, not yet named",

@@ -1,0 +1,112 @@
+"""A few strange rows, blank cells, copies and causes that do not vary change no answer, or are reported."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures
+from msp_lab.gap.intake import read_readings
+from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.runs import split
+from msp_lab.gap.verdict import verdict
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.csv_form import write_csv
+from msp_sim.model.model import Model
+from tests.support.measured import MODEL as FILE
+from tests.support.measured import sensor
+from tests.unit.test_gap_findings import EFFECT
+
+Array = NDArray[np.float64]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+N, RUNS = 1400, 14
+
+
+def flown(seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    run = np.arange(N) * RUNS // N
+    return {
+        "time_s": 0.1 * np.arange(N),
+        "sensor": np.full(N, "front"),
+        "run": np.array([f"run{k:02d}" for k in run]),
+        "true_range_cm": rng.uniform(60.0, 350.0, N),
+        "incidence_deg": rng.uniform(0.0, 20.0, N),
+        "air_temperature_c": np.round(rng.uniform(0.0, 35.0, RUNS)[run], 1),
+    }
+
+
+def read(contexts: dict[str, Any], seed: int, bias_cm: Array | float = 0.0) -> Array:
+    return np.array(sensor().readings((contexts["true_range_cm"] + bias_cm).tolist(), seed))
+
+
+def named(contexts: dict[str, Any], reading_cm: Array) -> NamedModel:
+    rng = np.random.default_rng(1)
+    return name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+
+
+def names(found: NamedModel) -> set[str]:
+    return {each.name for each in found.effects} | {one.name for each in found.effects for one in each.alternatives}
+
+
+def test_nine_rows_do_not_remove_slant_range() -> None:
+    contexts = flown(1)
+    slant_cm = contexts["true_range_cm"] * (1.0 / np.cos(np.radians(contexts["incidence_deg"])) - 1.0)
+    reading_cm = read(contexts, 1, slant_cm)
+    held_out = np.flatnonzero(split(contexts, reading_cm, np.random.default_rng(1)).held_out)
+    strange = np.random.default_rng([1, 1]).choice(held_out, 9, replace=False)
+    # At a tilt where the effect is largest, and read as if there were none.
+    contexts["incidence_deg"][strange] = 25.0
+    reading_cm[strange] = np.rint(contexts["true_range_cm"][strange])
+    assert "slant_range" in names(named(contexts, reading_cm))
+
+
+def test_a_temperature_with_blank_cells_is_named_as_without(tmp_path: Path) -> None:
+    contexts = flown(2)
+    reading_cm = read(contexts, 2, contexts["true_range_cm"] * (22.5 - contexts["air_temperature_c"]) * 0.0017)
+    contexts["air_temperature_c"][np.random.default_rng([2, 1]).random(N) < 0.3] = np.nan
+    write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": reading_cm})
+    readings = read_readings([tmp_path / "flights.csv"], MODEL)
+    assert any("blank cells are interpolated" in each for each in readings.messages)
+    columns = dict(readings.data.columns)
+    assert "air_temperature" in names(named(columns, columns.pop("reading_cm")))
+
+
+def test_copies_radians_and_backward_time_are_reported(tmp_path: Path) -> None:
+    contexts = flown(3)
+    reading_cm = read(contexts, 3)
+    last, first = contexts["run"] == "run13", contexts["run"] == "run00"
+    for name in ("true_range_cm",):
+        contexts[name][last] = contexts[name][first]
+    reading_cm[last] = reading_cm[first]
+    contexts["incidence_deg"] = np.radians(contexts["incidence_deg"])
+    contexts["true_range_cm"] = np.sort(contexts["true_range_cm"])
+    contexts["range_rate_cm_s"] = -np.gradient(contexts["true_range_cm"], 0.1)
+    contexts["true_range_cm"][last] = contexts["true_range_cm"][first]
+    write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": np.rint(contexts["true_range_cm"])})
+    found = read_readings([tmp_path / "flights.csv"], MODEL)
+    assert any("Run run13 has the readings of run run00 and is left out" in each for each in found.messages)
+    assert any("in radians" in each for each in found.messages)
+    assert any("time runs backwards" in each for each in found.messages)
+    assert "run13" not in found.data["run"]
+
+
+def test_what_does_not_vary_on_held_out_runs_is_not_validated() -> None:
+    """Cold and warm runs to learn from, and held-out runs that are all as cold: an offset would do as well."""
+    contexts = flown(4)
+    held_out = split(contexts, read(contexts, 4), np.random.default_rng(1)).held_out
+    contexts["air_temperature_c"][held_out] = 5.0
+    contexts["true_range_cm"][held_out] = 250.0 + np.random.default_rng([4, 1]).uniform(-5.0, 5.0, held_out.sum())
+    bias_cm = contexts["true_range_cm"] * (22.5 - contexts["air_temperature_c"]) * 0.0017
+    found = named(contexts, read(contexts, 4, bias_cm))
+    assert "air_temperature" not in names(found)
+    assert any("its cause hardly varies there" in why for _, why in found.dropped)
+
+
+@pytest.mark.parametrize(("before", "expected"), [(0.004, "improved"), (0.4, "explained")])
+def test_explained_needs_a_gap_that_was_there(before: float, expected: str) -> None:
+    one = Measure(1.0, 1.0, 1.0)
+    gap = Gap(Measure(before, 0.001, 0.002), Measure(0.1, 0.05, 0.02), one, OddsMeasures(one, one, one, one))
+    found = GapFindings(None, rows=20_000, runs=10, gap=gap, effects=(EFFECT,))
+    assert verdict(found, MODEL) == expected
