@@ -5,6 +5,7 @@ CHANNEL of VARIABLE``, or ``calibration NAME``. A name of the catalogue that no 
 """
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,13 +22,23 @@ class Line:
         required, allowed or forbidden.
     what
         One of these.
+    values
+        ``PARAMETER LOW HIGH`` of a required name, or empty: a right name with another number is not what is there.
     why
         The numbers of the analysis.
     """
 
     status: str
     what: tuple[str, ...]
+    values: str
     why: str
+
+    def holds(self, parameters: Mapping[str, float]) -> bool:
+        """Whether an effect's parameters are what is there; what is no effect of the catalogue has none."""
+        if not self.values or not parameters:
+            return True
+        name, low, high = self.values.split()
+        return float(low) <= parameters.get(name, float("nan")) <= float(high)
 
 
 def expected_names() -> dict[str, list[Line]]:
@@ -35,7 +46,9 @@ def expected_names() -> dict[str, list[Line]]:
     lines: dict[str, list[Line]] = {}
     with FILE.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            lines.setdefault(row["set"], []).append(Line(row["status"], tuple(row["what"].split("|")), row["why"]))
+            lines.setdefault(row["set"], []).append(
+                Line(row["status"], tuple(row["what"].split("|")), row["values"], row["why"])
+            )
     return lines
 
 
@@ -47,6 +60,8 @@ def markdown_table() -> str:
             what = " or ".join(f"`{each}`" for each in line.what)
             if line.status != "required":
                 what = what.replace(" or ", ", ")
+            if line.values:
+                what += " ({} {} to {})".format(*line.values.split())
             rows.append(f"| {name if k == 0 else ''} | {line.status} | {what} | {line.why} |")
     return "\n".join(rows)
 

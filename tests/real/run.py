@@ -7,7 +7,7 @@ import argparse
 import json
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,22 @@ from tests.real.sets import CONFIGS, SETS, MeasuredSet
 
 KEPT = ("named", "indistinguishable")
 """Verdicts on an effect with which its name stands in the report."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """One thing that the workflow found.
+
+    Attributes
+    ----------
+    names
+        Names that it cannot tell apart, the first choice among them.
+    values
+        Parameters of the first choice.
+    """
+
+    names: frozenset[str]
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -34,7 +50,7 @@ class Outcome:
     verdict
         Of the workflow.
     found
-        All that was found, in the words of `names.csv`; names that the workflow cannot tell apart are one entry.
+        All that was found, in the words of `names.csv`.
     forbidden, missing
         Found although forbidden; required and not found.
     gap
@@ -46,7 +62,7 @@ class Outcome:
     command: str
     failure: str
     verdict: str = ""
-    found: tuple[frozenset[str], ...] = ()
+    found: tuple[Found, ...] = ()
     forbidden: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     gap: tuple[float, float] | None = None
@@ -116,32 +132,36 @@ def _typed(arguments: Iterable[object]) -> str:
     return "msp-lab " + shlex.join(map(str, arguments))
 
 
-def found_in(gap: Mapping[str, Any]) -> tuple[frozenset[str], ...]:
+def found_in(gap: Mapping[str, Any]) -> tuple[Found, ...]:
     """What a `gap.json` names, in the words of `names.csv`."""
     found = []
     for effect in gap.get("effects", ()):
         if effect["verdict"] in KEPT:
-            found.append(frozenset({effect["name"], *(each["name"] for each in effect.get("alternatives", ()))}))
+            names = frozenset({effect["name"], *(each["name"] for each in effect.get("alternatives", ()))})
+            values = {name: each["value"] for name, each in effect.get("parameters", {}).items()}
+            found.append(Found(names, values))
     for unknown in gap.get("unknown", ()):
-        found.append(frozenset(f"unknown {unknown['channel']} of {name}" for name in unknown["variables"]))
-    found += [frozenset({f"calibration {each['name']}"}) for each in gap.get("calibration", ())]
+        found.append(Found(frozenset(f"unknown {unknown['channel']} of {name}" for name in unknown["variables"])))
+    for calibration in gap.get("calibration", ()):
+        # reading_model.missed_growth_per_m is named by its last part.
+        found.append(Found(frozenset({f"calibration {calibration['name'].rpartition('.')[2]}"})))
     return tuple(found)
 
 
-def compare_names(found: Iterable[frozenset[str]], lines: Iterable[Line]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def compare_names(found: Iterable[Found], lines: Iterable[Line]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Forbidden things that were found, and required ones that were not.
 
     Several names that cannot be told apart are right if one of them is required or allowed. What is unknown and what is
-    calibration is never forbidden.
+    calibration is never forbidden. A required name with values that are not there is not found.
     """
     found = list(found)
     right = {what for line in lines if line.status != "forbidden" for what in line.what}
     free = ("unknown ", "calibration ")
-    forbidden = [one for one in found if not one & right and not all(name.startswith(free) for name in one)]
+    forbidden = [one.names for one in found if not one.names & right and not all(x.startswith(free) for x in one.names)]
     missing = [
         " or ".join(line.what)
         for line in lines
-        if line.status == "required" and not any(one & set(line.what) for one in found)
+        if line.status == "required" and not any(one.names & set(line.what) and line.holds(one.values) for one in found)
     ]
     return tuple("/".join(sorted(one)) for one in forbidden), tuple(missing)
 
@@ -167,7 +187,8 @@ def main() -> None:
             if outcome.closed is not None:
                 print(f"  {describe(outcome.closed)}")
             for one in outcome.found:
-                print(f"  found {'/'.join(sorted(one))}")
+                values = ", ".join(f"{name} {value:.3g}" for name, value in one.values.items())
+                print(f"  found {'/'.join(sorted(one.names))} {values}".rstrip())
             print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
             print(f"  missing: {'; '.join(outcome.missing) or 'none'}", flush=True)
 

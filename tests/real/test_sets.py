@@ -42,9 +42,9 @@ def test_set_end_to_end(measured: MeasuredSet, tmp_path: Path) -> None:
 
 def test_names_that_cannot_be_told_apart_are_right_if_one_is() -> None:
     lines = [
-        Line("required", ("latency",), ""),
-        Line("allowed", ("range_scale",), ""),
-        Line("forbidden", ("stale",), ""),
+        Line("required", ("latency",), "delay_ms 300 480", ""),
+        Line("allowed", ("range_scale",), "", ""),
+        Line("forbidden", ("stale",), "", ""),
     ]
     gap: dict[str, Any] = {
         "effects": [
@@ -56,7 +56,9 @@ def test_names_that_cannot_be_told_apart_are_right_if_one_is() -> None:
         "calibration": [{"name": "sigma_cm"}],
     }
     assert compare_names(found_in(gap), lines) == (("stale",), ("latency",))
-    gap["effects"][1]["name"] = "latency"
+    gap["effects"][1] |= {"name": "latency", "parameters": {"delay_ms": {"value": 363.0}}}
     assert compare_names(found_in(gap), lines) == ((), ())
     gap["effects"][0]["alternatives"] = [{"name": "humidity"}]
     assert compare_names(found_in(gap), lines) == (("humidity/thermometer_offset",), ())
+    gap["effects"][1]["parameters"]["delay_ms"]["value"] = 36.3
+    assert compare_names(found_in(gap), lines)[1] == ("latency",)
