@@ -5,13 +5,14 @@
 # make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
 # make bench  run all benchmarks, and write the table in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
+# make gap-demo  hide five effects in simulated flights and find them
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
 # make second hide effects in N tables of each kind by a second generator, by SEED=1, and score the gap workflow
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all test-install lint check bench fuzz blind second faults mavproxy compile clean
+.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -50,6 +51,9 @@ fuzz: .venv/.installed-test compile
 	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --seed $(SEED)
 
 N ?= 200
+gap-demo: .venv/.installed
+	$(BIN)/msp-lab demo --out flights/gap-demo
+
 blind: .venv/.installed-test compile
 	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md
 

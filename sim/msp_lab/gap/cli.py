@@ -52,6 +52,11 @@ gap.json (all numbers), named.json, and model_training_fit.yaml. Each step is al
 COMPARE = "Step 1 of gap: where readings and a model disagree, by slices of context."
 NAME = "Step 2 of gap: name what is missing, and list the alternatives that fit as well."
 ADD = "Step 3 of gap: add what was named to the model, and measure the gap that is left on held-out runs."
+DEMO = """Hide five effects in eight simulated flights, find them, and fly the model with what was found.
+
+In --out: flight-0.mcap to flight-7.mcap with their scenarios, vehicle.yaml (the model that was flown), given.yaml (the
+model to which they are compared), gap/ as of 'msp-lab gap', and flight-8.mcap, flown with gap/model.yaml.
+"""
 SHOW = "Step 4 of gap: draw the gap before and after, and write the page."
 
 
@@ -102,8 +107,29 @@ def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFind
     print_findings(findings, out)
 
 
+@report_user_errors
+def _demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for flights, models and findings")] = Path(
+        "flights/gap-demo"
+    ),
+    seed: Seed = 1,
+) -> None:
+    require("lab", "The gap workflow")
+    from msp_lab.gap import demo
+    from msp_lab.gap.steps import Steps
+    from msp_lab.gap.terminal import ProgressBar, print_comparisons, print_findings
+    from msp_sim.terminal import make_folder
+
+    make_folder(out)
+    with ProgressBar() as progress:
+        findings = demo.run(out, seed, Steps(out / "gap", progress.clock, progress.report))
+    print_findings(findings, out / "gap")
+    print_comparisons(demo.comparisons(findings))
+
+
 app.command("gap", help=GAP)(_from_readings("show"))
 app.command("compare", help=COMPARE)(_from_readings("compare"))
 app.command("name", help=NAME)(_in_folder(lambda steps: steps.name()))
 app.command("add", help=ADD)(_in_folder(lambda steps: steps.add()))
 app.command("show", help=SHOW)(_in_folder(lambda steps: steps.show()))
+app.command("demo", help=DEMO)(_demo)

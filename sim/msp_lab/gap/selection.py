@@ -56,11 +56,10 @@ def select(problem: Problem, max_terms: int) -> Selection:
     """Search the terms that are missing from the model."""
     state = base = first_state(problem)
     seen = first = screened(problem, state)
-    needed_nats = first.needed_nats
     if state.by_run:
-        # Runs count in the evidence after a refit; what the screen keeps is judged as if readings were independent.
+        # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
         seen = screened(problem, state, by_run=False)
-        needed_nats = max(needed_nats, seen.needed_nats)
+    needed_nats = seen.needed_nats
     for turn in range(2):
         state = add_effects(problem, state, seen, needed_nats, max_terms)
         with_curves = add_curves(problem, state, needed_nats, max_terms - len(state.terms))

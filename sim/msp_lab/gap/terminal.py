@@ -1,11 +1,14 @@
 """The gap workflow on the terminal: its progress, and the verdict in a few lines."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
+from rich import box
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from msp_lab.gap.demo import Comparison
 from msp_lab.gap.findings import GapFindings, Measure
 from msp_lab.gap.labels import capitalised, slice_label
 from msp_lab.gap.model_file import MODEL
@@ -45,6 +48,19 @@ class ProgressBar(Bar):
         elif what != self._last:
             self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False)
         self._last = what
+
+
+def print_comparisons(found: Iterable[Comparison]) -> None:
+    """What was hidden, and what was found of it."""
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading in ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it"):
+        table.add_column(heading, justify="right" if heading in ("hidden", "found") else "left")
+    for each in found:
+        unit = "" if each.unit == "1" else f" {each.unit}"
+        interval = "" if each.low is None or each.high is None else f"{each.low:.3g} to {each.high:.3g}{unit}"
+        value = "not named" if each.found is None else f"{each.found:.3g}"
+        table.add_row(each.effect, each.parameter, f"{each.hidden:g}", value, interval, "yes" if each.holds else "no")
+    console().print(table)
 
 
 def print_findings(findings: GapFindings, folder: Path) -> None:

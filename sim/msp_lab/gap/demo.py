@@ -1,0 +1,141 @@
+"""The command ``msp-lab demo``: flights in which five effects are hidden, and the gap workflow that finds them.
+
+Nothing enters but a seed. Sensor models, scenarios, flights and the workflow's folder are written, so that every step
+can be repeated by hand; a table of what was hidden and what was found leaves.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from msp_lab.gap.findings import FoundEffect, GapFindings, Settings
+from msp_lab.gap.model_file import MODEL
+from msp_lab.gap.steps import Steps
+from msp_range.clock import VirtualClock
+from msp_range.recording.writer import Recorder
+from msp_range.yaml_file import config_path
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import load_scenario
+from msp_sim.model.model import load_model
+
+HIDDEN: tuple[dict[str, Any], ...] = (
+    {"name": "air_temperature", "parameters": {"share": 1.0}},
+    {"name": "rotor_noise", "parameters": {"growth": 3.0, "exponent": 1.5}},
+    {"name": "prop_wash", "parameters": {"log_odds": 4.0}},
+    {"name": "mounting_offset", "of": "front_left", "parameters": {"offset_cm": 1.5}},
+    {"name": "multipath", "parameters": {"share": 0.03}},
+)
+"""What the vehicle's sensors do and the given model does not know. Sizes of some ten standard errors in these flights;
+smaller ones need more flights."""
+AIR_C = (7.0, 22.0, 2.0, 17.0, 32.0, 12.0, 27.0, 0.0)
+"""Air temperature of each flight: spread, so that what changes with temperature shows."""
+PERIODS_S = (2.4, 2.7, 3.0)
+"""Of the climbs and descents, in turn. Over 2 m these take the throttle from a tenth to nine tenths of its range; in
+gentle flights rotor noise would look like a larger spread, and prop wash like more short readings."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One number of a hidden effect, and what was found of it.
+
+    Attributes
+    ----------
+    effect, parameter, unit
+        Names.
+    hidden
+        The true value.
+    found, low, high
+        Value and 95 % interval; None: the effect was not named.
+    """
+
+    effect: str
+    parameter: str
+    hidden: float
+    found: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = "1"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds the true value."""
+        return self.low is not None and self.high is not None and self.low <= self.hidden <= self.high
+
+
+def write_models(folder: Path) -> tuple[Path, Path]:
+    """The model of the vehicle's sensors, and the model that is given to the workflow, which lacks `HIDDEN`."""
+    content = yaml.safe_load(config_path(Path("mb1242"), "sensors").read_text(encoding="utf-8"))
+    names = {each["name"] for each in HIDDEN}
+    given = [each for each in content["effects"] if each["name"] not in names]
+    paths = folder / "vehicle.yaml", folder / "given.yaml"
+    for path, effects in zip(paths, ([*given, *HIDDEN], given), strict=True):
+        path.write_text(yaml.safe_dump(content | {"effects": effects}, sort_keys=False), encoding="utf-8")
+    return paths
+
+
+def write_scenario(folder: Path, number: int) -> Path:
+    """The scenario of one flight."""
+    path = folder / f"flight-{number}.yaml"
+    period_s = PERIODS_S[number % len(PERIODS_S)]
+    climb = {"kind": "climb", "speed_m_s": 3.0, "acceleration_m_s2": 3.0}
+    scenario = {
+        "name": f"gap_demo_{number}",
+        "airframe": str(config_path(Path("quad_pallet"), "").resolve()),
+        "duration_s": 42,
+        "flight": {
+            "altitude": [
+                climb | {"to_m": 1.5},
+                {"kind": "sinusoid", "swing_m": 2.0, "period_s": period_s, "cycles": 10},
+                {"kind": "hold", "duration_s": 2},
+                climb | {"to_m": 5.0},
+                {"kind": "hold", "duration_s": 2},
+            ]
+        },
+        "ground": {"surface": "grass"},
+        "air": {"ground_c": AIR_C[number % len(AIR_C)], "lapse_c_per_m": 0.0},
+    }
+    path.write_text(yaml.safe_dump(scenario, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def fly(folder: Path, scenario_file: Path, model: Path, seed: int) -> Path:
+    """Fly a scenario with a sensor model; the recording."""
+    scenario, clock = load_scenario(scenario_file), VirtualClock()
+    path = folder / f"{scenario_file.stem}.mcap"
+    recorder = Recorder(path, clock, files=scenario.airframe.files, metadata={"scenario": scenario.name})
+    sensor = load_model(model).sensor
+    try:
+        for _ in Simulation(scenario, clock, seed, model=sensor, recorder=recorder).fly():
+            pass
+    finally:
+        recorder.close()
+    return path
+
+
+def comparisons(findings: GapFindings) -> Iterator[Comparison]:
+    """What was hidden, each number with what was found of it."""
+    for hidden in HIDDEN:
+        name = hidden["name"]
+        found: FoundEffect | None = next((each for each in findings.effects if each.name == name), None)
+        for parameter, value in hidden["parameters"].items():
+            if found is None or parameter not in found.parameters:
+                yield Comparison(name, parameter, value)
+            else:
+                fitted = found.parameters[parameter]
+                yield Comparison(name, parameter, value, fitted.value, fitted.low, fitted.high, fitted.unit)
+
+
+def run(folder: Path, seed: int, steps: Steps) -> GapFindings:
+    """Fly, find what is missing, and fly the extended model, as ``flight-8.mcap``."""
+    vehicle, given = write_models(folder)
+    recordings = []
+    for number in range(len(AIR_C)):
+        steps.report(f"flying {number + 1} of {len(AIR_C)}", 0.0)
+        recordings.append(fly(folder, write_scenario(folder, number), vehicle, seed + number))
+    findings = steps.all(recordings, Settings(str(given), seed=seed))
+    steps.report("flying the extended model", 1.0)
+    fly(folder, write_scenario(folder, len(AIR_C)), steps.folder / MODEL, seed)
+    return findings

@@ -1,0 +1,27 @@
+"""The demonstration of the gap workflow: flights with five effects, all found, and a model that flies."""
+
+from pathlib import Path
+
+from msp_lab.gap import demo
+from msp_lab.gap.steps import Steps
+from msp_range.clock import SystemClock
+
+
+def test_all_hidden_effects_are_named_and_the_extended_model_flies(tmp_path: Path) -> None:
+    findings = demo.run(tmp_path, 1, Steps(tmp_path / "gap", SystemClock(), lambda what, share: None))
+    found = list(demo.comparisons(findings))
+    assert {each.effect for each in found if each.found is not None} == {each["name"] for each in demo.HIDDEN}
+    assert sum(each.holds for each in found) >= len(found) - 1, found
+    assert {each.name for each in findings.effects} == {each["name"] for each in demo.HIDDEN}
+    assert not findings.unknown
+    assert findings.gap is not None
+    assert findings.gap.nats_per_reading.after is not None
+    assert findings.gap.nats_per_reading.after < 0.01 * (findings.gap.nats_per_reading.before or 0.0)
+    assert (tmp_path / "gap" / "report.html").exists()
+    assert (tmp_path / "flight-8.mcap").stat().st_size > 10_000
+
+
+def test_what_was_not_named_is_said_so() -> None:
+    assert not demo.Comparison("rotor_noise", "growth", 3.0).holds
+    assert not demo.Comparison("rotor_noise", "growth", 3.0, 2.0, 1.0, 2.9).holds
+    assert demo.Comparison("rotor_noise", "growth", 3.0, 2.0, 1.0, 3.1).holds
