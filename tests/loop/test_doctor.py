@@ -24,6 +24,7 @@ from msp_sim.device.lidar_lite_v3 import TIMING as LASER_TIMING
 from tests.support.fake_computer import FakeComputer
 from tests.support.kernel_bus import Other, Sonar, kernel_bus
 from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.service import LinkEnd, running_service
 from tests.support.transports import free_port
 
 ROOT = Path(__file__).parents[2]
@@ -457,3 +458,36 @@ def test_no_false_alarm(name: str, results: dict[str, "Future[list[Found]]"]) ->
     findings = results[name].result()
     assert wrong(findings) == []
     assert len(findings) >= 10
+
+
+def test_a_running_bridge_is_left_alone(tmp_path: Path) -> None:
+    setup = Setup(tmp_path)
+    path = tmp_path / "airframe.yaml"
+    path.write_text((ROOT / "configs/quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242"))
+    computer = setup.computer
+    with kernel_bus(FOUR) as testbed, LinkEnd() as end, running_service(testbed, end.url, tmp_path) as service:
+        end.run_until(lambda: len(end.distances) >= 2)
+        specification = {
+            "root": str(computer.root),
+            "airframe": str(path),
+            "user": computer.user,
+            "gids": computer.gids,
+            "utc_s": computer.utc_s,
+            "free_bytes": computer.free_bytes,
+            "link": "",
+        }
+        program = testbed.popen([sys.executable, PROGRAM, json.dumps(specification)], stdout=-1, text=True)
+        output: list[str] = []
+        reader = threading.Thread(target=lambda: output.append(program.communicate()[0]))
+        reader.start()
+        end.run_until(lambda: not reader.is_alive())
+        findings = {each[0]: Found(*each) for each in json.loads(output[0])}
+        assert service.stop() == 0
+        polled = [each for each in testbed.journal() if each.verb == "read" and len(each.data) == 1]
+    in_use = findings["I2C bus in use"]
+    assert in_use.verdict == "unknown"
+    assert f"in use by process {service.process.pid} (" in in_use.text
+    assert "systemctl stop msp-range" in in_use.remedy
+    assert {"addresses", "crosstalk", "serial port", "heartbeat"} & findings.keys() == set()
+    assert {"thermometer", "disk", "date"} <= findings.keys()
+    assert polled == []  # a scan reads one byte of each address
