@@ -59,7 +59,7 @@ def collect(
     """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
 
     Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
-    readings that count, in the one CSV form) and sitting-001.mcap ... (everything that was read). A campaign of flights
+    readings that count, in the one CSV form) and session-001.mcap ... (everything that was read). A campaign of flights
     asks for the recording and the reference of each flight instead, and keeps copies of them; --simulate flies its
     scenarios.
     """

@@ -53,7 +53,7 @@ def fuzz(seconds: float, seed: int) -> base.FuzzResult:
 
 
 def _recordings(folder: Path) -> Iterator[Path]:
-    """Whole recordings: a flight as it is recorded, the same in other forms, and a sitting at a bench."""
+    """Whole recordings: a flight as it is recorded, the same in other forms, and a session at a bench."""
     flown = folder / "flight.mcap"
     scenario = folder / "scenario.yaml"
     altitude = [{"kind": "ramp", "to_m": 1.0, "duration_s": 1.5}]

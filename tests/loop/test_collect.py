@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Say
+from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Decision
 from msp_lab.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
@@ -44,9 +44,9 @@ def after(readings: int) -> Any:
     """Somebody who stops after so many readings."""
     seen: list[Reading] = []
 
-    def look(reading: Reading) -> Say:
+    def look(reading: Reading) -> Decision:
         seen.append(reading)
-        return Say.STOP if len(seen) >= readings else Say.GO
+        return Decision.STOP if len(seen) >= readings else Decision.GO
 
     return Told(looked=look)
 
@@ -110,7 +110,7 @@ def test_a_power_cut_costs_no_more_than_a_second(kept: float, tmp_path: Path) ->
 
 
 def test_at_a_real_bench_what_is_left_is_read_in_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time does not start again there, so that times of the two sittings do not compare."""
+    """Time does not start again there, so that times of the two sessions do not compare."""
     small = campaign(tmp_path, condition(ranges_cm=[60]))
     Collected(small, tmp_path / "out").go(after(12))
     again = Collected(small, tmp_path / "out")
@@ -158,7 +158,8 @@ def test_a_repeat_that_is_interrupted_leaves_the_complete_one(tmp_path: Path) ->
 def test_a_person_reads_again_skips_and_stops(tmp_path: Path) -> None:
     small = campaign(tmp_path, condition(ranges_cm=[40, 60, 80]))
     person = Told(
-        arranged=[Say.GO, Say.SKIP, Say.GO, Say.AGAIN, Say.GO, Say.GO], judged=[Say.GO, Say.AGAIN, Say.GO, Say.GO]
+        arranged=[Decision.GO, Decision.SKIP, Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
+        judged=[Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
     )
     collected = Collected(small, tmp_path / "out")
     collected.go(person)
@@ -166,7 +167,7 @@ def test_a_person_reads_again_skips_and_stops(tmp_path: Path) -> None:
     #                      read   skipped  read   judged: again.  r: the one before, then the skipped one
     assert person.visited[:4] == [forty, sixty, eighty, eighty]
     assert all(collected.store.is_done(point) for point in collected.points)
-    stopped = Told(arranged=[Say.STOP])
+    stopped = Told(arranged=[Decision.STOP])
     Collected(small, tmp_path / "other").go(stopped)
     assert stopped.visited == [forty]
 
@@ -174,7 +175,7 @@ def test_a_person_reads_again_skips_and_stops(tmp_path: Path) -> None:
 def test_what_was_measured_at_the_bench_goes_into_the_table(tmp_path: Path) -> None:
     small = campaign(tmp_path, condition(ranges_cm=[60]))
     collected = Collected(small, tmp_path / "out")
-    collected.go(Told(arranged=[Arranged(Say.GO, {"true_range_cm": 60.4, "air_temperature_c": 19.5})]))
+    collected.go(Told(arranged=[Arranged(Decision.GO, {"true_range_cm": 60.4, "air_temperature_c": 19.5})]))
     table = rows(collected.table())
     assert {(row["true_range_cm"], row["air_temperature_c"], row["target_temperature_c"]) for row in table} == {
         ("60.4", "19.5", "22.5")
@@ -285,7 +286,7 @@ def test_a_folder_of_another_campaign_bench_or_seed_is_refused(tmp_path: Path) -
     Collected(campaign(tmp_path), tmp_path / "out").go(after(5))
     with pytest.raises(RecordingError, match=r"seed 1, and this is .* seed 2"):
         Collected(campaign(tmp_path), tmp_path / "out", seed=2)
-    with pytest.raises(RecordingError, match=r"point baseline-60cm was changed \(readings 30, now 50\); go on with"):
+    with pytest.raises(RecordingError, match=r"point baseline-60cm was changed \(readings 30, now 50\); continue with"):
         Collected(campaign(tmp_path, condition(readings=50)), tmp_path / "out")
     with pytest.raises(RecordingError, match="point baseline-60cm is not in it"):
         Collected(campaign(tmp_path, condition(ranges_cm=[80])), tmp_path / "out")
@@ -362,7 +363,7 @@ def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path:
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, limit),
     )
     assert full.returncode == 3
-    assert re.fullmatch(r".*/sitting-001\.mcap: recording stopped: File too large; .*\n", full.stderr)
+    assert re.fullmatch(r".*/session-001\.mcap: recording stopped: File too large; .*\n", full.stderr)
     for folder in ("full", "whole"):
         subprocess.run([*command, tmp_path / folder], check=True, stdout=subprocess.DEVNULL)
     tables = [(tmp_path / folder / "readings.csv").read_text() for folder in ("full", "whole")]
@@ -372,8 +373,8 @@ def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path:
 @pytest.mark.parametrize(
     ("args", "said"),
     [
-        (["--only", "basline"], "no point begins so; one is named baseline-"),
-        (["--repeat", "x"], "--repeat x: no point begins so"),
+        (["--only", "basline"], "no point's name begins so; one is baseline-"),
+        (["--repeat", "x"], "--repeat x: no point's name begins so"),
         (["--model", "nothing.yaml"], "nothing.yaml: no such file"),
     ],
 )

@@ -139,7 +139,7 @@ def test_outliers_are_flagged_and_the_point_read_again(tmp_path: Path) -> None:
 def test_a_wrong_set_up_is_doubted(tmp_path: Path) -> None:
     bench = Bench(tmp_path, condition(ranges_cm=[120]), draw=lambda columns: 95)
     bench.go()
-    assert "one reads 95 cm, and the reference says 120 cm" in bench.screen.getvalue()
+    assert "one reads 95 cm, and the reference is 120 cm" in bench.screen.getvalue()
 
 
 @pytest.mark.parametrize("reads_cm", [200, 261])
@@ -167,17 +167,17 @@ def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path, m
     first.go()
     assert first.done() == [True, False]
     interrupted = Bench(tmp_path)
-    look = interrupted.person.look
+    look = interrupted.person.on_reading
 
     def stops_at_ten(*seen: Any) -> Any:
         interrupted.stopped = next(iter(seen[1].values())).read >= 10
         return look(*seen)
 
-    monkeypatch.setattr(interrupted.person, "look", stops_at_ten)
+    monkeypatch.setattr(interrupted.person, "on_reading", stops_at_ten)
     assert len(interrupted.go()) == 40
     last = Bench(tmp_path)
     assert len(last.go()) == 60
-    assert "10 of its 30 readings are there already" in last.screen.getvalue()
+    assert "10 of its 30 readings are recorded already" in last.screen.getvalue()
 
 
 def test_a_sensor_that_does_not_answer_is_told_and_waited_for(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_sensor_that_does_not_answer_is_told_and_waited_for(tmp_path: Path) ->
     bench.go()
     shown = bench.screen.getvalue()
     assert shown.count("no usable answer to 20 pings: I2C write at address 0x70 failed: errno 121") == 2
-    assert "Look at power, the two bus wires and the address" in shown
+    assert "Check power, the two bus wires and the address" in shown
     assert bench.done() == [False]
 
 
@@ -205,7 +205,7 @@ def test_nothing_is_asked_where_nothing_is_to_be_changed(tmp_path: Path) -> None
     bench = Bench(tmp_path, both)
     bench.go()
     assert bench.done() == [True, True]
-    assert sum("it is set up" in text for text in bench.asked) == 1
+    assert sum("set up as planned" in text for text in bench.asked) == 1
 
 
 def test_on_a_terminal_the_histogram_is_live(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_the_plan_can_be_looked_at_without_a_bench(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, args, catch_exceptions=False)
     assert result.exit_code == 0
     assert "316  field_of_view" in result.output
-    assert "50500 readings are left, which may take" in result.output
+    assert "50500 readings are left; estimated time" in result.output
     assert not (tmp_path / "out").exists()
     some = CliRunner().invoke(app, [*args, "--only", "baseline"], catch_exceptions=False)
     assert "2400 readings are left" in some.output
@@ -255,7 +255,7 @@ def test_a_table_that_was_not_collected_here_is_not_overwritten(tmp_path: Path) 
 def test_before_the_first_point_there_is_none_to_read_again(tmp_path: Path) -> None:
     bench = Bench(tmp_path, condition(ranges_cm=[60]), answers=["", "r", "q"])
     bench.collected.go(bench.person)
-    assert "nothing was read before this" in bench.screen.getvalue()
+    assert "no point was read before this" in bench.screen.getvalue()
     assert bench.done() == [False]
     assert not bench.collected.store.recordings
 

@@ -7,9 +7,9 @@ from typing import Any
 import yaml
 
 from msp_lab.campaigns.campaign import Campaign, load_campaign
-from msp_lab.campaigns.collect import Arranged, Place, Say, collect_readings
+from msp_lab.campaigns.collect import Arranged, Decision, Place, collect_readings
 from msp_lab.campaigns.plan import Point, make_plan
-from msp_lab.campaigns.simulated_bench import Draw, Nobody, SimulatedBench, readings_of
+from msp_lab.campaigns.simulated_bench import AutoOperator, Draw, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.reading import Reading
@@ -71,7 +71,7 @@ class Collected:
 
     def go(self, person: Any = None, wanted: Sequence[str] | None = None, again: Sequence[str] = ()) -> Any:
         """Collect; returns the person."""
-        person = person or Nobody()
+        person = person or AutoOperator()
         names = [point.name for point in self.points] if wanted is None else wanted
         try:
             collect_readings(self.campaign, self.points, self.bench, self.store, person, names, again)
@@ -85,15 +85,15 @@ class Collected:
         return path.read_text()
 
 
-class Told(Nobody):
+class Told(AutoOperator):
     """Somebody who says what a test tells them, when they are asked; GO afterwards."""
 
     def __init__(
         self,
-        arranged: Sequence[Arranged | Say] = (),
-        judged: Sequence[Say] = (),
-        troubled: Sequence[Say] = (),
-        looked: Callable[[Reading], Say] = lambda reading: Say.GO,
+        arranged: Sequence[Arranged | Decision] = (),
+        judged: Sequence[Decision] = (),
+        troubled: Sequence[Decision] = (),
+        looked: Callable[[Reading], Decision] = lambda reading: Decision.GO,
     ) -> None:
         super().__init__()
         self._arranged = list(arranged)
@@ -108,16 +108,18 @@ class Told(Nobody):
         self.visited.append(point.name)
         self.to_change.append(list(to_change))
         self.places.append(place)
-        said = self._arranged.pop(0) if self._arranged else Say.GO
-        return Arranged(said) if isinstance(said, Say) else said
+        said = self._arranged.pop(0) if self._arranged else Decision.GO
+        return Arranged(said) if isinstance(said, Decision) else said
 
-    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
-        super().look(point, watches, reading, outlier)
+    def on_reading(
+        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+    ) -> Decision:
+        super().on_reading(point, watches, reading, outlier)
         return self._looked(reading)
 
-    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
-        return self._judged.pop(0) if self._judged else Say.GO
+    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+        return self._judged.pop(0) if self._judged else Decision.GO
 
-    def trouble(self, text: str) -> Say:
-        super().trouble(text)
-        return self._troubled.pop(0) if self._troubled else Say.GO
+    def on_trouble(self, text: str) -> Decision:
+        super().on_trouble(text)
+        return self._troubled.pop(0) if self._troubled else Decision.GO

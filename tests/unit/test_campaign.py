@@ -136,33 +136,33 @@ def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> Non
         [
             "Level the sensor.",
             "Connect and mount one alone.",
-            "Bring the air at the sensor to 22.5 deg C.",
-            "Take as target: plywood, 20 by 20 cm.",
+            "Set the air at the sensor to 22.5 deg C.",
+            "Target: plywood, 20 by 20 cm.",
             "Move the target to 60 cm.",
             "Face the target squarely.",
         ],
         ["Vibrate the sensor's housing at 60 Hz."],
         [
-            "Bring the air at the sensor to 46 deg C, and leave 21 deg C at the target.",
+            "Set the air at the sensor to 46 deg C, and leave 21 deg C at the target.",
             "Blow warm air into the box.",
             "Switch the vibration off.",
         ],
         [
             "Undo what was done to the air: fans off, boxes away.",
-            "Bring the air at the sensor to 22.5 deg C.",
+            "Set the air at the sensor to 22.5 deg C.",
             "Switch the transmitter off.",
         ],
         [
-            "Let the transmitter sound at 42 kHz, 90 dB at 30 cm from it, 50% of the time, 100 cm from the sensor.",
+            "Set the transmitter to 42 kHz, 90 dB at 30 cm from it, 50% of the time, 100 cm from the sensor.",
         ],
         [
             "Connect and mount one and two side by side, 15.24 cm apart, facing the same target.",
-            "Take the transmitter away.",
+            "Remove the transmitter.",
         ],
         [],
         [
             "Connect and mount one alone.",
-            "Take as target: wall.",
+            "Target: wall.",
             "See that it is at 60 cm again.",
         ],
         ["Turn the sensor to +1.8 deg (it was at +0 deg)."],
@@ -196,7 +196,7 @@ def test_a_moving_target_is_read_in_as_many_movements_as_it_takes(tmp_path: Path
 
 def test_a_target_too_fast_for_one_reading_is_refused(tmp_path: Path) -> None:
     moving = condition(ranges_cm=[100], moving={"to_cm": 101, "rates_cm_s": [50]})
-    with pytest.raises(ConfigError, match="over before one reading"):
+    with pytest.raises(ConfigError, match="end before one reading"):
         make_plan(campaign(tmp_path, moving))
 
 

@@ -9,7 +9,7 @@ import yaml
 from rich.console import Console
 from typer.testing import CliRunner
 
-from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights
+from msp_lab.campaigns.flights import FlightArchive, collect_flights, load_flights
 from msp_lab.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import read_csv
@@ -59,8 +59,8 @@ def recording(folder: Path, readings_cm: list[int], start_s: float = 100.0) -> P
     return path
 
 
-def hangar(folder: Path) -> Hangar:
-    return Hangar(folder / "out", load_flights(campaign_file(folder)))
+def archive(folder: Path) -> FlightArchive:
+    return FlightArchive(folder / "out", load_flights(campaign_file(folder)))
 
 
 @pytest.mark.parametrize(("column", "offset_s"), [("time_s", 0.0), ("utc_s", 1_700_000_000.0)])
@@ -70,7 +70,7 @@ def test_truth_is_that_at_the_time_of_the_echo(column: str, offset_s: float, tmp
     times = [100.25, 100.5, 101.05, 103.05, 104.0]
     lines = [f"{offset_s + each},{300 + 10 * (each - 100)}" for each in times]
     reference.write_text("\n".join([f"{column},true_range_cm", *lines]))
-    there = hangar(tmp_path)
+    there = archive(tmp_path)
     flight = load_flights(campaign_file(tmp_path)).flights[0]
     there.keep(flight, recording(tmp_path, [300] * 35), reference)
     data = there.readings()
@@ -82,13 +82,13 @@ def test_truth_is_that_at_the_time_of_the_echo(column: str, offset_s: float, tmp
 
 
 def test_a_fault_is_an_empty_reading(tmp_path: Path) -> None:
-    there = hangar(tmp_path)
+    there = archive(tmp_path)
     there.keep(load_flights(campaign_file(tmp_path)).flights[0], recording(tmp_path, [300, 0x8000 | 300]), None)
     np.testing.assert_array_equal(there.readings()["reading_cm"], [300, np.nan])
 
 
 def test_of_a_flight_flown_twice_the_last_one_counts(tmp_path: Path) -> None:
-    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there, flights = archive(tmp_path), load_flights(campaign_file(tmp_path)).flights
     for flight, reading_cm in ((flights[1], 90), (flights[0], 100), (flights[0], 200)):
         there.keep(flight, recording(tmp_path, [reading_cm] * 3), None)
     assert there.readings()["reading_cm"].tolist() == [200] * 3 + [90] * 3
@@ -102,15 +102,15 @@ def test_of_a_flight_flown_twice_the_last_one_counts(tmp_path: Path) -> None:
     [
         ("time_s,range_cm\n1,2", "'true_range_cm' is missing"),
         ("when,true_range_cm\n1,2", "no column time_s"),
-        ("time_s,true_range_cm\n2,2\n1,2", "times that do not grow"),
-        ("time_s,true_range_cm\n2,2\n3,2", "have nothing in common"),
+        ("time_s,true_range_cm\n2,2\n1,2", "times that do not increase"),
+        ("time_s,true_range_cm\n2,2\n3,2", "its times do not overlap"),
     ],
 )
 def test_a_reference_of_no_use_is_refused(text: str, said: str, tmp_path: Path) -> None:
     reference = tmp_path / "laser.csv"
     reference.write_text(text)
     with pytest.raises(RecordingError, match=said):
-        hangar(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[0], recording(tmp_path, [300]), reference)
+        archive(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[0], recording(tmp_path, [300]), reference)
     assert not list(tmp_path.glob("out/flights/*"))
 
 
@@ -118,7 +118,7 @@ def test_a_person_is_led_through_and_a_slip_is_told(tmp_path: Path) -> None:
     flown = recording(tmp_path, [250] * 3)
     answers = iter(["nothing.mcap", "", str(flown), "", "s"])
     console = Console(record=True, width=200, file=(tmp_path / "screen").open("w"))
-    there = hangar(tmp_path)
+    there = archive(tmp_path)
     campaign = load_flights(campaign_file(tmp_path))
     collect_flights(campaign, there, console, lambda text: next(answers))
     shown = console.export_text()
@@ -146,11 +146,11 @@ def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
     hovering = data.select((data["time_s"] > 10) & (data["time_s"] < 50))
     assert abs(float(np.median(hovering["reading_cm"] - hovering["true_range_cm"]))) < 3
     with pytest.raises(RecordingError, match="of a simulated flight; name another folder"):
-        hangar(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[1], recording(tmp_path, [90] * 3), None)
+        archive(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[1], recording(tmp_path, [90] * 3), None)
 
 
 def test_no_flight_is_lost_where_an_earlier_one_was_deleted(tmp_path: Path) -> None:
-    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there, flights = archive(tmp_path), load_flights(campaign_file(tmp_path)).flights
     folder = tmp_path / "out/flights"
     for reading_cm in (100, 200):
         there.keep(flights[0], recording(tmp_path, [reading_cm] * 3), None)
@@ -166,7 +166,7 @@ def test_a_reference_stays_with_its_own_recording(tmp_path: Path) -> None:
     """Its recording was deleted, and the next flight has none."""
     reference = tmp_path / "laser.csv"
     reference.write_text("time_s,true_range_cm\n100,111\n101,111\n")
-    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there, flights = archive(tmp_path), load_flights(campaign_file(tmp_path)).flights
     there.keep(flights[0], recording(tmp_path, [100] * 3), reference)
     (tmp_path / "out/flights/hover-001.mcap").unlink()
     there.keep(flights[0], recording(tmp_path, [300] * 3), None)
@@ -175,7 +175,7 @@ def test_a_reference_stays_with_its_own_recording(tmp_path: Path) -> None:
 
 def test_a_flight_that_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     """Two programs collect into one folder."""
-    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there, flights = archive(tmp_path), load_flights(campaign_file(tmp_path)).flights
     making = there.making(flights[1])
     path = making.__enter__()
     path.write_bytes(b"simulated")
@@ -186,7 +186,7 @@ def test_a_flight_that_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None
 
 
 def test_of_a_thousand_flights_the_last_one_counts(tmp_path: Path) -> None:
-    there, flights = hangar(tmp_path), load_flights(campaign_file(tmp_path)).flights
+    there, flights = archive(tmp_path), load_flights(campaign_file(tmp_path)).flights
     there.keep(flights[0], recording(tmp_path, [100] * 3), None)
     (tmp_path / "out/flights/hover-001.mcap").rename(tmp_path / "out/flights/hover-999.mcap")
     there.keep(flights[0], recording(tmp_path, [200] * 3), None)
@@ -197,4 +197,4 @@ def test_a_table_from_elsewhere_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/readings.csv").write_text("of another campaign")
     with pytest.raises(RecordingError, match=r"readings\.csv: not collected here"):
-        hangar(tmp_path)
+        archive(tmp_path)

@@ -48,7 +48,7 @@ def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
 
 
 def test_readings_that_are_in_two_files_are_refused(tmp_path: Path) -> None:
-    """As in a sitting's recording and the table that collect makes of all sittings."""
+    """As in a session's recording and the table that collect makes of all sessions."""
     whole = data()
     one = written(tmp_path, whole, "one.csv")
     part = written(tmp_path, whole.select(np.arange(100, 300)), "part.csv")

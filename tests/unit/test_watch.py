@@ -16,12 +16,12 @@ def reading(reading_cm: int) -> Reading:
 
 def watched(*readings_cm: int, expected_cm: float = 120.0) -> tuple[Watch, list[Outlier]]:
     watch = Watch("a", (expected_cm, expected_cm))
-    return watch, [found for each in readings_cm if (found := watch.take(reading(each))) is not None]
+    return watch, [found for each in readings_cm if (found := watch.update(reading(each))) is not None]
 
 
 def test_quiet_readings_raise_no_doubt() -> None:
     watch, found = watched(*np.rint(np.random.default_rng(1).normal(120.0, 0.5, 500)).astype(int).tolist())
-    assert (found, watch.doubts()) == ([], [])
+    assert (found, watch.warnings()) == ([], [])
     assert watch.median_cm == 120
 
 
@@ -44,7 +44,7 @@ def test_an_outlier_is_flagged_as_it_comes() -> None:
     assert [each.why for each in found] == [
         "67 cm longer than the others",
         "56 cm shorter than the others",
-        "a missed echo that came as 255, or something there",
+        "a missed echo reported as 255, or an object there",
     ]
 
 
@@ -55,10 +55,10 @@ def test_255_at_255_is_no_outlier() -> None:
 
 def test_missed_echoes_and_faults_are_counted_apart() -> None:
     watch, _ = watched(*[120] * 20, 765, 765)
-    watch.take(Reading(0.0, "a", Status.CLOCK_FAULT, raw=0x8000 | 120))
-    watch.take(Reading(0.0, "a", Status.NO_ANSWER))
+    watch.update(Reading(0.0, "a", Status.CLOCK_FAULT, raw=0x8000 | 120))
+    watch.update(Reading(0.0, "a", Status.NO_ANSWER))
     assert (watch.read, watch.no_echo, watch.failed.total()) == (22, 2, 2)
-    assert watch.doubts() == [
+    assert watch.warnings() == [
         "a: no echo in 2 of 22 readings",
         "a: 1 pings without a usable answer (clock_fault), asked again",
         "a: 1 pings without a usable answer (no_answer), asked again",
@@ -68,12 +68,12 @@ def test_missed_echoes_and_faults_are_counted_apart() -> None:
 @pytest.mark.parametrize(("read_cm", "doubted"), [(120, False), (128, False), (131, True), (107, True)])
 def test_a_median_that_does_not_fit_the_reference(read_cm: int, doubted: bool) -> None:
     watch, _ = watched(*[read_cm] * 10)
-    assert any("the reference says 120 cm" in doubt for doubt in watch.doubts()) == doubted
+    assert any("the reference is 120 cm" in doubt for doubt in watch.warnings()) == doubted
 
 
 def test_beyond_the_beam_nothing_is_said_of_the_reference() -> None:
     watch, _ = watched(*[765] * 30, 400, 401)
-    assert not any("reference" in doubt for doubt in watch.doubts())
+    assert not any("reference" in doubt for doubt in watch.warnings())
 
 
 @pytest.mark.parametrize("values", [[5], [5, 6], [5, 5, 9], [1, 2, 3, 4], [7, 7, 8, 8], [1, 1, 1, 9, 9, 9]])

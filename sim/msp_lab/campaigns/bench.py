@@ -1,7 +1,7 @@
-"""The bench: sensors that ping through the bridge's own polling, and what is known of each of their readings.
+"""The bench: sensors that are polled as by the bridge, and the context of each of their readings.
 
-A point and its columns enter, rangings leave, each with the columns that hold for it. True ranges of a moving target
-follow from the time of the echo, and the lag behind another sensor from the times at which pings really went out.
+A point and its columns enter; rangings leave, each with its columns. The true range of a moving target follows from the
+time of the echo, and the lag behind another sensor from the times at which the pings were sent.
 """
 
 import math
@@ -22,29 +22,29 @@ from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, S
 from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]
-"""What is known of a reading, by the CSV form's names."""
+"""Context of a reading by column of the CSV form."""
 
 
 class Bench(Protocol):
-    """Where the sensors are."""
+    """Sensors, and the set-up in front of them."""
 
     @property
     def description(self) -> str:
-        """What it is; collections of different benches never mix."""
+        """Description of the bench; recordings of different benches are never mixed."""
         ...
 
     @property
     def clock(self) -> Clock:
-        """Its time."""
+        """Clock of the bench."""
         ...
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
-        """Make ready for a point.
+        """Prepare a point.
 
         Parameters
         ----------
         point, columns
-            The set-up, and what is known of it.
+            The set-up, and its context.
         attempt
             1, or more where the point is read again.
         done
@@ -53,13 +53,13 @@ class Bench(Protocol):
         Returns
         -------
         tuple
-            The bus, and how many of the coming rangings are those that are already recorded: 0 where time goes on,
-            ``done`` where every point happens again from its beginning.
+            The bus, and how many of the next rangings repeat recorded ones: 0 at a real bench, ``done`` where every
+            point is simulated again from its beginning.
         """
         ...
 
     def air_c(self, now_s: float) -> float | None:
-        """Air temperature at the sensor from a thermometer [deg C]; None where there is none that is to be trusted."""
+        """Air temperature at the sensor from a thermometer [deg C]; None without a valid one."""
         ...
 
 
@@ -75,14 +75,14 @@ class KernelBench:
         self.description = "sensors on a bus"
 
     def open(self) -> None:
-        """Open the bus, and have the thermometer read, before anybody sets anything up.
+        """Open the bus and read the thermometer, before anything is set up.
 
         Raises
         ------
         ConfigError
             It cannot be opened.
         BusInUse
-            Another process works on it.
+            Another process uses it.
         """
         self.air_c(self.clock.now())
         try:
@@ -92,15 +92,15 @@ class KernelBench:
         except BusError as error:
             raise ConfigError(
                 f"{self._bus.path}: cannot be opened: {os.strerror(error.errno or 0)}; is I2C switched on, is --bus "
-                "the right one, and may you use it? msp-lab collect --simulate goes through a campaign without sensors"
+                "the right one, and do you have access? msp-lab collect --simulate runs a campaign without sensors"
             ) from None
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
-        """The bus as it is."""
+        """Return the open bus."""
         return self._bus, 0
 
     def air_c(self, now_s: float) -> float | None:
-        """The thermometer's newest value, while it is new. No jump is refused: at a bench people cause them."""
+        """Return the newest value while it is recent. Jumps are accepted: at a bench people cause them."""
         if self._thermometer is None:
             return None
         self._sample = self._reader.newest(self._thermometer, now_s) or self._sample
@@ -116,22 +116,22 @@ class KernelBench:
 
 
 class KnownRanging(NamedTuple):
-    """A ranging, whether its ping went out, and what is known of it."""
+    """A ranging, whether its ping was sent, and its context."""
 
     ranging: Ranging
     pinged: bool
     columns: dict[str, float | str]
 
 
-class _Pings:
-    """When each sensor pinged last, as noted right after its command was written."""
+class _LastPings:
+    """Time of each sensor's last ping, taken right after its command was written."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._last_s: dict[str, float] = {}
 
-    def note(self, sensor: str) -> tuple[float, str] | None:
-        """Note a ping; returns the time since the last one of another sensor [s], and which, where there is one."""
+    def record(self, sensor: str) -> tuple[float, str] | None:
+        """Record a ping; return the time since the last one of another sensor [s], and its name, if there is one."""
         now_s = self._clock.now()
         others = [(ping_s, name) for name, ping_s in self._last_s.items() if name != sensor]
         self._last_s[sensor] = now_s
@@ -141,10 +141,10 @@ class _Pings:
         return now_s - last_s, name
 
 
-class _Noted:
-    """A `RangeSensor` that notes its pings."""
+class _RecordedSensor:
+    """A `RangeSensor` whose pings are recorded."""
 
-    def __init__(self, name: str, device: RangeSensor, pings: _Pings) -> None:
+    def __init__(self, name: str, device: RangeSensor, pings: _LastPings) -> None:
         self._name = name
         self._device = device
         self._pings = pings
@@ -157,46 +157,46 @@ class _Noted:
         self.pinged = False
         self._device.ping()
         self.pinged = True
-        self.neighbour = self._pings.note(self._name)
+        self.neighbour = self._pings.record(self._name)
 
     def answer(self, since_ping_s: float) -> Decoded:
-        """The ranging's result."""
+        """Return the result of the ranging."""
         return self._device.answer(since_ping_s)
 
 
 def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock: Clock) -> Iterator[KnownRanging]:
-    """Ping the sensors of a point for as long as the caller goes on asking.
+    """Ping the sensors of a point until the caller stops.
 
     Parameters
     ----------
     campaign, point
-        Sensors, their models, and who waits for whom.
+        Sensors, their models, and the order of their pings.
     columns
-        What holds for all readings; ``true_range_cm`` is where a movement begins, now.
+        Context of all readings; ``true_range_cm`` is where a movement starts, now.
     bus, clock
-        Where the sensors answer, and what time is.
+        Bus and clock of the bench.
 
     Yields
     ------
-    Known
-        In the order in which they ended; an unanswered one too.
+    KnownRanging
+        In the order in which they ended, unanswered ones included.
     """
-    pings = _Pings(clock)
-    devices: dict[str, _Noted] = {}
+    pings = _LastPings(clock)
+    devices: dict[str, _RecordedSensor] = {}
     polled: list[PolledSensor] = []
     interval_s = 0.0
     for name in point.setup.sensors:
         sensor = campaign.sensor(name)
         model = sensor.sensor_model
         timing = model.timing
-        devices[name] = _Noted(name, sensor.driver(bus, sensor.address), pings)
+        devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), pings)
         first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm
         asked = AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
         polled.append(PolledSensor(name, devices[name], asked))
         interval_s = max(interval_s, timing.ping_interval_s)
     groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
     start_s = clock.now()
-    # Who pings before whom is part of the set-up: a sensor that does not answer keeps its slot.
+    # The order of the pings is part of the set-up: a sensor that does not answer keeps its slot.
     poller = Poller(bus, clock, RoundRobin(groups, Spacing(interval_s), start_s, dead_after=math.inf))
     rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
     while True:
@@ -207,7 +207,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
 
 
 def _columns(
-    columns: Columns, ranging: Ranging, device: _Noted, rate_cm_s: float, start_s: float
+    columns: Columns, ranging: Ranging, device: _RecordedSensor, rate_cm_s: float, start_s: float
 ) -> dict[str, float | str]:
     known = dict(columns)
     start_cm = columns["true_range_cm"]

@@ -1,8 +1,8 @@
-"""The campaign file: what is to be measured, at which settings, how often, and against which reference.
+"""The campaign file: what to measure, at which settings, how often, and against which reference.
 
-YAML enters, a validated `Campaign` leaves; every mistake is named with its place (`msp_range.yaml_file`). The
-conditions follow the report's chapter 4 and Table 4.1. `msp_lab.campaigns.plan` makes from it the points in the
-order in which a person goes through them.
+YAML enters, a validated `Campaign` leaves; every error is reported with its place (`msp_range.yaml_file`). The
+experiments follow the report's chapter 4 and Table 4.1. `msp_lab.campaigns.plan` makes the points from it, in the order
+in which a person sets them up.
 """
 
 from collections import Counter
@@ -22,7 +22,8 @@ TemperatureC = Annotated[float, Field(ge=-40, le=80)]
 HumidityPct = Annotated[float, Field(ge=0, le=100)]
 Firing = Literal["sequential", "simultaneous"]
 
-STEPS_MOST = 1000
+MAX_STEPS = 1000
+"""Refuse a longer span: it is a typing error, and its points would take years."""
 
 
 class Span(Section):
@@ -38,16 +39,16 @@ class Span(Section):
     @model_validator(mode="after")
     def _whole(self) -> "Span":
         steps = (self.last - self.first) / self.step
-        if not (abs(steps - round(steps)) < 1e-6 and 0 < round(steps) <= STEPS_MOST):
+        if not (abs(steps - round(steps)) < 1e-6 and 0 < round(steps) <= MAX_STEPS):
             raise ValueError(
-                f"expected last to be first plus 1 to {STEPS_MOST} whole steps, "
+                f"expected last to be first plus 1 to {MAX_STEPS} whole steps, "
                 f"found first {self.first:g}, last {self.last:g}, step {self.step:g}"
             )
         return self
 
     @property
     def values(self) -> tuple[float, ...]:
-        """All of them."""
+        """All values."""
         count = round((self.last - self.first) / self.step)
         return tuple(round(self.first + self.step * each, 6) for each in range(count + 1))
 
@@ -61,7 +62,7 @@ class BenchSensor(SensorOnBus):
     """One range finder on the bench."""
 
     simulator: str | None = None
-    """sensor model file by which the simulator's sensor reads, relative to the campaign file; left out: the same"""
+    """sensor model file of the simulated sensor, relative to the campaign file; left out: the same"""
 
     _simulated_by: Path = PrivateAttr()
 
@@ -72,7 +73,7 @@ class BenchSensor(SensorOnBus):
 
     @property
     def simulated_by(self) -> Path:
-        """The file by which the simulator's sensor reads."""
+        """Sensor model file of the simulated sensor."""
         return self._simulated_by
 
 
@@ -82,7 +83,7 @@ class Reference(Section):
     method: str = Field(min_length=1)
     """how the true range is measured, from where to where"""
     uncertainty_cm: float = Field(gt=0, le=100)
-    """standard deviation of that [cm]; half the step of a ruler is about right. The simulator errs by as much"""
+    """its standard deviation [cm]; half the step of a ruler is about right. The simulator's true ranges err by it"""
 
 
 class BenchTarget(Section):
@@ -93,20 +94,20 @@ class BenchTarget(Section):
     size_cm: tuple[SizeCm, SizeCm] | None = None
     """width and height [cm]; left out: larger than the beam"""
     how: str = ""
-    """what a person has to know to put it up"""
+    """instructions for placing it"""
 
 
 class BenchAir(Section):
     """The air between sensor and target."""
 
     air_temperature_c: TemperatureC | None = None
-    """at the sensor [deg C]; left out: as it comes, and the thermometer says"""
+    """at the sensor [deg C]; left out: not controlled, taken from the thermometer"""
     target_temperature_c: TemperatureC | None = None
     """at the far end, next to the target [deg C]; left out: the same as at the sensor"""
     humidity_pct: HumidityPct | None = None
     """relative humidity [%]; left out: unknown"""
     how: str = ""
-    """how it is brought about: a box, a vent, a humidifier"""
+    """how it is done: a box, a vent, a humidifier"""
 
     @model_validator(mode="after")
     def _near_end_first(self) -> "BenchAir":
@@ -116,7 +117,7 @@ class BenchAir(Section):
 
 
 class External(Section):
-    """An ultrasonic transmitter beside the bench, at every combination of what is listed here."""
+    """An ultrasonic transmitter next to the bench, at every combination of the values listed here."""
 
     levels_db: tuple[Annotated[float, Field(ge=0, le=160)], ...] = Field(min_length=1)
     """sound level at 30 cm from it [dB re 20 uPa]"""
@@ -125,7 +126,7 @@ class External(Section):
     distances_cm: tuple[Annotated[float, Field(gt=0, le=2000)], ...] = Field(min_length=1)
     """from it to the sensor [cm]"""
     frequencies_khz: tuple[Annotated[float, Field(ge=20, le=200)], ...] = Field(min_length=1)
-    """of its sound [kHz]"""
+    """frequency of its sound [kHz]"""
     quiet: bool = True
     """whether each point is also read with it switched off, to compare with"""
 
@@ -140,15 +141,15 @@ class Moving(Section):
 
 
 class Experiment(Section):
-    """One experiment: it is read at every combination of what it lists."""
+    """One experiment, read at every combination of the values that it lists."""
 
     condition: Name
-    """the word under which its readings are found; several entries may share it. With two ways of firing listed, each
-    one's word is added: crosstalk_simultaneous"""
+    """its name in the column `condition`; several entries may share it. If both ways of firing are listed, each is
+    added: crosstalk_simultaneous"""
     question: str = ""
-    """what it is to find out, and where the report does"""
+    """the question that it answers, and the report's section"""
     setup: str = ""
-    """what a person has to know when it begins"""
+    """instructions for its start"""
     ranges_cm: tuple[RangeCm, ...] = Field(min_length=1)
     """perpendicular distances from sensor to target [cm]: a list, or {first, last, step}"""
     angles_deg: tuple[AngleDeg, ...] = Field((0.0,), min_length=1)
@@ -160,17 +161,17 @@ class Experiment(Section):
     vibrations_hz: tuple[Annotated[float, Field(ge=0, le=100_000)], ...] = Field((0.0,), min_length=1)
     """vibration of the sensor's housing [Hz]; 0: none"""
     sensors: tuple[Name, ...] = ()
-    """names of the sensors that are read; left out: the first one"""
+    """names of the sensors to read; left out: the first one"""
     apart_cm: float | None = Field(None, gt=0, le=1000)
     """distance between them, where there are several [cm]"""
     firing: tuple[Firing, ...] = Field(("sequential",), min_length=1)
-    """sequential: each waits for the one before; simultaneous: all ping at once"""
+    """sequential: each waits for the previous one; simultaneous: all ping at once"""
     external: External | None = None
     """an ultrasonic transmitter nearby; left out: none"""
     moving: Moving | None = None
     """a target that moves; left out: it stands still"""
     readings: int | None = Field(None, ge=1, le=10_000_000)
-    """readings a point and sensor; left out: the campaign's"""
+    """readings per point and sensor; left out: the campaign's"""
 
     @field_validator("ranges_cm", "angles_deg", mode="before")
     @classmethod
@@ -200,15 +201,15 @@ class Campaign(Section):
     reference: Reference
     """what the readings are compared with"""
     sensors: tuple[BenchSensor, ...] = Field(min_length=1)
-    """the range finders; the first one is read where a condition names none"""
+    """the range finders; the first one is read if an experiment names none"""
     room: BenchAir = BenchAir()
-    """the air where a condition says nothing else"""
+    """the air, unless an experiment sets another"""
     thermometer: FileSource | None = None
-    """file of a thermometer next to the sensor; left out: a person types in what a thermometer says"""
+    """file of a thermometer next to the sensor; left out: a person enters what a thermometer shows"""
     readings: int = Field(100, ge=1, le=10_000_000)
-    """readings a point and sensor, where a condition says nothing else"""
+    """readings per point and sensor, unless an experiment sets another number"""
     conditions: tuple[Experiment, ...] = Field(min_length=1)
-    """the experiments, in the order in which they are done"""
+    """the experiments, in their order"""
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
@@ -228,7 +229,7 @@ class Campaign(Section):
         return self
 
     def keep_files(self, files: dict[str, str]) -> None:
-        """Note the texts that this campaign was read from."""
+        """Store the texts that this campaign was read from."""
         self._files = files
 
     @property
@@ -247,7 +248,7 @@ def load_campaign(path: Path | str) -> Campaign:
     Raises
     ------
     ConfigError
-        The file cannot be read or used; one line a mistake.
+        The file cannot be read or used; one line per error.
     """
     path = config_path(path, "campaigns")
     campaign = load(path, Campaign)

@@ -1,7 +1,7 @@
-"""Going through a campaign: set up, read, look, and on to the next point.
+"""Collect the readings of a campaign: set up a point, read it, review it, and go on to the next one.
 
-Points, a bench, a store and a person enter; the person may be a program. The readings leave through the store. A ping
-without a usable answer is recorded as what it is and asked again; where answers stay away, the person is told.
+Points, a bench, a store and an operator (a person or a program) enter; readings leave through the store. A ping without
+a usable answer is recorded with its status and repeated; where answers stay away, the operator is asked.
 """
 
 import difflib
@@ -21,15 +21,17 @@ from msp_range.reading import Reading
 from msp_range.yaml_file import ConfigError
 
 TROUBLE_AFTER = 20
-"""So many pings in a row without a usable answer are more than bad luck."""
+"""Ask the operator after so many pings in a row without a usable answer: 2 s of a sensor at 10 Hz, which no single
+fault of the bus lasts. A smaller number asks about single faults, a larger one lets a person wait."""
 GIVE_UP_AFTER = 5
-"""So many times is a person, or a program in their place, told of it at one point."""
+"""Skip a point after asking so many times about it, so that an unattended collection comes to its end."""
 STEADY_C = 0.05
-"""A smaller change of the thermometer is not written down [deg C]."""
+"""Record a new air temperature where it differs by this or more [deg C]: 0.01 % of a range. A smaller value writes the
+thermometer's noise into every reading."""
 
 
-class Say(Enum):
-    """What a person wants next."""
+class Decision(Enum):
+    """What the operator wants next."""
 
     GO = "go"
     SKIP = "skip"
@@ -39,42 +41,44 @@ class Say(Enum):
 
 @dataclass(frozen=True)
 class Arranged:
-    """A set-up as it really is; ``measured`` are columns that differ from the plan."""
+    """A set-up as it is; ``measured`` holds the columns that differ from the plan."""
 
-    say: Say
+    decision: Decision
     measured: Mapping[str, float] = field(default_factory=dict)
 
 
-class Person(Protocol):
-    """Who sets up and looks."""
+class Operator(Protocol):
+    """A person, or a program, who sets up points and reviews readings."""
 
     def arrange(self, point: Point, to_change: Sequence[str], place: "Place") -> Arranged:
         """Set a point up. AGAIN reads the point before once more, SKIP leaves this one for later."""
         ...
 
-    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
-        """Look at a reading as it comes in; STOP ends the sitting, everything else goes on."""
+    def on_reading(
+        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+    ) -> Decision:
+        """Receive each reading as it comes in; STOP ends the session, everything else continues."""
         ...
 
-    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
-        """Look at a point that has been read; AGAIN reads it once more, STOP ends the sitting."""
+    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+        """Review a point that has been read; AGAIN reads it once more, STOP ends the session."""
         ...
 
-    def trouble(self, text: str) -> Say:
-        """Hear that a sensor does not answer; GO tries on, SKIP leaves the point, STOP ends the sitting."""
+    def on_trouble(self, text: str) -> Decision:
+        """Receive a report on a silent sensor; GO tries again, SKIP leaves the point, STOP ends the session."""
         ...
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where in the campaign a person is.
+    """Position in the campaign.
 
     Attributes
     ----------
     number, of
         Of this point, among all.
     had
-        Readings of this point that are there already, of its first sensor.
+        Readings of this point that are recorded already, of its first sensor.
     """
 
     number: int
@@ -87,11 +91,11 @@ def collect_readings(
     points: Sequence[Point],
     bench: Bench,
     store: Store,
-    person: Person,
+    operator: Operator,
     wanted: Collection[str],
     again: Collection[str] = (),
 ) -> None:
-    """Read what is wanted and not there yet, in the order of the plan; what is skipped comes once more at the end.
+    """Read the wanted points that are not recorded yet, in the order of the plan; skipped ones come again at the end.
 
     Parameters
     ----------
@@ -100,8 +104,8 @@ def collect_readings(
     bench
         Where the sensors are.
     store
-        Where readings go; what it already has is not read again.
-    person
+        Where readings are recorded; points that it already has are not read again.
+    operator
         Who sets up.
     wanted
         Names of the points that are to be read.
@@ -109,107 +113,109 @@ def collect_readings(
         Names of points that are to be read although they are done.
     """
     todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
-    _Sitting(campaign, points, bench, store, person).go_through(todo, again)
+    _Session(campaign, points, bench, store, operator).go_through(todo, again)
 
 
 def chosen(points: Sequence[Point], beginnings: Sequence[str], option: str) -> frozenset[str]:
-    """Names of the points that begin as one of ``beginnings`` says.
+    """Return the names of the points that begin with one of ``beginnings``.
 
     Raises
     ------
     ConfigError
-        None begins so.
+        No point begins with one of them.
     """
     found: set[str] = set()
     for beginning in beginnings:
         names = [point.name for point in points if point.name.startswith(beginning)]
         if not names:
             near = difflib.get_close_matches(beginning, [point.name for point in points], n=1, cutoff=0.0)
-            raise ConfigError(f"{option} {beginning}: no point begins so; one is named {near[0]} (see --plan)")
+            raise ConfigError(f"{option} {beginning}: no point's name begins so; one is {near[0]} (see --plan)")
         found.update(names)
     return frozenset(found)
 
 
-class _Sitting:
-    """One sitting at the bench."""
+class _Session:
+    """One session at the bench."""
 
-    def __init__(self, campaign: Campaign, points: Sequence[Point], bench: Bench, store: Store, person: Person) -> None:
+    def __init__(
+        self, campaign: Campaign, points: Sequence[Point], bench: Bench, store: Store, operator: Operator
+    ) -> None:
         self._campaign = campaign
         self._numbers = {point.name: number for number, point in enumerate(points, start=1)}
         self._bench = bench
         self._store = store
-        self._person = person
+        self._operator = operator
         self._before: Point | None = None
 
     def go_through(self, todo: Sequence[Point], again: Collection[str]) -> None:
         skipped: list[Point] = []
         for last_round in (False, True):
             for point in skipped if last_round else todo:
-                say = self._visit(point, anew=point.name in again)
-                if say is Say.STOP:
+                decision = self._visit(point, anew=point.name in again)
+                if decision is Decision.STOP:
                     return
-                if say is Say.SKIP and not last_round:
+                if decision is Decision.SKIP and not last_round:
                     skipped.append(point)
 
-    def _visit(self, point: Point, *, anew: bool) -> Say:
+    def _visit(self, point: Point, *, anew: bool) -> Decision:
         """Set up and read a point until it is kept."""
         while True:
             attempt = self._store.next_attempt(point, again=anew)
             had = attempt.readings[point.setup.sensors[0]]
             place = Place(self._numbers[point.name], len(self._numbers), had)
-            arranged = self._person.arrange(point, changes(self._before, point), place)
-            if arranged.say is Say.AGAIN:
-                # Before the first point of a sitting there is none to read again.
-                if self._before is not None and self._visit(self._before, anew=True) is Say.STOP:
-                    return Say.STOP
+            arranged = self._operator.arrange(point, changes(self._before, point), place)
+            if arranged.decision is Decision.AGAIN:
+                # Before the first point of a session there is none to read again.
+                if self._before is not None and self._visit(self._before, anew=True) is Decision.STOP:
+                    return Decision.STOP
                 continue
-            if arranged.say in (Say.SKIP, Say.STOP):
-                return arranged.say
+            if arranged.decision in (Decision.SKIP, Decision.STOP):
+                return arranged.decision
             self._before = point
-            say, watches = self._read(point, {**point.columns, **arranged.measured}, anew=anew)
-            if say is Say.GO:
-                say = self._person.judge(point, watches)
-            if say is not Say.AGAIN:
-                return say
+            decision, watches = self._read(point, {**point.columns, **arranged.measured}, anew=anew)
+            if decision is Decision.GO:
+                decision = self._operator.review(point, watches)
+            if decision is not Decision.AGAIN:
+                return decision
             anew = True
 
-    def _read(self, point: Point, columns: dict[str, float | str], *, anew: bool) -> tuple[Say, dict[str, Watch]]:
+    def _read(self, point: Point, columns: dict[str, float | str], *, anew: bool) -> tuple[Decision, dict[str, Watch]]:
         attempt = self._store.next_attempt(point, again=anew)
         bus, passed_over = self._bench.begin(point, attempt.number, columns, attempt.rangings)
-        self._store.begin(point, attempt, goes_on=passed_over > 0)
+        self._store.begin(point, attempt, resumed=passed_over > 0)
         nearest_cm = float(columns["true_range_cm"])
         slant_cm = nearest_cm / cos(radians(float(columns["incidence_deg"])))
         watches = {name: Watch(name, (nearest_cm, slant_cm)) for name in point.setup.sensors}
         clock = self._bench.clock
         end_s = self._end_s(point, nearest_cm)
-        silent, told = Counter[str](), 0
+        silent, reports = Counter[str](), 0
         fresh = dict(columns)
-        self._note_air(fresh, clock.now())
+        self._update_air(fresh, clock.now())
         for number, known in enumerate(rangings(self._campaign, point, fresh, bus, clock)):
             reading = known.ranging.reading
             if reading.time_s > end_s:
                 break
             if number >= passed_over:
                 self._store.keep(known)
-                outlier = watches[reading.sensor].take(reading)
-                if self._person.look(point, watches, reading, outlier) is Say.STOP:
-                    return Say.STOP, watches
+                outlier = watches[reading.sensor].update(reading)
+                if self._operator.on_reading(point, watches, reading, outlier) is Decision.STOP:
+                    return Decision.STOP, watches
             enough = all(attempt.readings[name] >= point.readings for name in point.setup.sensors)
             if enough and point.setup.movement is None:
                 break
             silent[reading.sensor] = silent[reading.sensor] + 1 if reading.status.is_fault else 0
             if silent[reading.sensor] >= TROUBLE_AFTER:
-                told += 1
+                reports += 1
                 silent.clear()
-                say = self._person.trouble(
+                decision = self._operator.on_trouble(
                     f"{reading.sensor}: no usable answer to {TROUBLE_AFTER} pings: "
                     f"{known.ranging.error or reading.status.value}"
                 )
-                if say is not Say.GO or told >= GIVE_UP_AFTER:
-                    return Say.SKIP if say is Say.GO else say, watches
-            self._note_air(fresh, clock.now())
+                if decision is not Decision.GO or reports >= GIVE_UP_AFTER:
+                    return Decision.SKIP if decision is Decision.GO else decision, watches
+            self._update_air(fresh, clock.now())
         self._store.done(point)
-        return Say.GO, watches
+        return Decision.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:
         """When a movement that begins now has arrived [s]; a target at rest is read for as long as it takes."""
@@ -218,8 +224,8 @@ class _Sitting:
             return float("inf")
         return self._bench.clock.now() + abs((movement.to_cm - start_cm) / movement.rate_cm_s)
 
-    def _note_air(self, columns: dict[str, float | str], now_s: float) -> None:
-        """Take the thermometer's value where it has one; with even air it is that of the far end too."""
+    def _update_air(self, columns: dict[str, float | str], now_s: float) -> None:
+        """Update the air temperature from the thermometer, at both ends where the plan has the same for both."""
         air_c = self._bench.air_c(now_s)
         if air_c is None:
             return

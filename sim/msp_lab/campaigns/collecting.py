@@ -1,4 +1,4 @@
-"""What ``msp-lab collect --simulate`` does: a campaign on emulated sensors, by the code that a real bench is read with.
+"""``msp-lab collect --simulate``: a campaign on emulated sensors, with the code that reads a real bench.
 
 A campaign's file and the command's options enter; recordings and one table of readings leave.
 """
@@ -10,9 +10,9 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
 from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.collect import chosen, collect_readings
-from msp_lab.campaigns.flights import Hangar, load_flights, show_flights
+from msp_lab.campaigns.flights import FlightArchive, load_flights, show_flights
 from msp_lab.campaigns.plan import Point, make_plan
-from msp_lab.campaigns.simulated_bench import Nobody, SimulatedBench, readings_of
+from msp_lab.campaigns.simulated_bench import AutoOperator, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import show_plan
 from msp_range.clock import SystemClock, VirtualClock
@@ -39,8 +39,8 @@ class Collecting(Bar):
         super().__init__(*columns, total=self._total)
         self._question = ""
 
-    def take(self, point: Point, readings: int) -> None:
-        """Show where the collection is."""
+    def update(self, point: Point, readings: int) -> None:
+        """Show the progress of the collection."""
         if self.is_shown:
             self.show(point.condition, readings)
         elif point.question != self._question:
@@ -61,7 +61,7 @@ def collect_campaign(
     campaign = load_campaign(campaign_file)
     points = make_plan(campaign)
     again = chosen(points, repeat, "--repeat")
-    # What is to be read again is not a reason to read all the rest.
+    # --repeat alone reads nothing else.
     wanted = chosen(points, only or ([] if repeat else [""]), "--only")
     models, described = readings_of(campaign, model)
     bench = SimulatedBench(campaign, points, models, seed, described)
@@ -74,18 +74,18 @@ def collect_campaign(
     started_s = system.now()
     todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
     with stop_signals() as stopped, Collecting(todo) as shown:
-        nobody = Nobody(shown.take, lambda: bool(stopped))
+        operator = AutoOperator(shown.update, lambda: bool(stopped))
         try:
-            collect_readings(campaign, points, bench, store, nobody, wanted, again)
+            collect_readings(campaign, points, bench, store, operator, wanted, again)
         finally:
             store.close()
     table, rows = store.write_table()
-    for text in nobody.texts:
+    for text in operator.texts:
         print(text)
     left = sum(not store.is_done(point) for point in points)
     print(
-        f"{table}: {rows} readings, {nobody.readings} of them now in {system.now() - started_s:.1f} s; "
-        f"{nobody.outliers} outliers, {nobody.failed} pings without a usable answer; "
+        f"{table}: {rows} readings, {operator.readings} of them now in {system.now() - started_s:.1f} s; "
+        f"{operator.outliers} outliers, {operator.failed} pings without a usable answer; "
         f"{left} of {len(points)} points are left"
     )
 
@@ -93,9 +93,9 @@ def collect_campaign(
 def fly_flights(campaign_file: Path, out: Path, model: Path | None, seed: int, plan_only: bool) -> None:
     """Fly a campaign's flights, those that are not recorded yet; the parameters are the options of the command."""
     campaign = load_flights(campaign_file)
-    hangar = Hangar(out, campaign)
+    archive = FlightArchive(out, campaign)
     if plan_only:
-        show_flights(campaign, hangar, PlainConsole())
+        show_flights(campaign, archive, PlainConsole())
         return
     sensor_model = load_sensor_model(model) if model is not None else None
     scenarios = {
@@ -105,16 +105,16 @@ def fly_flights(campaign_file: Path, out: Path, model: Path | None, seed: int, p
     }
     for number, flight in enumerate(campaign.flights, start=1):
         scenario = scenarios.get(flight.flight)
-        if scenario is None or hangar.recordings(flight):
+        if scenario is None or archive.recordings(flight):
             continue
         print(f"{number} of {len(campaign.flights)}: {flight.flight}, {scenario.duration_s:g} s of {scenario.name}")
         clock = VirtualClock()
-        with hangar.making(flight) as path:
+        with archive.making(flight) as path:
             files = scenario.airframe.files
             recorder = Recorder(path, clock, files=files, metadata={"scenario": scenario.name, "seed": str(seed)})
             simulation = Simulation(scenario, clock, seed + number, model=sensor_model, recorder=recorder)
             for _ in simulation.fly():
                 pass
             recorder.close()
-    table, rows = hangar.write_table()
+    table, rows = archive.write_table()
     print(f"{table}: {rows} readings of {len(scenarios)} flights")

@@ -1,4 +1,4 @@
-"""What ``msp-lab collect`` does with a person at a real bench, or after real flights.
+"""``msp-lab collect`` with a person at a real bench, or after real flights.
 
 The command's options enter; recordings and one table of readings leave. `collecting` is the same on the simulator.
 """
@@ -11,7 +11,7 @@ from typing import Any
 from msp_lab.campaigns.bench import KernelBench
 from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.collect import chosen, collect_readings
-from msp_lab.campaigns.flights import Hangar, collect_flights, load_flights, show_flights
+from msp_lab.campaigns.flights import FlightArchive, collect_flights, load_flights, show_flights
 from msp_lab.campaigns.plan import make_plan
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import Terminal, show_plan
@@ -23,12 +23,12 @@ from msp_range.terminal import PlainConsole
 def collect_at_bench(
     campaign_file: Path, out: Path, bus: str, only: list[str], repeat: list[str], plan_only: bool
 ) -> None:
-    """Lead through a campaign at the bench; the parameters are the options of the command."""
+    """Lead a person through a campaign at the bench; the parameters are the options of the command."""
     console = PlainConsole()
     campaign = load_campaign(campaign_file)
     points = make_plan(campaign)
     again = chosen(points, repeat, "--repeat")
-    # What is to be read again is not a reason to read all the rest.
+    # --repeat alone reads nothing else.
     wanted = chosen(points, only or ([] if repeat else [""]), "--only")
     bench = KernelBench(bus_of(bus), campaign.thermometer)
     store = Store(out, points, bench.description, bench.clock, campaign.files)
@@ -37,11 +37,11 @@ def collect_at_bench(
         return
     bench.open()
     with stop_signals() as stopped:
-        person = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
+        operator = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
-            collect_readings(campaign, points, bench, store, person, wanted, again)
+            collect_readings(campaign, points, bench, store, operator, wanted, again)
         finally:
-            person.close()
+            operator.close()
             store.close()
             bench.close()
     table, rows = store.write_table()
@@ -54,19 +54,19 @@ def collect_recordings(campaign_file: Path, out: Path, plan_only: bool) -> None:
     """Ask for the recording and the reference of each flight of a campaign, and keep copies of them."""
     console = PlainConsole()
     campaign = load_flights(campaign_file)
-    hangar = Hangar(out, campaign)
+    archive = FlightArchive(out, campaign)
     if plan_only:
-        show_flights(campaign, hangar, console)
+        show_flights(campaign, archive, console)
         return
-    collect_flights(campaign, hangar, console, _asking(console))
-    left = sum(not hangar.recordings(flight) for flight in campaign.flights)
+    collect_flights(campaign, archive, console, _asking(console))
+    left = sum(not archive.recordings(flight) for flight in campaign.flights)
     if left < len(campaign.flights):
-        table, rows = hangar.write_table()
+        table, rows = archive.write_table()
         print(f"{table}: {rows} readings; {left} of {len(campaign.flights)} flights are left")
 
 
 def _asking(console: Any) -> Callable[[str], str]:
-    """A prompt that a signal ends; it returns q then, and at the end of the input."""
+    """Return a prompt that a signal ends; it returns q then, and at the end of the input."""
 
     def ask(text: str) -> str:
         handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}

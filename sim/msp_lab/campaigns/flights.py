@@ -1,7 +1,7 @@
 """A campaign in the air: flights whose readings the bridge records itself, and the truth from another instrument.
 
-A flight campaign file says what is to be flown, a recording of `msp-range run` and a table of the reference come in for
-each flight, and the same table of readings leaves as from the bench. Copies are kept and only ever added to.
+A campaign file of flights, and for each flight a recording of `msp-range run` and a table of the reference enter; the
+same table of readings leaves as from a bench. Recordings and references are copied and never changed.
 """
 
 import os
@@ -27,23 +27,24 @@ from msp_range.sensor_on_bus import Name
 from msp_range.yaml_file import Section, config_path, load, read_yaml
 
 GAP_S = 1.0
-"""Between two values of the reference that are farther apart, the truth is not known [s]."""
+"""The true range is unknown between two values of the reference that are farther apart [s]: at 1 m/s it changes by a
+metre. A larger gap interpolates over manoeuvres, a smaller one drops the readings of a slow reference."""
 SCENARIO = "scenario"
 READINGS = "readings.csv"
 TRUTH, TIME, UTC = "true_range_cm", "time_s", "utc_s"
 
 
 class Flight(Section):
-    """One flight."""
+    """One flight of a campaign."""
 
     flight: Name
     """a name of its own; it is the condition of its readings"""
     question: str = ""
-    """what it is to find out"""
+    """the question that it answers"""
     how: str = Field(min_length=1)
     """what the pilot does"""
     target: str = Field(min_length=1)
-    """what lies below, a word"""
+    """the surface below, a word"""
     scenario: str | None = None
     """scenario file that the simulator flies in its place, relative to this file"""
 
@@ -77,7 +78,7 @@ def load_flights(path: Path | str) -> FlightCampaign:
     Raises
     ------
     ConfigError
-        The file cannot be read or used; one line a mistake.
+        The file cannot be read or used; one line per error.
     """
     return load(config_path(path, "campaigns"), FlightCampaign)
 
@@ -94,11 +95,11 @@ def is_of_flights(path: Path | str) -> bool:
     return isinstance(content, dict) and "flights" in content
 
 
-class Hangar:
+class FlightArchive:
     """The folder of a flight campaign: ``flights/<flight>-001.mcap`` with its reference, and ``readings.csv``.
 
-    Where a flight was flown several times, the last one counts. Recordings and references are only ever added; whoever
-    does not want one deletes it, and its number is not given again while there are later ones.
+    If a flight was flown several times, the last recording is used. Recordings and references are only added. One that
+    is not wanted can be deleted; its number is not used again while there are later ones.
 
     Raises
     ------
@@ -112,63 +113,63 @@ class Hangar:
         table = folder / READINGS
         if table.exists() and not any(self.recordings(flight) for flight in campaign.flights):
             raise RecordingError(
-                f"{table}: not collected here, for there is no recording of these flights in {folder / 'flights'}, and "
-                "it would be overwritten; name another folder with --out"
+                f"{table}: not collected here, since there is no recording of these flights in {folder / 'flights'}, "
+                "and it would be overwritten; name another folder with --out"
             )
 
     def recordings(self, flight: Flight) -> list[Path]:
-        """Its recordings, in their order."""
+        """Return the recordings of a flight in their order."""
         numbered = {_number(flight, path): path for path in self._files(flight) if path.suffix == ".mcap"}
         return [numbered[number] for number in sorted(numbered)]
 
     def _files(self, flight: Flight) -> list[Path]:
-        """Its recordings and references, in any order."""
+        """Recordings and references of a flight, in any order."""
         pattern = re.compile(re.escape(flight.flight) + r"-\d{3,}(\.mcap|\.reference\.csv)")
         return [path for path in (self.folder / "flights").glob("*") if pattern.fullmatch(path.name)]
 
     @contextmanager
     def making(self, flight: Flight) -> Iterator[Path]:
-        """Where to write its next recording; it is there when it is whole."""
+        """Give the path for the next recording of a flight; it gets its name when it is complete."""
         self._refuse_other_kind(simulated=True)
         path = self._next_path(flight)
-        beside = path.with_name(f".{path.name}.new")
-        beside.unlink(missing_ok=True)
-        yield beside
-        _add(beside, path)
+        unfinished = path.with_name(f".{path.name}.new")
+        unfinished.unlink(missing_ok=True)
+        yield unfinished
+        _add(unfinished, path)
 
     def _refuse_other_kind(self, *, simulated: bool) -> None:
-        """Simulated and real flights never share a folder; the simulator names its scenario in the recording."""
+        """Refuse simulated and real flights in one folder; the simulator names its scenario in the recording."""
         for flight in self._campaign.flights:
             for path in self.recordings(flight):
                 if (SCENARIO in Recording(path).metadata) != simulated:
                     kind = "real" if simulated else "simulated"
-                    raise RecordingError(f"{path}: of a {kind} flight; name another folder with --out")
+                    raise RecordingError(f"{path}: a recording of a {kind} flight; name another folder with --out")
 
     def _next_path(self, flight: Flight) -> Path:
         folder = self.folder / "flights"
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(f"{folder}: this folder cannot be made: {error.strerror}") from None
+            raise RecordingError(f"{folder}: this folder cannot be created: {error.strerror}") from None
         # A reference whose recording was deleted must not become that of the next one.
         last = max((_number(flight, path) for path in self._files(flight)), default=0)
         return folder / f"{flight.flight}-{last + 1:03d}.mcap"
 
     def keep(self, flight: Flight, recording: Path, reference: Path | None) -> None:
-        """Copy a flight's recording and the table of its reference, both looked at before.
+        """Check a flight's recording and the table of its reference, and copy both.
 
         Raises
         ------
         RecordingError
-            One cannot be read or holds nothing of use, or cannot be copied.
+            One cannot be read, has no usable content, or cannot be copied.
         """
         data = measured_data(Recording(recording), faults=False)
         if not len(data):
-            raise RecordingError(f"{recording}: holds no readings")
+            raise RecordingError(f"{recording}: contains no readings")
         if reference is not None:
             known = ~np.isnan(truth_at(data["time_s"], Recording(recording), reference))
             if not known.any():
-                raise RecordingError(f"{reference}: its times and those of {recording} have nothing in common")
+                raise RecordingError(f"{reference}: its times do not overlap with those of {recording}")
         self._refuse_other_kind(simulated=False)
         path = self._next_path(flight)
         if reference is not None:
@@ -176,7 +177,7 @@ class Hangar:
         _copy(recording, path)
 
     def readings(self) -> MeasuredData:
-        """The readings of every flight's last recording, in the order of the campaign."""
+        """Return the readings of every flight's last recording, in the order of the campaign."""
         parts = [
             self._of(flight, self.recordings(flight)[-1])
             for flight in self._campaign.flights
@@ -187,12 +188,12 @@ class Hangar:
         return MeasuredData({name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names})
 
     def write_table(self) -> tuple[Path, int]:
-        """Write ``readings.csv`` anew; returns its path and how many rows it has."""
-        path, beside = self.folder / READINGS, self.folder / f".{READINGS}.new"
+        """Write ``readings.csv``; return its path and its number of rows."""
+        path, unfinished = self.folder / READINGS, self.folder / f".{READINGS}.new"
         data = self.readings()
-        beside.unlink(missing_ok=True)
-        write_csv(beside, data)
-        os.replace(beside, path)
+        unfinished.unlink(missing_ok=True)
+        write_csv(unfinished, data)
+        os.replace(unfinished, path)
         return path, len(data)
 
     def _of(self, flight: Flight, path: Path) -> MeasuredData:
@@ -209,14 +210,14 @@ class Hangar:
 
 
 def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
-    """The reference's range [cm] at times on the bridge's clock [s], NaN where it does not say.
+    """The reference's range [cm] at times on the bridge's clock [s], NaN where it is unknown.
 
     Parameters
     ----------
     time_s
         Times of the echoes, shape (n,).
     recording
-        Knows what UTC its times are.
+        Gives the UTC of its times.
     reference
         CSV with ``true_range_cm`` and either ``time_s`` on the bridge's clock or ``utc_s``, seconds since 1970.
 
@@ -237,7 +238,7 @@ def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
     their_s = table[TIME if TIME in table else UTC][known]
     if their_s.size < 2 or (np.diff(their_s) <= 0).any():
         raise RecordingError(
-            f"{reference}: found times that do not grow, or fewer than two; expected one after another"
+            f"{reference}: found times that do not increase, or fewer than two; expected increasing times"
         )
     asked_s = time_s if TIME in table else time_s + recording.utc_s(0.0)
     after = np.clip(np.searchsorted(their_s, asked_s), 1, their_s.size - 1)
@@ -245,21 +246,23 @@ def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
     return np.where(inside, np.interp(asked_s, their_s, table[TRUTH][known]), np.nan)
 
 
-def show_flights(campaign: FlightCampaign, hangar: Hangar, console: Console) -> None:
-    """What is to be flown, and what is there."""
+def show_flights(campaign: FlightCampaign, archive: FlightArchive, console: Console) -> None:
+    """Print the flights, and which are recorded."""
     for number, flight in enumerate(campaign.flights, start=1):
-        there = "   recorded" if hangar.recordings(flight) else ""
-        console.print(f"{number:4d}  {flight.flight}{there}", highlight=False)
+        mark = "   recorded" if archive.recordings(flight) else ""
+        console.print(f"{number:4d}  {flight.flight}{mark}", highlight=False)
         console.print(
             f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim", highlight=False
         )
     console.print(f"The reference: {campaign.reference.method}", highlight=False)
 
 
-def collect_flights(campaign: FlightCampaign, hangar: Hangar, console: Console, ask: Callable[[str], str]) -> None:
-    """Lead a person through the flights: what to fly, and where its recording and reference are."""
+def collect_flights(
+    campaign: FlightCampaign, archive: FlightArchive, console: Console, ask: Callable[[str], str]
+) -> None:
+    """Lead a person through the flights: what to fly, then the paths of the recording and the reference."""
     for number, flight in enumerate(campaign.flights, start=1):
-        if hangar.recordings(flight):
+        if archive.recordings(flight):
             continue
         console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold", highlight=False)
         console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}", highlight=False)
@@ -274,7 +277,7 @@ def collect_flights(campaign: FlightCampaign, hangar: Hangar, console: Console, 
                 answer = "q"
                 break
             try:
-                hangar.keep(flight, Path(answer), Path(reference) if reference else None)
+                archive.keep(flight, Path(answer), Path(reference) if reference else None)
                 break
             except RecordingError as error:
                 console.print(f"  {error}", style="yellow", highlight=False)
@@ -293,20 +296,20 @@ def _number(flight: Flight, path: Path) -> int:
 
 
 def _add(written: Path, path: Path) -> None:
-    """Give a whole file its name; RecordingError where there is a file of that name."""
+    """Give a complete file its name; RecordingError if the name is taken."""
     if path.exists():
         raise RecordingError(f"{path}: there is a file already, and none is overwritten")
     os.replace(written, path)
 
 
 def _copy(source: Path, path: Path) -> None:
-    """A copy that is whole or not there."""
-    beside = path.with_name(f".{path.name}.new")
+    """Copy a file completely or not at all."""
+    unfinished = path.with_name(f".{path.name}.new")
     try:
-        with open_input(source, LARGEST_FILE_BYTES) as read, beside.open("wb") as written:
+        with open_input(source, LARGEST_FILE_BYTES) as read, unfinished.open("wb") as written:
             shutil.copyfileobj(read, written)
             written.flush()
             os.fsync(written.fileno())
-        _add(beside, path)
+        _add(unfinished, path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,9 +1,9 @@
-"""From a campaign to its points, in the order that gives a person the least to change.
+"""The points of a campaign, in the order that leaves a person the least to change.
 
 A `Campaign` enters, an ordered tuple of `Point` s leaves: each a set-up, the columns that hold for its readings, and
-how many of them. Conditions keep the order of the file. Within one, what is slow to change (sensors, air, target)
-varies last and what is quick (angle, transmitter) first, there and back in turn, so that from one point to the next
-only one thing changes; and a condition begins at the end at which the one before it stopped.
+how many of them. Experiments keep the order of the file. Within one, what is slow to change (sensors, air, target)
+varies last and what is quick (angle, transmitter) first, alternately forwards and backwards, so that only one thing
+changes from one point to the next. An experiment starts at the end at which the previous one stopped.
 """
 
 import itertools
@@ -28,12 +28,13 @@ SETUP_S = {
     "angle_deg": 10.0,
     "movement": 20.0,
 }
-"""What a person needs to change each part of a set-up [s]: guesses, for the time left. The slow ones vary last."""
+"""Time that a person needs to change each part of a set-up [s]: guesses, which decide only the estimate of the time
+that is left."""
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A transmitter beside the bench; ``duty`` 0 is one that is switched off."""
+class Transmitter:
+    """A transmitter next to the bench; ``duty`` 0 is one that is switched off."""
 
     duty: float
     level_db: float | None = None
@@ -52,7 +53,7 @@ class Movement:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a person arranges for a point; a movement begins at ``range_cm``."""
+    """The set-up of a point; a movement starts at ``range_cm``."""
 
     sensors: tuple[str, ...]
     apart_cm: float | None
@@ -60,14 +61,14 @@ class Setup:
     target: BenchTarget
     vibration_hz: float
     range_cm: float
-    source: Source | None
+    source: Transmitter | None
     angle_deg: float
     movement: Movement | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One set-up and what is read there.
+    """One set-up and its readings.
 
     Attributes
     ----------
@@ -76,13 +77,13 @@ class Point:
     condition
         The experiment, as in the column of that name.
     setup
-        What a person arranges.
+        What to set up.
     firing
-        Who waits for whom, where several sensors ping.
+        Order of the pings of several sensors.
     readings
-        How many of each sensor.
+        Number of readings of each sensor.
     question, note
-        The condition's question, and what a person has to know when it begins.
+        Question and instructions of the experiment.
     """
 
     name: str
@@ -95,10 +96,10 @@ class Point:
 
     @property
     def columns(self) -> dict[str, float | str]:
-        """The columns that hold for all its readings, by name; ``true_range_cm`` is where a movement begins."""
+        """Context of all its readings by column; ``true_range_cm`` is where a movement starts."""
         setup = self.setup
         at_sensor_c, at_target_c = setup.air.air_temperature_c, setup.air.target_temperature_c
-        source = setup.source or Source(duty=0.0)
+        source = setup.source or Transmitter(duty=0.0)
         columns: dict[str, float | str | None] = {
             "true_range_cm": setup.range_cm,
             "condition": self.condition,
@@ -119,7 +120,7 @@ class Point:
 
 
 def make_plan(campaign: Campaign) -> tuple[Point, ...]:
-    """All points of a campaign, in order.
+    """Return all points of a campaign in order.
 
     Raises
     ------
@@ -150,7 +151,7 @@ def reading_s(campaign: Campaign, point: Point) -> float:
 
 
 def setup_s(before: Setup | None, after: Setup) -> float:
-    """Time that a person may need to get from one set-up to the next [s]."""
+    """Time that a person may need between two set-ups [s]."""
     changed = SETUP_S if before is None else [key for key in SETUP_S if getattr(before, key) != getattr(after, key)]
     return sum(SETUP_S[key] for key in changed)
 
@@ -180,20 +181,20 @@ def _points_of(campaign: Campaign, condition: Experiment, before: Setup | None) 
                 )
 
 
-def _sources(external: External | None) -> list[Source | None]:
+def _sources(external: External | None) -> list[Transmitter | None]:
     if external is None:
         return [None]
-    on: list[Source | None] = [
-        Source(duty, level_db, distance_cm, frequency_khz)
+    on: list[Transmitter | None] = [
+        Transmitter(duty, level_db, distance_cm, frequency_khz)
         for distance_cm, frequency_khz, level_db, duty in _there_and_back(
             [external.distances_cm, external.frequencies_khz, external.levels_db, external.duties]
         )
     ]
-    return [Source(duty=0.0), *on] if external.quiet else on
+    return [Transmitter(duty=0.0), *on] if external.quiet else on
 
 
 def _movements(condition: Experiment, standing: Setup, readings: int, interval_s: float) -> Iterator[tuple[Setup, int]]:
-    """The set-up itself, or one for each movement, with the number of readings that it gives."""
+    """The set-up itself, or one per movement, with its number of readings."""
     if condition.moving is None:
         yield standing, readings
         return
@@ -202,7 +203,7 @@ def _movements(condition: Experiment, standing: Setup, readings: int, interval_s
         of_one = math.floor(abs(length_cm) / rate_cm_s / interval_s)
         if of_one < 1:
             raise ConfigError(
-                f"condition {condition.condition}: moving: {abs(length_cm):g} cm at {rate_cm_s:g} cm/s are over before "
+                f"condition {condition.condition}: moving: {abs(length_cm):g} cm at {rate_cm_s:g} cm/s end before "
                 f"one reading, which takes {interval_s:g} s; expected a slower or longer movement"
             )
         for number in range(1, math.ceil(readings / of_one) + 1):
@@ -211,7 +212,7 @@ def _movements(condition: Experiment, standing: Setup, readings: int, interval_s
 
 
 def _from(levels: Sequence[Level], before: Level | None) -> list[Level]:
-    """The levels in an order that begins where the condition before has stopped, or as near as their ends are."""
+    """The levels, in the order that starts nearest to where the previous experiment stopped."""
     ordered = list(levels)
     if before in ordered and isinstance(before, (BenchAir, BenchTarget)):
         ordered.remove(before)
@@ -223,7 +224,7 @@ def _from(levels: Sequence[Level], before: Level | None) -> list[Level]:
 
 
 def _there_and_back(factors: Sequence[Sequence[Any]]) -> list[tuple[Any, ...]]:
-    """Every combination, the last factor varying first; from one to the next a single factor moves by one level."""
+    """Every combination, the last factor varying first; consecutive ones differ in one factor by one level."""
     if not factors:
         return [()]
     inner = _there_and_back(factors[1:])
@@ -232,7 +233,7 @@ def _there_and_back(factors: Sequence[Sequence[Any]]) -> list[tuple[Any, ...]]:
 
 
 def _words(setup: Setup, varied: set[str]) -> Iterator[str]:
-    """The parts of a point's name: what varies in its condition, and always the range."""
+    """The parts of a point's name: what varies in its experiment, and always the range."""
     if "air" in varied:
         known = [setup.air.air_temperature_c, setup.air.humidity_pct]
         yield "_".join(f"{each:g}{unit}" for each, unit in zip(known, ("C", "pct"), strict=True) if each is not None)
@@ -251,14 +252,14 @@ def _words(setup: Setup, varied: set[str]) -> Iterator[str]:
         yield f"{setup.movement.rate_cm_s:+g}cm_s_{setup.movement.number}"
 
 
-def _source_word(source: Source) -> str:
+def _source_word(source: Transmitter) -> str:
     if source.duty == 0.0:
         return "quiet"
     return f"{source.frequency_khz:g}kHz_{source.level_db:g}dB_duty{source.duty:g}_{source.distance_cm:g}cm_off"
 
 
 def changes(before: Point | None, after: Point) -> list[str]:
-    """What a person changes from one point to the next, in plain words, the slow things first; empty: nothing.
+    """Return what to change from one point to the next, the slow things first; empty: nothing.
 
     Examples
     --------
@@ -268,29 +269,29 @@ def changes(before: Point | None, after: Point) -> list[str]:
     ['Move the target to 60 cm (it was at 40 cm).']
     """
     old, new = before.setup if before is not None else None, after.setup
-    said = [after.note] if after.note and (before is None or before.note != after.note) else []
+    found = [after.note] if after.note and (before is None or before.note != after.note) else []
     if old is None or old.sensors != new.sensors or old.apart_cm != new.apart_cm:
-        said.append(_sensors_words(new))
+        found.append(_sensors_words(new))
     if old is None or old.air != new.air:
-        said.extend(_air_words(old.air if old is not None else None, new.air))
+        found.extend(_air_words(old.air if old is not None else None, new.air))
     if old is None or old.target != new.target:
-        said.append(_target_words(new.target))
+        found.append(_target_words(new.target))
     if new.vibration_hz != (old.vibration_hz if old is not None else 0.0):
         on = f"Vibrate the sensor's housing at {new.vibration_hz:g} Hz."
-        said.append(on if new.vibration_hz else "Switch the vibration off.")
+        found.append(on if new.vibration_hz else "Switch the vibration off.")
     if old is None or old.range_cm != new.range_cm or old.target != new.target or old.movement is not None:
-        said.append(_range_words(old, new))
+        found.append(_range_words(old, new))
     if old is None or old.angle_deg != new.angle_deg:
         turned = "Face the target squarely" if new.angle_deg == 0.0 else f"Turn the sensor to {new.angle_deg:+g} deg"
-        said.append(f"{turned}." if old is None else f"{turned} (it was at {old.angle_deg:+g} deg).")
+        found.append(f"{turned}." if old is None else f"{turned} (it was at {old.angle_deg:+g} deg).")
     if new.source != (old.source if old is not None else None):
-        said.append(_source_words(new.source))
+        found.append(_source_words(new.source))
     if new.movement is not None:
-        said.append(
+        found.append(
             f"Then move the target to {new.movement.to_cm:g} cm at {abs(new.movement.rate_cm_s):g} cm/s, "
             "and press Enter as it starts."
         )
-    return said
+    return found
 
 
 def _sensors_words(setup: Setup) -> str:
@@ -308,9 +309,9 @@ def _air_words(before: BenchAir | None, air: BenchAir) -> Iterator[str]:
     if air.air_temperature_c is not None and ends_c != before_c:
         far_c = air.target_temperature_c
         far = "" if far_c in (None, air.air_temperature_c) else f", and leave {far_c:g} deg C at the target"
-        yield f"Bring the air at the sensor to {air.air_temperature_c:g} deg C{far}."
+        yield f"Set the air at the sensor to {air.air_temperature_c:g} deg C{far}."
     if air.humidity_pct is not None and (before is None or before.humidity_pct != air.humidity_pct):
-        yield f"Bring the air to {air.humidity_pct:g} % relative humidity."
+        yield f"Set the air to {air.humidity_pct:g} % relative humidity."
     if air.how:
         yield air.how
 
@@ -318,23 +319,23 @@ def _air_words(before: BenchAir | None, air: BenchAir) -> Iterator[str]:
 def _target_words(target: BenchTarget) -> str:
     size = "" if target.size_cm is None else f", {target.size_cm[0]:g} by {target.size_cm[1]:g} cm"
     how = f" {target.how}" if target.how else ""
-    return f"Take as target: {target.material}{size}.{how}"
+    return f"Target: {target.material}{size}.{how}"
 
 
 def _range_words(old: Setup | None, new: Setup) -> str:
     what, to = ("target", "to") if new.target.size_cm is not None else ("sensor", "so that the distance is")
     if old is not None and old.range_cm == new.range_cm and old.movement is None:
-        return f"See that it is at {new.range_cm:g} cm again."
+        return f"Check that it is at {new.range_cm:g} cm again."
     was = "" if old is None or old.movement is not None else f" (it was at {old.range_cm:g} cm)"
     return f"Move the {what} {to} {new.range_cm:g} cm{was}."
 
 
-def _source_words(source: Source | None) -> str:
+def _source_words(source: Transmitter | None) -> str:
     if source is None:
-        return "Take the transmitter away."
+        return "Remove the transmitter."
     if source.duty == 0.0:
         return "Switch the transmitter off."
     return (
-        f"Let the transmitter sound at {source.frequency_khz:g} kHz, {source.level_db:g} dB at 30 cm from it, "
+        f"Set the transmitter to {source.frequency_khz:g} kHz, {source.level_db:g} dB at 30 cm from it, "
         f"{source.duty:.0%} of the time, {source.distance_cm:g} cm from the sensor."
     )

@@ -1,8 +1,8 @@
-"""The bench of a campaign without a bench: emulated sensors on an emulated bus, in virtual time, with nobody there.
+"""A simulated bench: emulated sensors on an emulated bus, in virtual time, without a person.
 
-A point's set-up enters as the columns of measured data, and the readings of a model leave through the bus that the real
-polling drives. Every point begins at a time and with a stream of chance of its own, so that a collection that was
-interrupted goes on as if it had not been, and a change of one point leaves the others as they were.
+A point's set-up enters as columns of measured data; readings of a model leave through the bus that the bridge's polling
+drives. Every point has its own start time and random stream, so that an interrupted collection resumes as if it had not
+been, and a change of one point does not change the others.
 """
 
 import random
@@ -15,7 +15,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 
 from msp_lab.campaigns.bench import Columns
 from msp_lab.campaigns.campaign import Campaign
-from msp_lab.campaigns.collect import Arranged, Place, Say
+from msp_lab.campaigns.collect import Arranged, Decision, Place
 from msp_lab.campaigns.plan import Point, reading_s, setup_s
 from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.bus import Bus
@@ -29,29 +29,30 @@ from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import RandomStreams
 
 BIT_S = 1 / 50_000
-"""The maker's highest bus clock without clock stretching."""
+"""Time of a bit on the bus [s]: 50 kHz, the maker's highest clock without clock stretching."""
 BITS_OVERHEAD = 2
-"""Start and stop of a transfer."""
-BITS_A_BYTE = 9
-"""Eight and the acknowledgement."""
-DRAWN_MOST = 1024
-"""Readings that are drawn at a time."""
+"""Bits of a transfer besides its bytes: start and stop."""
+BITS_PER_BYTE = 9
+"""Bits of a byte on the bus: eight and the acknowledgement."""
+MAX_DRAWN = 1024
+"""Readings drawn at a time, at most: more costs memory, fewer cost time."""
 MARGIN = 1.3
-"""A point may take so much longer than planned, for pings that are asked again, before it delays the next one."""
+"""Time reserved for a point, as a multiple of its planned time, for pings that are repeated: with less the next point
+would start late, and its readings would depend on the faults of this one."""
 
 Draw = Callable[[Mapping[str, float | str]], int]
-"""A reading [cm] for what is known of a ping."""
+"""Draws a reading [cm] for the context of a ping."""
 
 
 class TimedBus:
-    """A bus on which transfers take their time: two sensors that ping at once do so one after the other.
+    """A bus on which transfers take time: two simultaneous pings are sent one after the other.
 
     Parameters
     ----------
     bus
-        Where the devices are.
+        The bus with the devices.
     clock
-        Moved on by each transfer, before the device hears of it.
+        Advanced by each transfer before the device receives it.
     """
 
     def __init__(self, bus: EmulatedBus, clock: VirtualClock) -> None:
@@ -79,27 +80,27 @@ class TimedBus:
         self._bus.close()
 
     def _pass(self, count: int) -> None:
-        self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_A_BYTE) * BIT_S)
+        self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_PER_BYTE) * BIT_S)
 
 
 class SimulatedBench:
-    """A `msp_lab.campaigns.bench.Bench` whose sensors read what a model says.
+    """A `msp_lab.campaigns.bench.Bench` whose sensors read by a model.
 
-    The true range is the campaign's, off by the reference's uncertainty: a normal error for each time that the target
-    is put somewhere.
+    The true range is the campaign's plus an error for each placement of the target, normal with the reference's
+    uncertainty.
 
     Parameters
     ----------
     campaign, points
         What is to be measured.
     models
-        Makes, for a sensor's name and a stream of chance, what draws its readings.
+        Returns what draws the readings of a sensor, from its name and a random generator.
     seed
-        Of all chance.
+        Random seed.
     of
-        What the readings are drawn from, in words.
+        Description of what the readings are drawn from.
     faults
-        By sensor: what is wrong with its electronics, in the bench's time.
+        Faults of the electronics by sensor, in the bench's time.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class SimulatedBench:
         self._length_s = begin_s
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
-        """Fresh sensors; what was recorded before an interruption happens once more and is passed over."""
+        """Create the sensors; rangings recorded before an interruption are repeated and passed over."""
         self._clock.sleep_until((attempt - 1) * self._length_s + self.begins_s[point.name])
         chance = SeedSequence([self._seed, zlib.crc32(point.name.encode()), attempt])
         for_placing, *for_sensors = chance.spawn(1 + len(point.setup.sensors))
@@ -152,12 +153,12 @@ class SimulatedBench:
         return TimedBus(EmulatedBus(devices, self._clock.now), self._clock), done
 
     def air_c(self, now_s: float) -> float | None:
-        """No thermometer: the air is as planned."""
+        """Return None: there is no thermometer, and the air is as planned."""
         return None
 
 
 class _Scene:
-    """What the sensors of a point face."""
+    """What is in front of the sensors of a point."""
 
     def __init__(self, columns: Columns, off_cm: float, point: Point, attempt: int, start_s: float) -> None:
         self._columns = dict(columns)
@@ -168,7 +169,7 @@ class _Scene:
         self._last_s: dict[str, float] = {}
 
     def echo_of(self, name: str, draw: Draw) -> Callable[[float], int]:
-        """What the sensor reads at a ping's time [s]."""
+        """Return what gives the sensor's reading at the time of a ping [s]."""
 
         def echo(ping_s: float) -> int:
             columns = dict(self._columns)
@@ -188,12 +189,12 @@ class _Scene:
 
 
 def readings_of(campaign: Campaign, model_file: Path | None) -> tuple[Callable[[str, Generator], Draw], str]:
-    """What draws the readings of each sensor, and in words what that is.
+    """Return what draws the readings of each sensor, and its description.
 
     Parameters
     ----------
     campaign
-        Names the files of what its sensors read by in the simulator.
+        Names the sensor model files of its simulated sensors.
     model_file
         Sensor model file for all of them instead; None: their own.
 
@@ -206,13 +207,13 @@ def readings_of(campaign: Campaign, model_file: Path | None) -> tuple[Callable[[
     models = {name: load_model(path) for name, path in paths.items()}
     texts = "".join(path.read_text(encoding="utf-8") for path in paths.values())
     files = " and ".join(dict.fromkeys(path.name for path in paths.values()))
-    # Of the content too: after a change of the file, what is there must not be gone on with.
+    # With the content: after a change of the file an interrupted campaign must not be resumed.
     words = f"{files} ({zlib.crc32(texts.encode()):08x})"
-    return lambda name, generator: _Drawn(models[name], generator).draw, words
+    return lambda name, generator: _ModelReadings(models[name], generator).draw, words
 
 
-class _Drawn:
-    """Readings of a model; where one ping is like the one before, several are drawn at a time."""
+class _ModelReadings:
+    """Readings of a model; several are drawn at a time while the context stays the same."""
 
     def __init__(self, model: Model, generator: Generator) -> None:
         self._model = model
@@ -229,20 +230,20 @@ class _Drawn:
         if reading_cm is None:
             contexts = {name: np.full(self._count, value) for name, value in columns.items()}
             self._drawn = iter(self._model.sample(contexts, self._streams).tolist())
-            self._count = min(4 * self._count, DRAWN_MOST)
+            self._count = min(4 * self._count, MAX_DRAWN)
             reading_cm = next(self._drawn)
         return int(reading_cm)
 
 
-class Nobody:
-    """A `msp_lab.campaigns.collect.Person` who sets up at once, keeps every point, and counts.
+class AutoOperator:
+    """A `msp_lab.campaigns.collect.Operator` that sets up at once, accepts every point, and counts.
 
     Parameters
     ----------
     progress
         Called with (point, readings so far).
     stopped
-        Whether the collection is to end.
+        Whether the collection should end.
     """
 
     def __init__(
@@ -258,12 +259,14 @@ class Nobody:
         self.texts: list[str] = []
 
     def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
-        """Everything is as planned."""
+        """Accept the set-up as planned."""
         self._progress(point, self.readings)
-        return Arranged(Say.STOP if self._stopped() else Say.GO)
+        return Arranged(Decision.STOP if self._stopped() else Decision.GO)
 
-    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
-        """Count."""
+    def on_reading(
+        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+    ) -> Decision:
+        """Count the reading."""
         if reading.status.is_fault:
             self.failed += 1
         else:
@@ -272,14 +275,14 @@ class Nobody:
         if self.readings % 500 == 0:
             self._progress(point, self.readings)
             if self._stopped():
-                return Say.STOP
-        return Say.GO
+                return Decision.STOP
+        return Decision.GO
 
-    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
-        """Keep it."""
-        return Say.GO
+    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+        """Accept the point."""
+        return Decision.GO
 
-    def trouble(self, text: str) -> Say:
-        """Note it and try on; the collection gives up on its own."""
+    def on_trouble(self, text: str) -> Decision:
+        """Store the report and try again; the collection gives up by itself."""
         self.texts.append(text)
-        return Say.GO
+        return Decision.GO

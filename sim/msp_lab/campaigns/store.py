@@ -1,9 +1,8 @@
-"""The folder of a campaign: recordings that are only ever added to, and the table that is made from them.
+"""The folder of a campaign: recordings, which are never changed, and the table that is made from them.
 
-Every sitting writes one more recording (``sitting-001.mcap``, safe against power loss), and what is done and what is
-left is read back from all of them, so an interruption costs a second of readings at most. ``readings.csv`` is written
-anew from the recordings, in the order of the plan: for each point its last complete attempt, or where none is complete
-the last one.
+Every session writes one more recording (``session-001.mcap``, safe against power loss). Which points are done is read
+back from all of them, so an interruption costs at most a second of readings. ``readings.csv`` is written again from the
+recordings, in the order of the plan: for each point its last complete attempt, or the last one where none is complete.
 """
 
 import json
@@ -33,24 +32,25 @@ READINGS_NAME = "readings.csv"
 CAMPAIGN_TOPIC = "/campaign"
 BENCH_KEY = "bench"
 MOST_ATTEMPTS = 10_000
-"""Attempts at a point: nobody makes so many, and each one in a damaged recording would be made up here."""
+"""Refuse a recording with a higher number of an attempt: it is damaged, and every attempt up to it would be created.
+No person repeats a point so often."""
 _FAULTS = frozenset(status.value for status in Status if status.is_fault)
 
 
 @dataclass
 class Attempt:
-    """One go at a point.
+    """One attempt at reading a point.
 
     Attributes
     ----------
     number
         1, 2 ...
     runs
-        Names of its sittings.
+        Names of its sessions.
     rangings
-        How many ended, unanswered ones too.
+        Number of rangings, unanswered ones included.
     readings
-        Answers by sensor.
+        Number of answers by sensor.
     done
         Whether it was read to its end.
     """
@@ -68,20 +68,20 @@ class Store:
     Parameters
     ----------
     folder
-        Made with the first reading where it is not there.
+        Created with the first reading if it does not exist.
     points
         The plan.
     bench
-        What the bench is; recordings of another one are refused.
+        Description of the bench; recordings of another one are refused.
     clock
-        The bench's.
+        Clock of the bench.
     files
         The campaign file and the sensor model files, kept in each recording.
 
     Raises
     ------
     RecordingError
-        The folder holds what does not belong to this campaign and bench, or cannot be written.
+        The folder has recordings of another campaign or bench, or cannot be written.
     """
 
     def __init__(
@@ -99,19 +99,19 @@ class Store:
         recordings = self.recordings
         if not recordings and (folder / READINGS_NAME).exists():
             raise RecordingError(
-                f"{folder / READINGS_NAME}: not collected here, for there is no sitting-*.mcap beside it, and it would "
-                "be overwritten; name another folder with --out"
+                f"{folder / READINGS_NAME}: not collected here, since there is no session-*.mcap next to it, and it "
+                "would be overwritten; name another folder with --out"
             )
         for path in recordings:
-            self._recall(Recording(path))
+            self._restore(Recording(path))
 
     @property
     def recordings(self) -> list[Path]:
-        """The recordings of all sittings, in their order."""
-        return sorted(self.folder.glob("sitting-*.mcap"))
+        """The recordings of all sessions, in their order."""
+        return sorted(self.folder.glob("session-*.mcap"))
 
     def attempts(self, point: Point) -> list[Attempt]:
-        """What has been done of a point."""
+        """Attempts at a point."""
         return self._attempts.get(point.name, [])
 
     def is_done(self, point: Point) -> bool:
@@ -119,30 +119,30 @@ class Store:
         return any(attempt.done for attempt in self.attempts(point))
 
     def next_attempt(self, point: Point, *, again: bool) -> Attempt:
-        """The attempt that is to be read now: one that was interrupted, or a new one.
+        """Return the attempt to read now: the one that was interrupted, or a new one.
 
-        A movement cannot be taken up in its middle, so it begins anew.
+        A movement cannot be resumed in its middle, so it starts again.
         """
         attempts = self.attempts(point)
         if attempts and not attempts[-1].done and not again and point.setup.movement is None:
             return attempts[-1]
         return Attempt(len(attempts) + 1)
 
-    def begin(self, point: Point, attempt: Attempt, *, goes_on: bool) -> None:
-        """Readings of an attempt follow; ``goes_on``: in the same run as those before the interruption."""
+    def begin(self, point: Point, attempt: Attempt, *, resumed: bool) -> None:
+        """Start an attempt; with ``resumed`` its readings are in the same run as those before the interruption."""
         attempts = self._attempts.setdefault(point.name, [])
         if attempt not in attempts:
             attempts.append(attempt)
         self._now = attempt
-        if not (goes_on and attempt.runs):
+        if not (resumed and attempt.runs):
             again = f".{attempt.number}" if attempt.number > 1 else ""
-            sitting = f"+{len(attempt.runs)}" if attempt.runs else ""
-            attempt.runs.append(f"{point.name}{again}{sitting}")
+            part = f"+{len(attempt.runs)}" if attempt.runs else ""
+            attempt.runs.append(f"{point.name}{again}{part}")
         self._run = attempt.runs[-1]
         self._write_event("begin", point, attempt)
 
     def keep(self, known: KnownRanging) -> None:
-        """Record a ranging of the attempt that has begun; raises RecordingError where the disk has failed."""
+        """Record a ranging of the current attempt; raises RecordingError if the disk has failed."""
         assert self._now is not None
         ranging, _, columns = known
         reading = ranging.reading
@@ -168,19 +168,19 @@ class Store:
             self._now.readings[reading.sensor] += 1
 
     def done(self, point: Point) -> None:
-        """The attempt that has begun is complete."""
+        """Record that the current attempt is complete."""
         assert self._now is not None
         self._now.done = True
         self._write_event("done", point, self._now)
 
     def close(self) -> None:
-        """End this sitting's recording; raises RecordingError where the disk has not taken it."""
+        """End the recording of this session; raises RecordingError if the disk did not accept it."""
         if self._recorder is not None:
             recorder, self._recorder = self._recorder, None
             recorder.close()
 
     def readings(self) -> MeasuredData:
-        """The readings that count, in the order of the plan; unanswered pings and faults have an empty reading."""
+        """Return the readings of the attempts that count, in the order of the plan; empty where there was no answer."""
         rank: dict[str, int] = {}
         for name in self._points:
             attempts = self._attempts.get(name, [])
@@ -200,22 +200,22 @@ class Store:
         return np.array([math.nan if value is None else value for value in values], dtype=float)
 
     def write_table(self) -> tuple[Path, int]:
-        """Write ``readings.csv`` anew where anything was read; returns its path and how many rows it has."""
-        path, beside = self.folder / READINGS_NAME, self.folder / f".{READINGS_NAME}.new"
+        """Write ``readings.csv`` if anything was read; return its path and its number of rows."""
+        path, unfinished = self.folder / READINGS_NAME, self.folder / f".{READINGS_NAME}.new"
         if not self.recordings:
             return path, 0
         data = self.readings()
         self._make_folder()
-        beside.unlink(missing_ok=True)
-        write_csv(beside, data)
-        os.replace(beside, path)
+        unfinished.unlink(missing_ok=True)
+        write_csv(unfinished, data)
+        os.replace(unfinished, path)
         return path, len(data)
 
     def _recording(self) -> Recorder:
         if self._recorder is None:
             self._make_folder()
-            numbers = [int(path.stem.removeprefix("sitting-")) for path in self.recordings]
-            path = self.folder / f"sitting-{max(numbers, default=0) + 1:03d}.mcap"
+            numbers = [int(path.stem.removeprefix("session-")) for path in self.recordings]
+            path = self.folder / f"session-{max(numbers, default=0) + 1:03d}.mcap"
             self._recorder = Recorder(path, self._clock, files=self._files, metadata={BENCH_KEY: self._bench})
         return self._recorder
 
@@ -223,7 +223,7 @@ class Store:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(f"{self.folder}: this folder cannot be made: {error.strerror}") from None
+            raise RecordingError(f"{self.folder}: this folder cannot be created: {error.strerror}") from None
 
     def _write_event(self, event: str, point: Point, attempt: Attempt) -> None:
         message = {
@@ -236,10 +236,10 @@ class Store:
         }
         self._recording().write(CAMPAIGN_TOPIC, self._clock.now(), message)
 
-    def _recall(self, recording: Recording) -> None:
-        """Take note of what an earlier sitting has done."""
+    def _restore(self, recording: Recording) -> None:
+        """Restore the attempts of an earlier session."""
         if BENCH_KEY not in recording.metadata and not recording.cut:
-            raise RecordingError(f"{recording.path}: not of a campaign; name another folder with --out")
+            raise RecordingError(f"{recording.path}: not a recording of a campaign; name another folder with --out")
         found = recording.metadata.get(BENCH_KEY, self._bench)
         if found != self._bench:
             raise RecordingError(
@@ -248,20 +248,20 @@ class Store:
         attempt: Attempt | None = None
         for topic, _, message in recording:
             if topic == CAMPAIGN_TOPIC:
-                attempt = self._recall_event(recording.path, message)
+                attempt = self._restore_event(recording.path, message)
             elif topic.startswith(RANGE_PREFIX) and attempt is not None:
                 attempt.rangings += 1
                 if message["status"] not in _FAULTS:
                     attempt.readings[topic.removeprefix(RANGE_PREFIX)] += 1
 
-    def _recall_event(self, path: Path, message: dict[str, Any]) -> Attempt:
+    def _restore_event(self, path: Path, message: dict[str, Any]) -> Attempt:
         name = message["point"]
         point = self._points.get(name)
         if point is None or _planned(point) != message["planned"]:
-            how = "is not in it" if point is None else _changed(message["planned"], point)
+            how = "is not in it now" if point is None else _changed(message["planned"], point)
             raise RecordingError(
-                f"{path}: the campaign has changed since: point {name} {how}; go on with the campaign file of then "
-                "(msp-lab collect keeps it in the recording), or name another folder with --out"
+                f"{path}: the campaign has changed since: point {name} {how}; continue with the campaign file of that "
+                "time (msp-lab collect keeps it in the recording), or name another folder with --out"
             )
         attempts = self._attempts.setdefault(name, [])
         if not 1 <= message["attempt"] <= MOST_ATTEMPTS:
@@ -286,8 +286,8 @@ def _changed(planned: str, point: Point) -> str:
         return "was changed (what it was cannot be read)"
     now = json.loads(_planned(point))
     names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-    told = [f"{name} {before.get(name, 'none')}, now {now.get(name, 'none')}" for name in names]
-    return f"was changed ({'; '.join(told)})"
+    changes = [f"{name} {before.get(name, 'none')}, now {now.get(name, 'none')}" for name in names]
+    return f"was changed ({'; '.join(changes)})"
 
 
 def _planned(point: Point) -> str:

@@ -1,6 +1,6 @@
-"""A person at a terminal: what to set up now, what is being read, what looks odd, and how long it will take.
+"""The operator at a terminal: what to set up now, what is being read, what looks wrong, and the time that is left.
 
-Points and readings enter, lines on the screen and a person's answers leave. Nothing is measured here.
+Points and readings enter; lines on the screen and the person's answers leave.
 """
 
 import math
@@ -12,17 +12,18 @@ from rich.table import Table
 from rich.text import Text
 
 from msp_lab.campaigns.campaign import Campaign
-from msp_lab.campaigns.collect import Arranged, Place, Say
+from msp_lab.campaigns.collect import Arranged, Decision, Place
 from msp_lab.campaigns.plan import Point, reading_s, setup_s
 from msp_lab.campaigns.watch import Outlier, Watch
 from msp_range.clock import Clock
 from msp_range.reading import Reading, Status
 
 BAR_CELLS = 40
-LOOK_EACH_S = 0.2
-"""Time between two drawings of the screen [s]."""
-ROWS_MOST = 17
-"""Lines of the histogram."""
+"""Width of the bars in characters."""
+REDRAW_S = 0.2
+"""Time between two updates of the screen [s]; a shorter one costs processor time while readings come in."""
+MAX_ROWS = 17
+"""Lines of the histogram at most: a screen of 24 lines has room for it and the messages."""
 KEYS: dict[str, tuple[str, float, float]] = {
     "range": ("true_range_cm", 1.0, 2000.0),
     "air": ("air_temperature_c", -40.0, 65.0),
@@ -30,14 +31,14 @@ KEYS: dict[str, tuple[str, float, float]] = {
     "humidity": ("humidity_pct", 0.0, 100.0),
     "angle": ("incidence_deg", -89.0, 89.0),
 }
-"""What a person may have measured otherwise than planned: column and bounds."""
+"""Quantities that a person may enter where they differ from the plan: key -> column and bounds."""
 HELP = (
-    "Enter: it is set up.  range=120.4 air=22.5: it is so instead.  s: later.  r: read the one before again.  q: stop"
+    "Enter: set up as planned.  range=120.4 air=22.5: set up so.  s: later.  r: read the previous point again.  q: stop"
 )
 
 
 class Terminal:
-    """A `msp_lab.campaigns.collect.Person` at a terminal.
+    """A `msp_lab.campaigns.collect.Operator` at a terminal.
 
     Parameters
     ----------
@@ -73,24 +74,24 @@ class Terminal:
         self._visited: set[str] = set()
         self._live: Live | None = None
         self._noticed: list[str] = []
-        self._next_look_s = 0.0
+        self._next_redraw_s = 0.0
         self._question = ""
         self._has_read = False
         self._last: Point | None = None
         self._planned_setup_s = self._real_setup_s = 0.0
 
     def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
-        """Say what to change, and wait."""
-        say = self._console.print
-        say()
-        say(f"{place.number} of {place.of}: {point.name}   {self._left(place)}", style="bold", highlight=False)
+        """Show what to change, and wait until it is done."""
+        show = self._console.print
+        show()
+        show(f"{place.number} of {place.of}: {point.name}   {self._left(place)}", style="bold", highlight=False)
         if point.question and point.question != self._question:
-            say(point.question, style="italic", highlight=False)
+            show(point.question, style="italic", highlight=False)
         self._question = point.question
         if place.had:
-            say(f"{place.had} of its {point.readings} readings are there already; set it up as it was.")
+            show(f"{place.had} of its {point.readings} readings are recorded already; set it up in the same way.")
         for number, line in enumerate(to_change, start=1):
-            say(f"  {number}. {line}", highlight=False)
+            show(f"  {number}. {line}", highlight=False)
         began_s = self._clock.now()
         arranged = self._wait(point, to_change)
         self._planned_setup_s += setup_s(self._last.setup if self._last else None, point.setup)
@@ -99,86 +100,92 @@ class Terminal:
         self._noticed = []
         return arranged
 
-    def look(self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None) -> Say:
-        """Draw the histogram now and then, and flag what is odd at once."""
+    def on_reading(
+        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+    ) -> Decision:
+        """Update the histogram, and show outliers and faults at once."""
         self._has_read = True
         if outlier is not None:
             self._noticed.append(f"{outlier.sensor} reading {outlier.number}: {outlier.reading_cm} cm, {outlier.why}")
         elif reading.status.is_fault:
-            self._noticed.append(f"{reading.sensor}: {_fault_words(reading.status)}; asked again")
-        if self._console.is_terminal and self._clock.now() >= self._next_look_s:
-            self._next_look_s = self._clock.now() + LOOK_EACH_S
+            self._noticed.append(f"{reading.sensor}: {_fault_words(reading.status)}; repeated")
+        if self._console.is_terminal and self._clock.now() >= self._next_redraw_s:
+            self._next_redraw_s = self._clock.now() + REDRAW_S
             if self._live is None:
                 self._live = Live(console=self._console, auto_refresh=False, transient=True)
                 self._live.start()
             self._live.update(self._screen(point, watches), refresh=True)
         if self._stopped():
             self._end_live()
-            return Say.STOP
-        return Say.GO
+            return Decision.STOP
+        return Decision.GO
 
-    def judge(self, point: Point, watches: Mapping[str, Watch]) -> Say:
-        """Show the histogram; ask only where something is odd."""
+    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+        """Show the histogram; ask only if something looks wrong."""
         self._end_live()
         self._console.print(self._screen(point, watches))
-        doubts = [doubt for watch in watches.values() for doubt in watch.doubts()]
-        if not doubts:
-            return Say.GO
-        for doubt in doubts:
-            self._console.print(f"  ! {doubt}", style="yellow", highlight=False)
+        warnings = [warning for watch in watches.values() for warning in watch.warnings()]
+        if not warnings:
+            return Decision.GO
+        for warning in warnings:
+            self._console.print(f"  ! {warning}", style="yellow", highlight=False)
         answer = self._ask("Enter: keep it.  r: read this point again.  q: stop > ").strip().lower()
-        return {"r": Say.AGAIN, "q": Say.STOP}.get(answer, Say.GO)
+        return {"r": Decision.AGAIN, "q": Decision.STOP}.get(answer, Decision.GO)
 
-    def trouble(self, text: str) -> Say:
-        """Tell, and wait until it is looked after."""
+    def on_trouble(self, text: str) -> Decision:
+        """Report a silent sensor, and wait for an answer."""
         self._end_live()
         self._console.print(f"  ! {text}", style="red", highlight=False)
-        self._console.print("    Look at power, the two bus wires and the address (msp-range scan).")
+        self._console.print("    Check power, the two bus wires and the address (msp-range scan).")
         answer = self._ask("Enter: try again.  s: leave this point for later.  q: stop > ").strip().lower()
-        return {"s": Say.SKIP, "q": Say.STOP}.get(answer, Say.GO)
+        return {"s": Decision.SKIP, "q": Decision.STOP}.get(answer, Decision.GO)
 
     def close(self) -> None:
-        """Leave the screen as it is."""
+        """End the live display."""
         self._end_live()
 
     def _wait(self, point: Point, to_change: Sequence[str]) -> Arranged:
         if not to_change and point.name not in self._visited:
-            return Arranged(Say.GO, self._differing(point))
+            return Arranged(Decision.GO, self._differing(point))
         self._visited.add(point.name)
-        if self._ask_air(point) is Say.STOP:
-            return Arranged(Say.STOP)
+        if self._ask_air(point) is Decision.STOP:
+            return Arranged(Decision.STOP)
         while True:
             answer = self._ask(f"  {HELP} > ").strip().lower()
             if answer == "r" and not self._has_read:
                 self._console.print(
-                    "  nothing was read before this; --repeat NAME reads a point of an earlier sitting again"
+                    "  no point was read before this one; --repeat NAME reads a point of an earlier session again"
                 )
                 continue
             if answer in ("s", "r", "q"):
-                return Arranged({"s": Say.SKIP, "r": Say.AGAIN, "q": Say.STOP}[answer])
-            wrong = self._note(point, answer)
+                return Arranged({"s": Decision.SKIP, "r": Decision.AGAIN, "q": Decision.STOP}[answer])
+            wrong = self._store_measured(point, answer)
             if wrong is None:
-                return Arranged(Say.GO, self._differing(point))
+                return Arranged(Decision.GO, self._differing(point))
             self._console.print(f"  {wrong}", style="yellow", highlight=False)
 
-    def _ask_air(self, point: Point) -> Say:
-        """Ask for the air's temperature where no thermometer tells it and the plan has another one than before."""
+    def _ask_air(self, point: Point) -> Decision:
+        """Ask for the air temperature if there is no thermometer and the planned one has changed."""
         planned = point.columns.get("air_temperature_c")
         if self._campaign.thermometer is not None or (self._air_asked == (planned,)):
-            return Say.GO
+            return Decision.GO
         self._air_asked = (planned,)
         expected = "unknown" if planned is None else f"{planned:g}"
         while True:
-            answer = self._ask(f"  Air at the sensor, by your thermometer \\[{expected}] deg C > ").strip().lower()
+            answer = (
+                self._ask(f"  Air temperature at the sensor, from your thermometer \\[{expected}] deg C > ")
+                .strip()
+                .lower()
+            )
             if answer == "q":
-                return Say.STOP
-            wrong = self._note(point, f"air={answer}") if answer else None
+                return Decision.STOP
+            wrong = self._store_measured(point, f"air={answer}") if answer else None
             if wrong is None:
-                return Say.GO
+                return Decision.GO
             self._console.print(f"  {wrong}", style="yellow", highlight=False)
 
-    def _note(self, point: Point, answer: str) -> str | None:
-        """Take ``key=number`` pairs; returns what is wrong with them."""
+    def _store_measured(self, point: Point, answer: str) -> str | None:
+        """Store ``key=number`` pairs; return what is wrong with them, or None."""
         noted: dict[str, float] = {}
         for pair in answer.split():
             key, _, text = pair.partition("=")
@@ -200,7 +207,7 @@ class Terminal:
         return None
 
     def _differing(self, point: Point) -> dict[str, float]:
-        """What was measured otherwise than planned; it holds until the plan has another value."""
+        """Columns that differ from the plan; each is valid until the plan has another value."""
         planned = point.columns
         self._measured = {
             column: (then, value) for column, (then, value) in self._measured.items() if planned.get(column) == then
@@ -208,11 +215,11 @@ class Terminal:
         return {column: value for column, (_, value) in self._measured.items()}
 
     def _left(self, place: Place) -> str:
-        """Time that the rest may take, at this person's pace."""
+        """Estimate of the time left, at this person's pace."""
         rest = self._points[place.number - 1 :]
         pace = 1.0
         if self._planned_setup_s > 0.0:
-            # Half a plan's worth of trust in the guess, so that the first minutes do not decide.
+            # Ten minutes at the planned pace are added, so that the first minutes do not dominate.
             pace = (self._real_setup_s + 600.0) / (self._planned_setup_s + 600.0)
         before = self._last
         left_s = 0.0
@@ -238,7 +245,7 @@ class Terminal:
 
 
 def histogram(watch: Watch) -> Table:
-    """The readings of a point, whole centimetres about their median, and the rest in a line above and below."""
+    """Return the readings of a point by centimetre about their median, the others in one line above and one below."""
     table = Table.grid(padding=(0, 1))
     for label, count, style in _bars(watch):
         most = max(max(watch.counts.values(), default=1), watch.no_echo, 1)
@@ -250,7 +257,7 @@ def histogram(watch: Watch) -> Table:
 def _bars(watch: Watch) -> Iterator[tuple[str, int, str]]:
     median_cm = watch.median_cm
     if median_cm is not None:
-        reach = ROWS_MOST // 2
+        reach = MAX_ROWS // 2
         centre = round(median_cm)
         near = {each: count for each, count in watch.counts.items() if abs(each - centre) <= reach}
         shorter = sum(count for each, count in watch.counts.items() if each < centre - reach)
@@ -266,7 +273,7 @@ def _bars(watch: Watch) -> Iterator[tuple[str, int, str]]:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it.
+    """Return a duration in hours and minutes.
 
     Examples
     --------
@@ -281,13 +288,13 @@ def _fault_words(status: Status) -> str:
     return {
         Status.NO_ANSWER: "no answer",
         Status.CLOCK_FAULT: "clock fault (bit 15 set)",
-        Status.IMPOSSIBLE: "an answer that cannot be",
+        Status.IMPOSSIBLE: "an impossible answer",
         Status.PART_INFO: "part information in place of an answer",
     }[status]
 
 
 def show_plan(console: Console, campaign: Campaign, points: Sequence[Point], done: Callable[[Point], bool]) -> None:
-    """What is to be done, in order, and how long it may take."""
+    """Print the points in order, what to change between them, and the time they may take."""
     from msp_lab.campaigns.plan import changes
 
     before: Point | None = None
@@ -302,4 +309,4 @@ def show_plan(console: Console, campaign: Campaign, points: Sequence[Point], don
             total_s += reading_s(campaign, point) + setup_s(before.setup if before else None, point.setup)
             readings += point.readings * len(point.setup.sensors)
         before = point
-    console.print(f"{readings} readings are left, which may take {duration(total_s)}")
+    console.print(f"{readings} readings are left; estimated time {duration(total_s)}")

@@ -1,7 +1,7 @@
-"""What a point's readings look like while they come in: counts, outliers, and what does not fit the reference.
+"""Watch the readings of a point while they come in: counts, outliers, and disagreement with the reference.
 
-Readings enter one by one; what is noticed leaves as words, early enough to look at the bench. Nothing is judged here
-that a fit would judge better: every reading is recorded, whatever this says of it.
+Readings enter one by one; warnings leave, early enough to check the bench. They only advise: every reading is
+recorded, and the fit decides what it is.
 """
 
 import math
@@ -13,20 +13,24 @@ from typing import Any
 from msp_range.reading import Reading, Status
 
 CORE_LEAST_CM = 4.0
-"""A reading this near the median is no outlier, however quiet the others are [cm]."""
+"""A reading this near the median is not called an outlier, however little the others scatter [cm]: a target that is
+not rigid moves by this much."""
 CORE_SPREADS = 6.0
-"""Nor is one within so many standard deviations, which are estimated from the median deviation."""
+"""Nor is one within so many standard deviations, estimated from the median deviation: about one in a billion normal
+readings is farther. A smaller number reports ordinary noise."""
 FIRST_LOOK = 8
-"""Readings before the first one can be called an outlier."""
-NOTED_MOST = 1000
+"""Readings before the first one can be called an outlier: with fewer the spread is not known within a factor of 2."""
+MAX_OUTLIERS = 1000
+"""Outliers that are kept for display; more are only counted among the readings."""
 
 ACCOUNTED_CM, ACCOUNTED_SHARE = 3.0, 0.05
-"""What air temperature, placement and calibration can add up to between a median and the reference."""
+"""Difference between median and reference that air temperature, placement and calibration can explain [cm, share of
+the range]; more is reported as a wrong placement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A reading far from the others: which one of the point's, how many centimetres, and what may be behind it."""
+    """A reading far from the others: its number within the point, its value, and a possible reason."""
 
     number: int
     sensor: str
@@ -40,16 +44,16 @@ class Watch:
     Parameters
     ----------
     sensor
-        Its name.
+        Name of the sensor.
     expected_cm
-        Readings that the reference and the angle let expect: to the nearest point and along the beam.
+        Readings expected from the reference and the angle: to the nearest point and along the beam [cm].
 
     Examples
     --------
     >>> from msp_range.reading import Reading, Status
     >>> watch = Watch("a", (120.0, 120.0))
     >>> for reading_cm in [120, 121, 120, 119, 120, 120, 121, 120, 187]:
-    ...     noticed = watch.take(Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm))
+    ...     noticed = watch.update(Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm))
     >>> noticed
     Outlier(number=9, sensor='a', reading_cm=187, why='67 cm longer than the others')
     """
@@ -65,8 +69,8 @@ class Watch:
         self._core = (-math.inf, math.inf)
         self._look_at = FIRST_LOOK
 
-    def take(self, reading: Reading) -> Outlier | None:
-        """Count a reading; returns what is worth a look."""
+    def update(self, reading: Reading) -> Outlier | None:
+        """Count a reading, and return it if it is an outlier."""
         if reading.status.is_fault or reading.raw is None:
             self.failed[reading.status] += 1
             return None
@@ -82,7 +86,7 @@ class Watch:
         if low_cm <= reading.raw <= high_cm:
             return None
         outlier = Outlier(self.read, self.sensor, reading.raw, self._why(reading))
-        if len(self.outliers) < NOTED_MOST:
+        if len(self.outliers) < MAX_OUTLIERS:
             self.outliers.append(outlier)
         return outlier
 
@@ -91,27 +95,27 @@ class Watch:
         """Median of the readings with an echo [cm]."""
         return _median(self.counts)
 
-    def doubts(self) -> list[str]:
-        """What a person should look at before the set-up is changed."""
-        said = []
+    def warnings(self) -> list[str]:
+        """Return what to check before the set-up is changed."""
+        found = []
         median_cm = self.median_cm
         if median_cm is not None and self.no_echo * 2 < self.read:
             nearest_cm, slant_cm = self.expected_cm
             allowed_cm = ACCOUNTED_CM + ACCOUNTED_SHARE * slant_cm
             if not nearest_cm - allowed_cm <= median_cm <= slant_cm + allowed_cm:
-                said.append(
-                    f"{self.sensor} reads {median_cm:g} cm, and the reference says {nearest_cm:g} cm: is the target "
-                    "where it should be, and is nothing else in the beam?"
+                found.append(
+                    f"{self.sensor} reads {median_cm:g} cm, and the reference is {nearest_cm:g} cm: is the target "
+                    "in its place, and is nothing else in the beam?"
                 )
         if self.outliers:
             shown = ", ".join(f"{each.reading_cm}" for each in self.outliers[:6])
             more = ", ..." if len(self.outliers) > 6 else ""
-            said.append(f"{self.sensor}: {len(self.outliers)} outliers among {self.read} readings ({shown}{more})")
+            found.append(f"{self.sensor}: {len(self.outliers)} outliers among {self.read} readings ({shown}{more})")
         if self.no_echo:
-            said.append(f"{self.sensor}: no echo in {self.no_echo} of {self.read} readings")
+            found.append(f"{self.sensor}: no echo in {self.no_echo} of {self.read} readings")
         for status, count in self.failed.items():
-            said.append(f"{self.sensor}: {count} pings without a usable answer ({status.value}), asked again")
-        return said
+            found.append(f"{self.sensor}: {count} pings without a usable answer ({status.value}), asked again")
+        return found
 
     def _find_core(self) -> tuple[float, float]:
         median_cm = _median(self.counts)
@@ -126,14 +130,14 @@ class Watch:
 
     def _why(self, reading: Reading) -> str:
         if reading.suspect:
-            return "a missed echo that came as 255, or something there"
+            return "a missed echo reported as 255, or an object there"
         median_cm = self.median_cm or 0.0
         away_cm = (reading.raw or 0) - median_cm
         return f"{abs(away_cm):g} cm {'longer' if away_cm > 0 else 'shorter'} than the others"
 
 
 def _median(counts: Mapping[Any, int]) -> float | None:
-    """Median of values that are there so many times."""
+    """Median of values with counts."""
     total = sum(counts.values())
     if total == 0:
         return None
