@@ -163,7 +163,7 @@ def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> Non
         [
             "Connect and mount one alone.",
             "Target: wall.",
-            "See that it is at 60 cm again.",
+            "Check that it is at 60 cm again.",
         ],
         ["Turn the sensor to +1.8 deg (it was at +0 deg)."],
     ]
