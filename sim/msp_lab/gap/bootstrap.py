@@ -95,7 +95,7 @@ def drawn_sums(
     about_mean, there
         From `unit_sums`. Cells with few units show nothing.
     draws, rng
-        How many, and the source of their chance.
+        How many, and the random generator.
     """
     cells, units, numbers = about_mean.shape
     correction = np.where(there < rules.MIN_CELL_UNITS, 0.0, there / np.maximum(there - 1, 1))

@@ -322,7 +322,7 @@ def loss(problem: Problem, smaller: JointFit, state: State) -> float:
 def free_curves(
     problem: Problem, state: State, channels: Sequence[CurveChannel] = CHANNELS, by_run: bool | None = None
 ) -> list[CandidateCurve]:
-    """Curves that explain what is left, the least likely by chance first."""
+    """Curves that explain what is left, the least likely by random variation first."""
     unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
     fit = state.fit
     return curve_scan.scan(problem.curves, fit.here.by, fit.scores[:, ~fit.held], fit.here.shares, unit, channels)

@@ -13,9 +13,9 @@ MIN_RUNS = 4
 two on the other, so nothing constant within a run could be validated. Higher: more recordings lose what differs from
 run to run; lower: a single run validates."""
 SPLIT_BLOCKS = 60
-"""So many blocks of consecutive readings stand in for runs where these are too few. Chosen as three times the runs of
-the blind tables. Fewer: the two halves are less alike; more: neighbouring readings that depend on each other fall on
-both sides."""
+"""So many blocks of consecutive readings stand in for runs where these are too few. Chosen by judgement: blocks longer
+than usual correlations, and enough of them for a variance. Fewer: the two halves are less alike; more: neighbouring
+readings that depend on each other fall on both sides."""
 WARN_TRAINING_RUNS = 8
 """With fewer training runs and dependent readings, a note says that what is constant within a run cannot be judged. A
 standard error over seven differences is itself known to 27 % only. It changes the note and nothing else."""
@@ -58,7 +58,7 @@ CODE_FAR = (6.0, 0.03, 2.0)
 is what air and offsets can do. Smaller: hits are set aside."""
 COARSE_SHARE = 0.99
 """Readings are on a coarser grid if this share of them is a multiple of its step. The rest are codes and outliers that
-pass a filter. Lower: chance makes a grid of few readings."""
+pass a filter. Lower: a few readings look like a grid."""
 
 MIN_COPIED = 20
 """Two runs of at least so many equal readings and true ranges are copies of one. Independent noise of one centimetre
@@ -86,8 +86,8 @@ PAIR_BINS_READINGS = 2000
 """With fewer readings each of two crossed numbers has two bins, else three. Nine cells of 2,000 readings have 220 each.
 Lower: cells of pairs are left out as too small."""
 CELL_PRIOR_DEVIATION = (50.0, 2.0, 2.5, 2.5, 2.5)
-"""Standard deviations of the prior of a cell's bias [sigma], log spread and log odds. Wide beside any effect of the
-catalogue (odds by 12, spread by 7), so that it only holds what a cell has no readings of. Narrower: large gaps are
+"""Standard deviations of the prior of a cell's bias [sigma], log spread and log odds. Wide compared with any effect of
+the catalogue (odds by 12, spread by 7), so that it only holds what a cell has no readings of. Narrower: large gaps are
 reported smaller."""
 CELL_MAX_BIAS_CM, CELL_MAX_BIAS_SHARE = 10.0, 0.2
 """A cell's fit starts at the median if that is within so many cm and this share of the range. What is farther off is
@@ -146,11 +146,11 @@ SLICE_DRAWS = 999
 # Candidates and their screen.
 
 MAX_RUN_CANDIDATES = 12
-"""An effect of one run is asked of each run up to so many. Every run is one more chance of a false name. More: the
-largest of chance grows with the logarithm."""
+"""An effect of one run is asked of each run up to so many. Every run is one more possible false name; chosen by
+judgement. More: the limit for all names grows with the logarithm."""
 SHAPE_COST_NATS = 0.7
 """So much is taken off a candidate's gain for each shape parameter that was searched. A chi-squared with two degrees
-gains half a nat more than with one; the rest was tuned on nulls of the blind tables. Lower: shapes fit noise."""
+gains half a nat more than with one, and the best of several shapes a little more. Lower: shapes fit noise."""
 PLACE_COST_NATS = 2.0
 """The same for the place at which a component gathers readings. About the logarithm of the number of places that
 differ. Lower: components are named for a few readings at one place."""
@@ -196,11 +196,11 @@ the blind tables. Higher: a shifted base is named a component."""
 # Forward selection.
 
 REFITS_PER_STEP = 12
-"""At most so many of the best candidates are refitted in a step. The screen is rarely off by more than a few places.
-More: slower."""
+"""At most so many of the best candidates are refitted in a step. Chosen by judgement: candidates that far down the list
+gain little. More: slower."""
 REFIT_WITHIN_NATS = 6.0
-"""Candidates whose screened gain is within so many nats of the best are refitted. Tuned on the blind tables: the name
-that gains most after its refit was within 6. Lower: wrong names; higher: slower."""
+"""Candidates whose screened gain is within so many nats of the best are refitted. Chosen by judgement: a screen is a
+quadratic, and off by some nats for gains of ten to twenty. Lower: wrong names; higher: slower."""
 REFIT_WITHIN_SHARE = 0.5
 """Of large gains, those within this share of the best are refitted. A quadratic promises too little of what is large.
 Higher: slower."""
@@ -215,7 +215,7 @@ Fewer: shapes end in the wrong one."""
 
 KNOTS = (2, 3, 6, 12)
 """Curves of one variable are asked with so many knots. From a straight line on, each twice as fine. More: each is one
-more chance, and faster ripples are seen."""
+more test, and faster ripples are seen."""
 PAIR_KNOTS = (2, 3)
 """The same for each of two variables. Nine values are as many as an outlier class can hold. More: slower."""
 MAX_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
@@ -228,11 +228,11 @@ CLEAR_DIRECTION = 0.02
 """A direction of a curve counts if the base leaves this share of its information. The rest is collinear with the base.
 Lower: degrees of freedom that are rounding."""
 PAIR_COST_NATS = 4.0
-"""A curve over two variables has to be e^4 times less likely by chance than one over one. About the logarithm of the
+"""A curve over two variables has to be e^4 times less likely than one over one variable. About the logarithm of the
 number of pairs. Lower: pairs hide single causes."""
 CURVE_P = 0.02
-"""A curve is added if chance shows as much, anywhere, with a smaller probability. Names have alpha 0.05 in all and
-curves a share of it; tuned on nulls. Higher: false curves."""
+"""A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.05 in
+all and curves a share of it. Higher: false curves."""
 CURVES_REFITTED = 6
 """So many of the likeliest curves are refitted until one keeps its promise. Scores of rare outliers promise too much.
 More: slower."""
@@ -245,7 +245,7 @@ CURVE_RUNS_PER_DEGREE = 3
 curve. Lower: sessions become curves."""
 FORM_SHARE = 0.85
 """A name that gains this share of what a free curve on its channel gains stays. The physics of an entry is rarely
-exact; tuned on the blind tables. Higher: right names become unknown; lower: wrong names stay."""
+exact; chosen by judgement. Higher: right names become unknown; lower: wrong names stay."""
 FORM_P_FACTOR = 0.1
 """A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
 right names become unknown."""
@@ -258,8 +258,8 @@ opposite signs become a curve."""
 # Exchange, alternatives, elimination.
 
 EXCHANGE_TURNS = 3
-"""All terms are tried against all others so many times. Nothing has moved in the third on the blind tables. More:
-slower."""
+"""All terms are tried against all others so many times. Chosen by judgement: a second turn for what the first one
+changed, and one to end. More: slower."""
 EXCHANGE_WITHIN = (8.0, 0.25)
 """Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
 `ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
@@ -276,8 +276,8 @@ ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
 SEPARABLE_Z = 3.0
-"""Two effects can be told apart if their scores differ by so many standard errors. Never wrong in the trial. Lower:
-pairs are resolved wrongly; higher: more alternatives."""
+"""Two effects can be told apart if their scores differ by so many standard errors. Never wrong in a trial with known
+effects. Lower: pairs are resolved wrongly; higher: more alternatives."""
 KEEP_SHARE = 0.6
 """A term stays while it gains this share of what it needed to come in. What was certain alone may share its evidence
 with later terms. Higher: terms come and go."""
@@ -287,8 +287,8 @@ TAILS_START = 0.05
 # Offsets between runs.
 
 RUN_OFFSETS_P = 1e-4
-"""Runs differ by more than the model says if chance shows it with a smaller probability. Stricter than a name, since it
-has no variable that could be checked. Higher: drifts are named run offsets."""
+"""Runs differ by more than the model says if random variation shows it with a smaller probability. Stricter than a
+name, since it has no variable that could be checked. Higher: drifts are named run offsets."""
 RUN_OFFSETS_LAG_Z = 3.0
 """They are not named where neighbours in a run correlate by more standard errors. Slow noise moves the means of runs
 too. Higher: slow noise is named run offsets."""
@@ -299,8 +299,8 @@ of repeats."""
 # Validation on held-out runs.
 
 VALIDATED_Z = 0.5
-"""A term is kept if its gain on held-out runs is so many standard errors above nothing. A null has 31 % to pass, on top
-of the selection's alpha; tuned on the blind tables. Higher: weak right names are lost."""
+"""A term is kept if its gain on held-out runs is so many standard errors above nothing. A null passes in 31 %, on top
+of the selection's alpha; chosen by judgement. Higher: weak right names are lost."""
 VALIDATED_NATS = 2.0
 """And if it gains so much in all. The smallest gain of a term of 2 standard errors. Higher: as above."""
 ROW_NATS = 5.0
@@ -332,8 +332,8 @@ CLOSED_MAX_BIAS_SIGMAS, CLOSED_MAX_SPREAD_RATIO, CLOSED_MAX_NATS = 0.5, 1.25, 0.
 """A larger gap is never closed, whatever the noise floor. Few dependent runs may show almost anything. Higher: few runs
 explain everything."""
 CURVE_NUMBERS = 4
-"""A curve counts as so many fitted numbers in the cost of fitting. About the degrees of freedom of those that were
-found on the blind tables. More: larger gaps count as closed."""
+"""A curve counts as so many fitted numbers in the cost of fitting. Chosen by judgement: curves have 2 to 12 knots.
+More: larger gaps count as closed."""
 PARTLY = 0.9
 """'Partly explained' needs a gap after that is smaller than this share of the gap before. A gain of less than a tenth
 explains nothing. Lower: more gaps are 'unexplained'."""

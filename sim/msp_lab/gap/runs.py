@@ -52,7 +52,7 @@ def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Genera
     reading_cm
         Readings, (n,).
     rng
-        ReadingsFile of chance.
+        Random generator.
     run_column
         Which column names the runs.
     """
