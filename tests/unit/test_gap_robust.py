@@ -110,3 +110,11 @@ def test_explained_needs_a_gap_that_was_there(before: float, expected: str) -> N
     gap = Gap(Measure(before, 0.001, 0.002), Measure(0.1, 0.05, 0.02), one, OddsMeasures(one, one, one, one))
     found = GapFindings(None, rows=20_000, runs=10, gap=gap, effects=(EFFECT,))
     assert verdict(found, MODEL) == expected
+
+
+def test_one_run_has_no_offsets_between_runs() -> None:
+    """A drift within one run makes its blocks differ; they are no runs."""
+    contexts = flown(5) | {"run": np.full(N, "one")}
+    drift_cm = np.repeat(np.random.default_rng([5, 1]).uniform(-4.0, 4.0, 60), N // 60 + 1)[:N]
+    found = named(contexts, read(contexts, 5, drift_cm))
+    assert "run_offsets" not in names(found)

@@ -180,7 +180,8 @@ def _named(
     calibration = [*calibrated(problem, kept.state, training, of_held_out), *calibration]
     of_training = training.base, training.effects
     of_fit = fit.base, fit.effects
-    if selection.run_offset_cm > 0.0:
+    # Blocks of one run are no runs: what they differ by is a drift.
+    if selection.run_offset_cm > 0.0 and not split.of_blocks:
         offsets = validated_run_offsets(selection.run_offset_cm, fit, held_out, unit)
         if offsets is not None:
             effects.append(offsets[0])

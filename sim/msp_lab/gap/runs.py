@@ -32,6 +32,8 @@ class Split:
         Names.
     messages
         What a reader has to know about it.
+    of_blocks
+        Blocks of readings stand in for runs.
     """
 
     training: NDArray[np.bool_]
@@ -40,6 +42,7 @@ class Split:
     training_runs: tuple[str, ...]
     held_out_runs: tuple[str, ...]
     messages: tuple[str, ...] = ()
+    of_blocks: bool = False
 
 
 def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Generator, run_column: str = "run") -> Split:
@@ -85,6 +88,7 @@ def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Genera
         tuple(str(name) for name in names[training]),
         tuple(str(name) for name in names[~training]),
         tuple(messages),
+        bool(messages),
     )
 
 
