@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from msp_lab.gap.evidence import evidence_nats, offset_nats, share_between
+from msp_lab.gap.evidence import evidence_nats, offset_nats, share_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 
 RUNS, ROWS = 8, 100
@@ -21,7 +21,8 @@ def fit(residual: np.ndarray) -> JointFit:
     by = np.zeros((residual.size, 8))
     by[:, 0] = residual / variance
     log_likelihood = -0.5 * residual.size * (np.log(variance) + 1.0)
-    made: Any = SimpleNamespace(log_likelihood=log_likelihood, here=SimpleNamespace(by=by))
+    log_p = -0.5 * (np.log(variance) + residual**2 / variance)
+    made: Any = SimpleNamespace(log_likelihood=log_likelihood, here=SimpleNamespace(by=by, log_p=log_p))
     return cast(JointFit, made)
 
 
@@ -66,3 +67,14 @@ def test_a_gain_between_runs_counts_by_the_runs() -> None:
 def test_what_explains_all_that_runs_differ_by_has_large_evidence() -> None:
     offset = np.repeat(2.0 * np.random.default_rng(7).standard_normal(RUNS), ROWS)
     assert evidence_nats(fit(noise(8) + offset), fit(noise(8)), UNIT, 1.0) > 10.0
+
+
+def test_a_gain_that_follows_a_wander_counts_for_less_and_a_fast_one_does_not() -> None:
+    wander = np.concatenate([np.repeat(np.random.default_rng(run).standard_normal(5), 20) for run in range(RUNS)])
+    slow = np.tile(np.sin(2.0 * np.pi * np.arange(ROWS) / ROWS), RUNS)
+    fast = np.tile(np.sin(np.arange(ROWS)), RUNS)
+    readings = noise(9) + wander
+    assert wander_inflation(fit(noise(9) + 0.2 * slow), fit(noise(9)), UNIT) == 1.0
+    of_slow, of_fast = (wander_inflation(fit(readings + 0.2 * each), fit(readings), UNIT) for each in (slow, fast))
+    assert of_slow > 5.0
+    assert of_fast < 3.0

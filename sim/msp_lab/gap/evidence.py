@@ -12,7 +12,7 @@ fits differ.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
@@ -56,6 +56,42 @@ def _residual(fit: JointFit) -> _Array:
     return residual
 
 
+def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+    """By how much a slow wander inside runs makes the gain scatter more than that of independent readings, at least 1.
+
+    Each run is cut into `WANDER_BLOCKS` blocks of consecutive readings. Where the blocks' sums of the slopes scatter
+    about their run's mean beyond random variation, readings wander, and the gain counts by the scatter of its own block
+    sums.
+    """
+    blocks = _blocks(unit)
+    slope = larger.here.by[:, 0]
+    counts = np.maximum(np.bincount(unit), 1)
+    centred = slope - (np.bincount(unit, slope) / counts)[unit]
+    size = np.bincount(blocks)
+    sums = np.bincount(blocks, centred)[size > 0]
+    freedom = sums.size - int(np.unique(unit).size)
+    if freedom < 1:
+        return 1.0
+    variance = float((centred**2).mean()) or 1.0
+    scatter = float((sums**2 / (size[size > 0] * variance)).sum())
+    if float(chi2.sf(scatter, freedom)) > rules.WANDER_P:
+        return 1.0
+    gain = larger.here.log_p - smaller.here.log_p
+    gain = gain - gain.mean()
+    whole = float((gain**2).sum())
+    return max(float((np.bincount(blocks, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
+
+
+def _blocks(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of each reading's block: its run's readings in their order, in `WANDER_BLOCKS` parts."""
+    order = np.argsort(unit, kind="stable")
+    counts = np.bincount(unit)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    place = np.empty(unit.size, dtype=np.intp)
+    place[order] = np.arange(unit.size) - starts[unit[order]]
+    return unit * rules.WANDER_BLOCKS + place * rules.WANDER_BLOCKS // counts[unit]
+
+
 def evidence_nats(
     smaller: JointFit, larger: JointFit, unit: NDArray[np.intp] | None, scale: float, left: Dependence | None = None
 ) -> float:
@@ -78,7 +114,8 @@ def evidence_nats(
     gained = plain + offset_nats(larger, unit, scale) - offset_nats(smaller, unit, scale)
     if gained > 0.0:
         inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
-        gained = inside + _between(gained - inside, int(np.unique(unit).size))
+        between = _between(gained - inside, int(np.unique(unit).size))
+        gained = inside / wander_inflation(smaller, larger, unit) + between
     if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
         gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
     return gained

@@ -33,6 +33,13 @@ INDEPENDENT_LAG_Z = 2.5
 """The same for the correlation of neighbours, in standard errors. A value of 2.5 has p = 0.6 %. Higher: slow noise
 passes for an effect."""
 
+WANDER_BLOCKS = 4
+"""Each run is cut into so many blocks to see a slow wander. A wander slower than a run is an offset of it, one faster
+than a quarter shows as correlation of neighbours. More: shorter wanders are seen, each with less certainty."""
+WANDER_P = 0.01
+"""Block sums that scatter about their run's mean with a smaller p-value are a wander. Next to dependent runs it is
+likely, so a higher value than `DEPENDENT_P`. Higher: independent readings lose power; lower: a wander makes names."""
+
 # Intake: point masses that the model does not declare.
 
 CODE_SHARE = 0.001
