@@ -76,10 +76,23 @@ def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]
     scatter = float((sums**2 / (size[size > 0] * variance)).sum())
     if float(chi2.sf(scatter, freedom)) > rules.WANDER_P:
         return 1.0
+    return _inflation(smaller, larger, blocks)
+
+
+def _inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+    """Variance of the gain's sums over units against that of as many independent readings, at least 1."""
     gain = larger.here.log_p - smaller.here.log_p
     gain = gain - gain.mean()
     whole = float((gain**2).sum())
-    return max(float((np.bincount(blocks, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
+    return max(float((np.bincount(unit, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
+
+
+def _by_scatter(nats: float, runs: int) -> float:
+    """A gain whose error is known from so many runs, as that of one whose error is known."""
+    if runs < 3 or nats <= 0.0:
+        return 0.0
+    log_p = float(student.logsf(np.sqrt(2.0 * nats), runs - 2))
+    return 0.5 * float(norm.isf(np.exp(max(log_p, -700.0)))) ** 2
 
 
 def _blocks(unit: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -116,6 +129,7 @@ def evidence_nats(
         inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
         between = _between(gained - inside, int(np.unique(unit).size))
         gained = inside / wander_inflation(smaller, larger, unit) + between
+    gained = max(gained, _by_scatter(plain / _inflation(smaller, larger, unit), int(np.unique(unit).size)))
     if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
         gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
     return gained
@@ -129,6 +143,4 @@ def _between(nats: float, runs: int) -> float:
     freedom = runs - 2
     if freedom < 1 or nats <= 0.0:
         return 0.0
-    t = float(np.sqrt(freedom * np.expm1(min(2.0 * nats / runs, 500.0))))
-    log_p = float(student.logsf(t, freedom))
-    return 0.5 * float(norm.isf(np.exp(max(log_p, -700.0)))) ** 2
+    return _by_scatter(0.5 * freedom * float(np.expm1(min(2.0 * nats / runs, 500.0))), runs)
