@@ -1,4 +1,4 @@
-"""msp-lab: the commands of what learns from readings."""
+"""msp-lab: the commands of the laboratory."""
 
 import json
 from datetime import date as day
@@ -47,21 +47,23 @@ def collect(
         int | None,
         typer.Option(min=0, help="with --simulate: random seed; the same gives the same readings; default 1"),
     ] = None,
-    only: Annotated[list[str] | None, typer.Option(help="only points whose name begins so; may be repeated")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="only points with a name that begins so; may be repeated")
+    ] = None,
     repeat: Annotated[
-        list[str] | None, typer.Option(help="read points again whose name begins so; the old readings stay recorded")
+        list[str] | None,
+        typer.Option(help="read points with a name that begins so again; the old readings stay recorded"),
     ] = None,
     show_plan: Annotated[
-        bool, typer.Option("--plan", help="show the points and the time they take; touch nothing")
+        bool, typer.Option("--plan", help="show the points and the estimated time, and do nothing else")
     ] = False,
     own_effects: OwnEffects = None,
 ) -> None:
-    """Lead through a campaign at the bench: what to set up now, what is being read, what looks odd.
+    """Lead a person through a campaign at the bench: what to set up, what is being read, what looks wrong.
 
-    Stop with q or Ctrl-C whenever you like; the same command goes on where you stopped. In --out: readings.csv (all
-    readings that count, in the one CSV form) and session-001.mcap ... (everything that was read). A campaign of flights
-    asks for the recording and the reference of each flight instead, and keeps copies of them; --simulate flies its
-    scenarios.
+    Stop with q or Ctrl-C at any time; the same command resumes. In --out: readings.csv (all valid readings, in the CSV
+    form of the project) and session-001.mcap ... (everything that was read). For a campaign of flights it asks for the
+    recording and the reference of each flight and keeps copies of them; --simulate flies its scenarios.
     """
     from msp_lab.campaigns.flights import is_of_flights
 
@@ -104,7 +106,7 @@ def characterise(
         Path | None,
         typer.Option(
             metavar="SENSOR.yaml",
-            help="starting model: limits, codes, and what the data do not say; left out: the first driver's own",
+            help="starting model: limits, codes, and what the data do not determine; default: the first driver's",
         ),
     ] = None,
     column_map: Annotated[
@@ -114,17 +116,19 @@ def characterise(
         ),
     ] = None,
     of: Annotated[
-        list[str] | None, typer.Option(metavar="SENSOR", help="only its readings (column sensor); may be repeated")
+        list[str] | None,
+        typer.Option(metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"),
     ] = None,
     reference_std_cm: Annotated[
-        float | None, typer.Option(min=0.0, help="what the true ranges may all be off by, as a standard deviation [cm]")
+        float | None,
+        typer.Option(min=0.0, help="standard deviation of an error that all true ranges have in common [cm]"),
     ] = None,
     set_up_std_cm: Annotated[
         float | None,
         typer.Option(
             min=0.0,
-            help="what each set-up's true range is off by on its own, as a standard deviation [cm]; what they "
-            "differ by beyond it is then the sensor's, and goes into the model",
+            help="standard deviation of the error of each placement's true range [cm]; differences beyond it are "
+            "attributed to the sensor and enter the model",
         ),
     ] = None,
     compare_with_report: Annotated[
@@ -137,7 +141,7 @@ def characterise(
     date: Annotated[str | None, typer.Option(help="date to record, YYYY-MM-DD (default: today)")] = None,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the goodness-of-fit test")] = 1,
 ) -> None:
-    """Make a sensor model from readings at known ranges: calibration, mixture, field of view, and what matters."""
+    """Make a sensor model from readings at known ranges: calibration, kinds of reading, field of view, influences."""
     require("lab", "msp-lab characterise")
     from numpy.random import default_rng
 
@@ -202,10 +206,10 @@ def _is_date(text: str) -> bool:
 @app.command()
 @report_user_errors
 def effects(
-    as_json: Annotated[bool, typer.Option("--json", help="all of it, as JSON")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="print everything as JSON")] = False,
     own_effects: OwnEffects = None,
 ) -> None:
-    """List the effects that a sensor model file may name: what each is, what it needs, and what would show it."""
+    """List the effects that a sensor model file may name: what each is, what it requires, and how it shows."""
     require("sim", "msp-lab effects")
     from msp_sim.effects import CATALOGUE
     from msp_sim.effects.listing import as_data, as_text
@@ -256,16 +260,14 @@ def filters(
     table: Annotated[
         Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=10, max=5000, help="runs of each scenario that filters are compared on")
-    ] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="of all chance")] = 1,
+    seeds: Annotated[int, typer.Option(min=10, max=5000, help="number of runs of each scenario")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
     out: Annotated[Path | None, typer.Option(help="folder for figures 5.7-5.15 and the tables as CSV and JSON")] = None,
 ) -> None:
     """The report's filter study: its nine filters in its three scenarios, what explains its rows, and a better filter.
 
-    Beside each value of the table stands the band that many seeds give it. Where a row is outside, a search finds what
-    an implementation must have done otherwise to get it, or says what was tried.
+    Next to each value of the table is its band over many seeds. For a row outside, a search finds the difference of an
+    implementation that explains it, or reports what was tried.
     """
     require("lab", "msp-lab filters")
     from msp_lab.filter_study.explain import explain_rows

@@ -308,7 +308,7 @@ def test_the_command_explains_the_report_and_draws_its_figures(
         assert [(each["what"], each["value"]) for each in explained[name]["changes"]] == [("q_factor", 10.0)]
     for name in ("median 3", "median 7", "median 11", "kalman 1"):
         assert explained[name]["changes"] == []
-        assert f"{name}: in the bands as stated" in told
+        assert f"{name}: within the bands as stated" in told
     assert explained["kalman 3"]["rows"]["steps"]["gap_before"] > 20
     assert explained["kalman 3"]["rows"]["steps"]["gap_after"] < 4
     for number in range(7, 16):
@@ -334,9 +334,9 @@ def test_the_report_s_columns_are_put_in_order() -> None:
         (REPORT.replace("0.978", "-1"), "expected neither below 0"),
         (REPORT.replace("fixed,kalman 1", "fixed,kalman 9"), "found the filter 'kalman 9'"),
         (REPORT.replace("steps,median 3", "stairs,median 3"), "found the scenario 'stairs'"),
-        (REPORT.replace("fixed,median 7,", "fixed,median 3,"), "is there twice"),
+        (REPORT.replace("fixed,median 7,", "fixed,median 3,"), "occurs twice"),
         (REPORT.replace(",0.938", ""), "found 6 cells, expected 7"),
-        ("scenario,filter,rms,p90,median,mean,variance\n", "holds no rows"),
+        ("scenario,filter,rms,p90,median,mean,variance\n", "contains no rows"),
     ],
 )
 def test_mistakes_in_a_table_are_told_in_one_line(tmp_path: Path, text: str, told: str) -> None:

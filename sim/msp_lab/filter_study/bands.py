@@ -1,7 +1,7 @@
-"""Monte-Carlo bands: what a filter's statistics may be, from many seeds.
+"""Monte-Carlo bands: the range of a filter's statistics over many seeds.
 
-A setting (the filter, and what may differ about the readings and the error) and the seeds' runs enter; per scenario and
-statistic a middle and a spread to either side leave, and how far a table's row lies outside of them.
+A setting (the filter, the noise and the sign of the error) and a number of seeds enter; for each scenario and statistic
+a middle and a spread to either side leave, and the distance of a table's row from them.
 """
 
 from collections.abc import Mapping
@@ -16,15 +16,16 @@ from msp_lab.filter_study.statistics import error_statistics, mirrored
 from msp_lab.filter_study.table import Row
 
 WIDTH = 4.0
-"""Half the width of a band in spreads; of a normal variable, one in 16 000 is outside, and a table has 135 values."""
+"""Half the width of a band in spreads: one in 16,000 normal values is outside, and a table has 135 values. A narrower
+band looks for explanations of random variation."""
 TAIL, TAIL_SPREADS = 1.0, 2.326
 """The spread to one side is the distance of this percentile from the middle, over what it is for a normal variable."""
 FLOOR = 0.02
-"""A spread is at least this share of the median RMS, or of the value itself: the medians of whole numbers hardly
-spread."""
+"""Smallest spread, as a share of the median RMS or of the value itself: medians of whole numbers hardly vary."""
 SMALLEST_CM = 0.01
-"""Of a median RMS, for that [cm]."""
+"""Smallest median RMS for that [cm]."""
 SEARCH_SEED = 20_240
+"""Random seed of the bands; the same runs serve every setting."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,9 @@ class Setting:
     variant
         The filter.
     noise_factor
-        Of the variance of the readings' noise.
+        Factor of the variance of the readings' noise.
     reversed
-        Whether the error is truth less estimate.
+        True if the error is truth less estimate.
     """
 
     variant: Variant
@@ -48,7 +49,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Band:
-    """Of one setting in one scenario, arrays in the order of the statistics.
+    """Bands of one setting in one scenario, arrays in the order of the statistics.
 
     RMS and variance are positive and skewed: their spreads are those of their logarithms.
 
@@ -65,7 +66,7 @@ class Band:
     above: Array
 
     def distance(self, row: Row) -> Array:
-        """How many spreads each value of a row is away from the middle; what its rounding explains is taken off."""
+        """Distance of each value of a row from the middle in spreads, less what its rounding explains."""
         rounding = 0.5 * 10.0 ** -np.array(row.decimals, dtype=float)
         values = np.array(row.values)
         off = _scaled(values) - _scaled(self.middle)
@@ -76,7 +77,7 @@ class Band:
 
     @property
     def log_spread(self) -> float:
-        """Sum of the logarithms of the spreads: a band that is wide enough for everything explains nothing."""
+        """Sum of the logarithms of the spreads, which penalises bands that are wide enough for everything."""
         return float(0.5 * np.log(self.below * self.above).sum())
 
     @property
@@ -104,18 +105,18 @@ def _unscaled(values: Array) -> Array:
 
 
 def find_bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
-    """Bands of one setting in all scenarios, from ``seeds`` runs of each; the same runs for every setting."""
+    """Return the bands of one setting in all scenarios from ``seeds`` runs of each, the same for every setting."""
     return {name: band_in(setting, name, seeds) for name in NAMES}
 
 
 @lru_cache(maxsize=8192)
 def band_in(setting: Setting, name: str, seeds: int) -> Band:
-    """The band in one scenario."""
+    """Return the band in one scenario."""
     return band(_values(setting, name, seeds))
 
 
 def band(values: Array) -> Band:
-    """The band of statistics of shape (5, seeds)."""
+    """Return the band of statistics of shape (5, seeds)."""
     low, middle, high = np.percentile(_scaled(values), (TAIL, 50.0, 100.0 - TAIL), axis=1)
     middle_cm = _unscaled(middle)
     floor = np.where(_POSITIVE, FLOOR, FLOOR * max(float(middle_cm[0]), SMALLEST_CM))

@@ -8,9 +8,9 @@ from msp_range.reading_model.sensor_model import MixtureParameters
 
 
 def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array, Array]:
-    """Estimates [cm] and variances [cm^2]; NaN before the first, and then estimates hold where none is put out.
+    """Estimates [cm] and variances [cm^2]; NaN before the first; later estimates hold where there is no new one.
 
-    The same class as in the bridge (`msp_range.filters.changepoint`), with one stream a run.
+    The same class as in the bridge (`msp_range.filters.changepoint`), with one stream per run.
     """
     likelihood = RangeLikelihood.of(parameters, MINIMUM_CM, MAXIMUM_CM, 1)
     runs, samples = reading_cm.shape
@@ -20,24 +20,24 @@ def changepoint(reading_cm: Array, parameters: MixtureParameters) -> tuple[Array
     for sample in range(samples):
         if sample:
             estimate_cm[:, sample] = estimate_cm[:, sample - 1]
-        heard = np.flatnonzero(~np.isnan(reading_cm[:, sample]))
-        if heard.size == 0:
+        answered = np.flatnonzero(~np.isnan(reading_cm[:, sample]))
+        if answered.size == 0:
             continue
-        elapsed_s = np.where(last[heard] < 0, 0, sample - last[heard]) * INTERVAL_S
-        last[heard] = sample
-        some = hypotheses.take(heard)
-        noise_m2 = np.full(heard.size, likelihood.variance_m2)
-        posterior: Posterior = some.update(elapsed_s, reading_cm[heard, sample] / 100.0, noise_m2)
-        hypotheses.put(heard, some)
-        sure = heard[posterior.converged]
-        estimate_cm[sure, sample] = 100.0 * posterior.range_m[posterior.converged]
-        variance_cm2[sure, sample] = 1e4 * posterior.variance_m2[posterior.converged]
+        elapsed_s = np.where(last[answered] < 0, 0, sample - last[answered]) * INTERVAL_S
+        last[answered] = sample
+        some = hypotheses.take(answered)
+        noise_m2 = np.full(answered.size, likelihood.variance_m2)
+        posterior: Posterior = some.update(elapsed_s, reading_cm[answered, sample] / 100.0, noise_m2)
+        hypotheses.put(answered, some)
+        converged = answered[posterior.converged]
+        estimate_cm[converged, sample] = 100.0 * posterior.range_m[posterior.converged]
+        variance_cm2[converged, sample] = 1e4 * posterior.variance_m2[posterior.converged]
     return estimate_cm, variance_cm2
 
 
 def oracle(runs: ScenarioRuns) -> Array:
-    """Least squares from each segment's first reading to the newest, by one who knows where segments begin, and which
-    are ramps [cm]. All readings are there.
+    """Least squares from each segment's first reading to the newest, with known segments and ramps [cm]; no reading may
+    be missing.
 
     Closed forms: with k readings so far, numbered j = 1 ... k, the mean of y, or the line's value at j = k,
     (6 sum j y - 2 (k + 1) sum y) / (k (k + 1)).

@@ -1,4 +1,4 @@
-"""What two implementations of one filter may differ in, as changes to a setting, with words for each."""
+"""Differences between two implementations of one filter, as changes of a setting, each with a description."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from msp_lab.filter_study.scenarios import FIXED_CM
 Kind = Literal["q_factor", "noise_factor", "start_cm", "delay", "window", "centred", "boundary", "sign"]
 
 FACTORS = tuple(float(10 ** (eighth / 8)) for eighth in range(-16, 17) if eighth)
-"""Of a variance: eight a decade, from a hundredth to a hundred times."""
+"""Factors of a variance that are tried: eight per decade, from 0.01 to 100."""
 ROUND = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
-"""What people write, and a power of ten times it."""
+"""Numbers, times a power of ten, that an implementation is likely to contain; preferred where they fit as well."""
 DELAYS = range(-5, 16)
-"""Of a filter without a window [samples]."""
+"""Delays that are tried for a filter without a window [samples]."""
 BOUNDARIES = {
-    "grow": "at the boundary a window of what there is",
+    "grow": "at the boundary a shorter window",
     "raw": "at the boundary the reading itself",
     "zero": "zeros beyond the boundary",
     "first": "the outermost reading repeated beyond the boundary",
@@ -25,14 +25,14 @@ BOUNDARIES = {
 
 
 @dataclass(frozen=True)
-class Change:
-    """One thing done otherwise.
+class ImplementationChange:
+    """One difference of an implementation.
 
     Examples
     --------
-    >>> print(Change("q_factor", 10.0).text)
+    >>> print(ImplementationChange("q_factor", 10.0).text)
     Q times 10 (or R times 0.1: the gain is the same)
-    >>> print(Change("delay", 3).text)
+    >>> print(ImplementationChange("delay", 3).text)
     3 samples late
     """
 
@@ -40,7 +40,7 @@ class Change:
     value: Any
 
     def made_in(self, setting: Setting) -> Setting:
-        """The setting with this change."""
+        """Return the setting with this change."""
         if self.kind == "noise_factor":
             return replace(setting, noise_factor=self.value)
         if self.kind == "sign":
@@ -50,7 +50,7 @@ class Change:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """Description of the change."""
         value = self.value
         if self.kind == "q_factor":
             return f"Q times {value:.4g} (or R times {1 / value:.4g}: the gain is the same)"
@@ -70,44 +70,44 @@ class Change:
 
     @property
     def is_factor(self) -> bool:
-        """Whether its value is any positive number."""
+        """Whether its value may be any positive number."""
         return self.kind in ("q_factor", "noise_factor")
 
 
-Changes = tuple[Change, ...]
+Changes = tuple[ImplementationChange, ...]
 
 
 def all_made(changes: Changes, setting: Setting) -> Setting:
-    """The setting with all of the changes."""
+    """Return the setting with all changes."""
     for change in changes:
         setting = change.made_in(setting)
     return setting
 
 
-def single(base: Setting, each_factor: int = 1) -> Iterator[Change]:
-    """Every one thing that may differ; of factors, every so many."""
+def single(base: Setting, each_factor: int = 1) -> Iterator[ImplementationChange]:
+    """Yield every single change; of factors, every `each_factor`-th."""
     variant = base.variant
     factors = FACTORS[::each_factor]
     if variant.family == "kalman":
-        yield from (Change("q_factor", factor) for factor in factors)
-        yield from (Change("start_cm", start_cm) for start_cm in (0.0, FIXED_CM))
+        yield from (ImplementationChange("q_factor", factor) for factor in factors)
+        yield from (ImplementationChange("start_cm", start_cm) for start_cm in (0.0, FIXED_CM))
         delays: Sequence[int] = DELAYS
     else:
-        yield Change("centred", not variant.centred)
-        yield from (Change("boundary", each) for each in BOUNDARIES if each != variant.boundary)
+        yield ImplementationChange("centred", not variant.centred)
+        yield from (ImplementationChange("boundary", each) for each in BOUNDARIES if each != variant.boundary)
         for window in range(1, 2 * variant.window + 2):
             if window != variant.window and (window % 2 or not variant.centred):
-                yield Change("window", float(window))
-        # Half a window late or early is what the other kind of window is.
+                yield ImplementationChange("window", float(window))
+        # Half a window late or early is the same as the other kind of window.
         half = (variant.window - 1) // 2 * (1 if variant.centred else -1)
         delays = [delay for delay in range(-variant.window, 2 * variant.window + 1) if delay != half]
-    yield from (Change("delay", delay) for delay in delays if delay)
-    yield from (Change("noise_factor", factor) for factor in factors)
-    yield Change("sign", None)
+    yield from (ImplementationChange("delay", delay) for delay in delays if delay)
+    yield from (ImplementationChange("noise_factor", factor) for factor in factors)
+    yield ImplementationChange("sign", None)
 
 
 def double(base: Setting) -> Iterator[Changes]:
-    """Every two things of different kinds; of factors, four a decade."""
+    """Yield every pair of changes of different kinds; of factors, four per decade."""
     for one, other in combinations(single(base, each_factor=2), 2):
         if one.kind != other.kind:
             yield one, other

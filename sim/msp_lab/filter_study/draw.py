@@ -1,4 +1,4 @@
-"""The report's figures 5.7-5.15: what each filter makes of a run, whole above and two seconds of it below."""
+"""The report's figures 5.7-5.15: the estimates of each filter in one run, all of it above and two seconds below."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +21,9 @@ from msp_lab.filter_study.scenarios import (
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
-"""Of chapter 5: three filters in the fixed scenario, then in the steps, then in the random ranges."""
+"""Number of the first figure in chapter 5: three families in the fixed scenario, the steps and the random ranges."""
 CLOSE_S = 2.0
+"""Length of the part that is shown enlarged [s]."""
 
 
 def draw_figures(folder: Path, seed: int) -> list[Path]:

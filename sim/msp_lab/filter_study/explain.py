@@ -1,8 +1,8 @@
-"""What explains the rows of a table that lie outside their Monte-Carlo bands: the gap workflow in small.
+"""Explain the rows of a table that lie outside their Monte-Carlo bands.
 
-A table enters (`msp_lab.filter_study.table`); for every filter the setting leaves that fits all of its rows at once,
-or that nothing does and what was tried. Searched is what two implementations of one filter may differ in
-(`msp_lab.filter_study.changes`), one thing and then two at a time. The fewest changes win, then the best fit.
+A table enters (`msp_lab.filter_study.table`); for every filter the setting leaves that fits all of its rows, or the
+statement that none does, with what was tried. The search goes over differences of implementations
+(`msp_lab.filter_study.changes`), one and then two at a time. The fewest changes win, then the best fit.
 """
 
 import math
@@ -12,32 +12,32 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msp_lab.filter_study.bands import WIDTH, Band, Setting, band_in, find_bands
-from msp_lab.filter_study.changes import ROUND, Change, Changes, all_made, double, single
+from msp_lab.filter_study.changes import ROUND, Changes, ImplementationChange, all_made, double, single
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.table import Row, Table
 
 SEEDS = 1000
-"""Runs a scenario for the bands."""
+"""Runs per scenario for the bands; their percentiles are then known to about 5 % of a spread."""
 SEARCH_SEEDS = 60
-"""For the search; what it finds is then judged by the bands of all `SEEDS`."""
+"""Runs per scenario for the search; its results are then checked with all `SEEDS`."""
 NEAR = 2.0
-"""The search goes on with what fits, by its fewer seeds, in bands this many times as wide."""
+"""The search keeps settings that fit in bands this many times as wide, since it has fewer seeds."""
 FINALISTS = 12
-"""At most so many of the settings that the search found are judged with all seeds."""
+"""Settings from the search that are checked with all seeds, at most."""
 AS_GOOD = 4.0
-"""A rounder number is kept where the misfit grows by less than this: two standard deviations."""
+"""Prefer a rounder number if the misfit grows by less than this: two standard deviations."""
 CAP = 1e4
-"""A value's part of a misfit at most, so that two hopeless rows can still be told from one."""
+"""Limit of one value's part of a misfit, so that two rows far outside still count more than one."""
 
 SEARCH_ORDER = ("steps", "fixed", "random")
-"""The scenario first that tells most."""
+"""The scenario that excludes most settings comes first."""
 
 Rows = Mapping[str, Row]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one filter.
+    """Result for one filter.
 
     Attributes
     ----------
@@ -48,15 +48,15 @@ class Verdict:
     before
         Bands of the study as it is stated, by scenario.
     changes
-        What explains the rows; empty where they lie in those bands; None where nothing that was tried does.
+        The explanation of the rows; empty: they lie in those bands; None: nothing that was tried explains them.
     after
-        Bands with the changes, or with the nearest one.
+        Bands with the changes, or with the nearest change.
     tried
-        How many settings were compared.
+        Number of settings that were compared.
     nearest
-        Where nothing fits all rows: the one change that comes nearest.
+        If nothing fits all rows: the single change that comes nearest.
     alone
-        Where nothing fits all rows: what fits each row alone; None where nothing does.
+        If nothing fits all rows: the changes that fit each row alone; None: there are none.
     """
 
     filter: str
@@ -70,7 +70,7 @@ class Verdict:
 
 
 def explain_rows(table: Table) -> tuple[bool, list[Verdict]]:
-    """Whether the table's errors are truth less estimate, and a verdict for every filter in it."""
+    """Return whether the table's errors are truth less estimate, and a verdict for every filter in it."""
     of_filter: dict[str, dict[str, Row]] = {}
     for row in table.values():
         of_filter.setdefault(row.filter, {})[row.scenario] = row
@@ -114,7 +114,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
 
 
 _LAGS = ("delay", "q_factor", "window", "centred")
-"""What moves the mean error where the range changes."""
+"""Changes that move the mean error where the range changes."""
 
 
 def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
@@ -138,7 +138,7 @@ def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
 
 
 def _best(found: Sequence[Changes], base: Setting, rows: Rows) -> Changes | None:
-    """Of changes that are equally many, those that fit all rows best; None where none fits."""
+    """Of equally many changes, those that fit all rows best; None: none fits."""
     fits = [(misfit(all_made(changes, base), rows, SEARCH_SEEDS, NEAR * WIDTH), changes) for changes in found]
     near = sorted((each for each in fits if each[0][1] < math.inf), key=lambda each: each[0][0])
     refined = [_refined(changes, base, rows) for _, changes in near[:FINALISTS]]
@@ -148,7 +148,7 @@ def _best(found: Sequence[Changes], base: Setting, rows: Rows) -> Changes | None
 
 
 def _best_alone(tried: Sequence[Changes], base: Setting, row: Rows) -> Changes | None:
-    """The fewest changes, then the best, that fit one row."""
+    """The fewest, then the best changes that fit one row."""
     for count in range(3):
         changes = _best([each for each in tried if len(each) == count], base, row)
         if changes is not None:
@@ -157,17 +157,19 @@ def _best_alone(tried: Sequence[Changes], base: Setting, row: Rows) -> Changes |
 
 
 def _refined(changes: Changes, base: Setting, rows: Rows) -> Changes:
-    """Let each factor take the value that fits best, or a round one that fits as well."""
+    """Set each factor to the value that fits best, or to a round one that fits as well."""
     for index, change in enumerate(changes):
         if not change.is_factor:
             continue
 
-        def cost(factor: float, index: int = index, change: Change = change, changes: Changes = changes) -> float:
-            others = (*changes[:index], Change(change.kind, factor), *changes[index + 1 :])
+        def cost(
+            factor: float, index: int = index, change: ImplementationChange = change, changes: Changes = changes
+        ) -> float:
+            others = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
             return misfit(all_made(others, base), rows, SEEDS)[0]
 
         factor = _best_factor(cost, change.value)
-        changes = (*changes[:index], Change(change.kind, factor), *changes[index + 1 :])
+        changes = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
     return changes
 
 

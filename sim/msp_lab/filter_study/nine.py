@@ -1,8 +1,8 @@
 """The report's nine filters (eq 13-19), for many runs at once.
 
-Readings enter, shape (runs, samples), and as many estimates leave. A `Variant` says what a study's implementation may
-do otherwise than the report says: `msp_lab.filter_study.explain` searches over them. Readings that are missing are NaN;
-the filters see what is left (`behind_the_gate`), as the bridge's do, and hold their last estimate.
+Readings enter, shape (runs, samples), and as many estimates leave. A `Variant` has the differences that
+an implementation may have from the report's text: `msp_lab.filter_study.explain` searches over them. Missing readings
+are NaN; the filters get the others (`behind_the_gate`), as in the bridge, and hold their last estimate.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Boundary = Literal["grow", "raw", "zero", "first"]
 
 @dataclass(frozen=True)
 class Variant:
-    """One filter with its parameters, and what may differ between two implementations of it.
+    """One filter with its parameters, and the differences of its implementation.
 
     Attributes
     ----------
@@ -29,12 +29,12 @@ class Variant:
     centred
         Moving average and median: the window reaches as far ahead as back; otherwise it ends at its reading.
     boundary
-        What stands for readings before the first (and after the last, where centred). grow: the window is only as
-        large as what there is. raw: the reading itself until the window is full, the report's 'not processing the
-        boundary'. zero: zeros. first: the first (last) reading, again and again.
+        Replacement of readings before the first (and after the last, if centred). grow: the window is shorter
+        there. raw: the reading itself until the window is full, the report's 'not processing the
+        boundary'. zero: zeros. first: the first (last) reading repeated.
     delay
         Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is
-        one, the readings themselves are put out.
+        one, the output is the reading.
     q_factor, r_factor
         Kalman: factors of Q and R. P at the start is R.
     start_cm
@@ -63,7 +63,7 @@ CAUSAL: dict[str, Variant] = (
     | {f"median {window}": Variant("median", window) for window in (3, 7, 11)}
     | {f"kalman {number}": Variant("kalman", process_cm2) for number, process_cm2 in PROCESS_CM2.items()}
 )
-"""The nine as a vehicle can run them; windows grow until they are full."""
+"""The nine in causal form, as a vehicle can run them; windows grow until they are full."""
 CENTRED = {
     name: replace(variant, centred=True, boundary="raw")
     for name, variant in CAUSAL.items()
@@ -71,11 +71,11 @@ CENTRED = {
 }
 """The two windowed families as eq 14 has it: half of the window is ahead, and the boundary is not processed."""
 AS_REPORTED = CAUSAL | {name: variant for name, variant in CENTRED.items() if variant.family == "median"}
-"""What the report says that it did: a median that looks ahead (eq 14), the others causal."""
+"""The filters as the report states them: a median that looks ahead (eq 14), the others causal."""
 
 
 def apply(variant: Variant, reading_cm: Array) -> Array:
-    """Estimates [cm] of one filter; all readings are there.
+    """Return the estimates of one filter [cm]; no reading may be missing.
 
     Examples
     --------
@@ -90,12 +90,12 @@ def apply(variant: Variant, reading_cm: Array) -> Array:
 
 
 def behind_the_gate(filter_: Callable[[Array], Array], reading_cm: Array) -> Array:
-    """The filter on the readings that are there; at missing ones it holds, and before the first there is NaN."""
+    """Apply a filter to the readings that are not missing; it holds at missing ones, and is NaN before the first."""
     there = ~np.isnan(reading_cm)
     order = np.argsort(~there, axis=1, kind="stable")
     packed = np.take_along_axis(reading_cm, order, axis=1)
     newest = np.cumsum(there, axis=1) - 1
-    # What stands behind the last reading is never looked at, for these filters are causal.
+    # Values after the last reading have no influence, since these filters are causal.
     packed = np.where(np.isnan(packed), 0.0, packed)
     estimate_cm: Array = np.take_along_axis(filter_(packed), np.maximum(newest, 0), axis=1)
     return np.where(newest >= 0, estimate_cm, np.nan)

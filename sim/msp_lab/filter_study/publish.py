@@ -1,4 +1,4 @@
-"""The study in files: figures, what it measured as JSON, and its own statistics in the form that ``--table`` takes."""
+"""The study as files: figures, its numbers as JSON, and its own statistics in the form that ``--table`` reads."""
 
 import csv
 import json
@@ -34,7 +34,7 @@ def publish_study(folder: Path, results: Study, reverse: bool, verdicts: Sequenc
 
 
 def _figures(results: Study, reverse: bool, verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    noises = {"report_noise": results.report_noise, "wild_readings": results.wild}
+    noises = {"report_noise": results.report_noise, "outlier_readings": results.outliers}
     return {
         "rms_cm": {
             noise: {

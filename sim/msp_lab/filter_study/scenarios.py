@@ -1,8 +1,8 @@
 """The report's three scenarios (table 5.3): true ranges of many runs, and readings of them.
 
-A generator enters; true ranges, where their segments begin, and readings in centimetres leave, one row a seed. The
-report shows pictures of its random ranges and no recipe: segments of 5 to 19 samples, half of them constant at a new
-level and half a ramp from the last level to a new one, levels uniform from 230 to 360 cm, give what they show.
+A generator enters; true ranges, their segments, and readings in centimetres leave, one row per seed. The report shows
+its random ranges without saying how they were made. Segments of 5 to 19 samples, half of them constant at a new level
+and half ramps from the last level to a new one, with levels uniform from 230 to 360 cm, look the same.
 """
 
 from dataclasses import dataclass, replace
@@ -16,16 +16,16 @@ from msp_sim.world.profiles import SAMPLES_PER_SECTION
 
 SAMPLES = 200
 INTERVAL_S = 0.1
-"""10 Hz for 20 s (5.3.1)."""
+"""Time between two samples [s]: 10 Hz for 20 s (5.3.1)."""
 FIXED_CM = 300.0
 SET_CM = (275.0, 225.0, 350.0, 325.0)
 RANDOM_CM = (230.0, 360.0)
 NOISE_CM2 = 3.7811
-"""Variance of the noise: the report's measured one, which it also takes for R (table 5.2) [cm^2]."""
-WILD_WEIGHTS = {"hit": 0.90, "short": 0.03, "missed": 0.05, "random": 0.02}
-"""Shares of readings where some are not of the surface: 5 % no echo, 3 % short, 2 % random."""
+"""Variance of the noise: measured by the report, which also uses it as R (table 5.2) [cm^2]."""
+OUTLIER_WEIGHTS = {"hit": 0.90, "short": 0.03, "missed": 0.05, "random": 0.02}
+"""Shares of the kinds of reading in the comparison with outliers: more than a bench shows, as in flight."""
 SHORT_RATE_PER_M = 0.5
-"""As in the model file of the MB1242 [1/m]."""
+"""Rate of the short readings, as in the model file of the MB1242 [1/m]."""
 MINIMUM_CM, MAXIMUM_CM = 20, 765
 NAMES = ("fixed", "steps", "random")
 
@@ -43,7 +43,7 @@ class ScenarioRuns:
     true_cm
         True range [cm].
     segment
-        Number of the segment that a sample is in, from 0 on.
+        Number of the sample's segment, from 0.
     ramp
         Whether that segment is a ramp.
     reading_cm
@@ -58,14 +58,14 @@ class ScenarioRuns:
 
 
 def report_readings(runs: ScenarioRuns, rng: np.random.Generator, variance_cm2: float = NOISE_CM2) -> ScenarioRuns:
-    """Runs with the report's noise: Gaussian, then rounded to whole centimetres."""
+    """Return runs with the report's noise: Gaussian, then rounded to whole centimetres."""
     noisy = runs.true_cm + rng.normal(0.0, np.sqrt(variance_cm2), runs.true_cm.shape)
     return replace(runs, reading_cm=np.rint(noisy))
 
 
-def wild_readings(runs: ScenarioRuns, rng: np.random.Generator) -> ScenarioRuns:
-    """Runs whose readings follow the mixture of `WILD_WEIGHTS`, behind the status gate: no echo is NaN."""
-    model = ReadingModel(wild_parameters(), MINIMUM_CM, MAXIMUM_CM)
+def outlier_readings(runs: ScenarioRuns, rng: np.random.Generator) -> ScenarioRuns:
+    """Return runs with the mixture of `OUTLIER_WEIGHTS`; no echo is NaN, as the status gate makes it."""
+    model = ReadingModel(outlier_parameters(), MINIMUM_CM, MAXIMUM_CM)
     reading_cm = model.sample({"true_range_cm": runs.true_cm.ravel()}, rng).reshape(runs.true_cm.shape)
     return replace(runs, reading_cm=np.where(reading_cm == MAXIMUM_CM, np.nan, reading_cm))
 
@@ -75,9 +75,9 @@ def gaussian_parameters() -> MixtureParameters:
     return _parameters({"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0})
 
 
-def wild_parameters() -> MixtureParameters:
-    """The reading model of `wild_readings`."""
-    return _parameters(WILD_WEIGHTS)
+def outlier_parameters() -> MixtureParameters:
+    """The reading model of `outlier_readings`."""
+    return _parameters(OUTLIER_WEIGHTS)
 
 
 def _parameters(weights: dict[str, float]) -> MixtureParameters:
@@ -92,7 +92,7 @@ def _parameters(weights: dict[str, float]) -> MixtureParameters:
 
 
 def truth(name: str, seeds: int, rng: np.random.Generator) -> ScenarioRuns:
-    """A scenario's runs; the readings are the true ranges."""
+    """Return runs of a scenario with the true ranges as readings."""
     shape = (seeds, SAMPLES)
     segment, ramp = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     if name == "fixed":

@@ -1,4 +1,4 @@
-"""The study on a terminal: tables with bands and gaps, what explains the gaps, and the changepoint filter's figures."""
+"""The study on a terminal: tables with bands and gaps, explanations, and the changepoint filter's figures."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -19,14 +19,14 @@ TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random range
 
 
 def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[str, Mapping[str, float]]) -> None:
-    """One table a scenario: the value, its band as the study is stated, and the gap before and after an explanation.
+    """Print one table per scenario: the value, its band as stated, and the gap before and after the explanation.
 
     Parameters
     ----------
     console
-        Where to.
+        Output.
     verdicts
-        One a filter.
+        One per filter.
     delays
         Delay [samples] by scenario and filter.
     """
@@ -51,19 +51,20 @@ def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[
             )
         console.print(table)
     console.print(
-        f"gap: the value farthest from the middle of its band, in spreads; a band is {WIDTH:g} spreads to either side. "
-        "! is outside.\ndelay: samples, of the filter as stated; the medians look ahead by half a window.\n",
+        f"gap: largest distance of a value from the middle of its band, in spreads; a band is {WIDTH:g} spreads to "
+        "either side. ! is outside.\n"
+        "delay: samples, of the filter as stated; the medians look ahead by half a window.\n",
         highlight=False,
     )
 
 
 def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Verdict]) -> None:
-    """What was found about columns and signs, and filter by filter what explains its rows."""
+    """Print what was found about columns and signs, and the explanation of each filter's rows."""
     swapped = [f"{row.filter} ({row.scenario})" for verdict in verdicts for row in verdict.rows.values() if row.swapped]
     if swapped:
         console.print(
             f"The columns median and mean are swapped in {len(swapped)} of {sum(len(each.rows) for each in verdicts)} "
-            "rows: RMS^2 = mean^2 + (N - 1)/N variance holds with the other one. They are in order above.",
+            "rows: RMS^2 = mean^2 + (N - 1)/N variance holds with the other one. Above they are exchanged back.",
             highlight=False,
         )
     console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n", highlight=False)
@@ -74,7 +75,7 @@ def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Verdi
 
 def _explanation(verdict: Verdict) -> Iterable[str]:
     if verdict.changes == ():
-        yield f"{verdict.filter}: in the bands as stated"
+        yield f"{verdict.filter}: within the bands as stated"
         return
     if verdict.changes is not None:
         yield f"{verdict.filter}: {_words(verdict.changes)} (of {verdict.tried} settings tried)"
@@ -82,7 +83,7 @@ def _explanation(verdict: Verdict) -> Iterable[str]:
         yield f"{verdict.filter}: unexplained; {verdict.tried} settings tried, with one change and with two"
         yield f"    nearest with one change: {_words(verdict.nearest or ())}"
         for scenario, changes in verdict.alone.items():
-            words = "nothing that was tried" if changes is None else _words(changes) or "as stated"
+            words = "nothing" if changes is None else _words(changes) or "as stated"
             yield f"    {scenario} alone: {words}"
     for scenario, row in verdict.rows.items():
         predicted = ", ".join(
@@ -95,7 +96,7 @@ def _explanation(verdict: Verdict) -> Iterable[str]:
 
 
 def print_goals(console: Console, goals: Sequence[Goal]) -> None:
-    """What the changepoint filter reaches."""
+    """Print the changepoint filter's figures with their goals."""
     table = Shown(title="the changepoint filter", box=box.SIMPLE_HEAD)
     for heading in ("figure", "value", "goal", "met"):
         table.add_column(heading, justify="right" if heading == "value" else "left")

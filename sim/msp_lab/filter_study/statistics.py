@@ -1,6 +1,6 @@
-"""The report's five statistics of a filter's error, and the delay, which it leaves out.
+"""The report's five statistics of a filter's error, and its delay, which the report leaves out.
 
-Estimates and true ranges enter, shape (runs, samples), one number a run leaves. The error is estimate less truth, in
+Estimates and true ranges enter, shape (runs, samples); one number per run leaves. The error is estimate less truth, in
 centimetres; samples without an estimate (NaN) do not count.
 """
 
@@ -11,15 +11,16 @@ from msp_lab.filter_study.scenarios import Array
 STATISTICS = ("rms", "p90", "median", "mean", "variance")
 """RMS, 90th percentile of the signed error, median, mean [cm] and variance with N - 1 [cm^2], as in tables 5.4-5.6."""
 LONGEST_DELAY = 20
+"""Largest delay that is looked for [samples]: more than the window of any of the filters."""
 
 
 def mirrored(values: Array, p10: Array) -> Array:
-    """The five of the error with the other sign, of those of `error_statistics` and the 10th percentile."""
+    """Return the statistics of the error with the other sign, from `error_statistics` and its 10th percentile."""
     return np.stack([values[0], -p10, -values[2], -values[3], values[4]])
 
 
 def error_statistics(error_cm: Array) -> Array:
-    """The five of each run, shape (5, runs).
+    """Return the five statistics of each run, shape (5, runs).
 
     Examples
     --------
@@ -36,7 +37,7 @@ def error_statistics(error_cm: Array) -> Array:
 
 
 def delay_samples(estimate_cm: Array, true_cm: Array) -> Array:
-    """The shift of the truth [samples] that each run's estimates fit best; the median filter that looks ahead has 0.
+    """Return the delay of each run's estimates [samples]: the shift of the truth that fits them best.
 
     Least squares over whole shifts from 0 to `LONGEST_DELAY`, then the vertex of the parabola through the best one and
     its neighbours; NaN where the truth does not change.

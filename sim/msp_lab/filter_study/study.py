@@ -1,8 +1,8 @@
-"""The study: every filter in every scenario on the same readings, and how the changepoint filter compares.
+"""The study: every filter in every scenario on the same readings, compared with the changepoint filter.
 
-A number of seeds enters; RMS errors and delays of all filters, and the figures that the changepoint filter is judged
-by, leave. All filters of a scenario get the same readings. Where readings are missing, estimates hold, and a sample
-counts once every filter has an estimate.
+A number of seeds enters; RMS errors and delays of all filters and the figures of the changepoint filter leave. All
+filters of a scenario get the same readings. At missing readings the estimates hold, and a sample counts as soon as
+every filter has an estimate.
 """
 
 from collections.abc import Mapping
@@ -19,35 +19,36 @@ from msp_lab.filter_study.scenarios import (
     Array,
     ScenarioRuns,
     gaussian_parameters,
+    outlier_parameters,
+    outlier_readings,
     report_readings,
     truth,
-    wild_parameters,
-    wild_readings,
 )
 from msp_lab.filter_study.statistics import delay_samples, error_statistics
 from msp_range.filters.runs import RangeLikelihood, RunHistories
 
 CHANGEPOINT, ORACLE = "changepoint", "oracle"
-STEP_CM, NEAR_CM, WILD_CM = 50.0, 10.0, 100.0
-STEPS_A_SEED = 10
-"""Steps up and as many down a seed of the study, for the time that a step takes."""
+STEP_CM, NEAR_CM, OUTLIER_CM = 50.0, 10.0, 100.0
+"""Height of the steps, the error within which a step counts as followed, and the error of the single outlier [cm]."""
+STEPS_PER_SEED = 10
+"""Steps up, and as many down, per seed of the study; more narrow the shares that are reported."""
 
 
 @dataclass(frozen=True)
-class Compared:
+class FilterComparison:
     """One scenario with one kind of readings.
 
     Attributes
     ----------
     rms_cm
         RMS error of each run, by filter: the nine, those that look ahead as 'centred ...', 'changepoint', 'oracle';
-        with wild readings also windows counted in samples instead of readings, as '... in time'.
+        with outliers also windows counted in samples instead of readings, as '... in time'.
     delay
         Mean delay [samples] by filter; NaN where the truth does not change.
     squared
         Mean over all samples of the changepoint filter's squared error over the variance that it states.
     covered
-        Share of samples where its error is within 1.96 of its standard deviations.
+        Share of samples with an error within 1.96 of its stated standard deviations.
     """
 
     rms_cm: Mapping[str, Array]
@@ -69,8 +70,8 @@ class Compared:
         return min(((each, self.mean(each)) for each in names), key=lambda each: each[1])
 
 
-def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Compared:
-    """Noise as in the report, Gaussian, of which the changepoint filter knows."""
+def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
+    """Compare with the report's Gaussian noise, which is the changepoint filter's model too."""
     runs = report_readings(truth(name, seeds, rng), rng)
     estimates = {each: apply(variant, runs.reading_cm) for each, variant in CAUSAL.items()}
     estimates |= {f"centred {each}": apply(variant, runs.reading_cm) for each, variant in CENTRED.items()}
@@ -79,25 +80,25 @@ def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Com
     return _compared(runs, estimates, variance_cm2)
 
 
-def compare_wild(name: str, seeds: int, rng: np.random.Generator) -> Compared:
-    """Some readings missing, short or random, all filters behind the same status gate."""
-    runs = wild_readings(truth(name, seeds, rng), rng)
+def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
+    """Compare with some readings missing, short or random; all filters are behind the same status gate."""
+    runs = outlier_readings(truth(name, seeds, rng), rng)
     estimates = {each: behind_the_gate(partial(apply, variant), runs.reading_cm) for each, variant in CAUSAL.items()}
     estimates |= {
         f"{each} in time": over_samples(variant, runs.reading_cm)
         for each, variant in CAUSAL.items()
         if variant.family != "kalman"
     }
-    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, wild_parameters())
+    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, outlier_parameters())
     return _compared(runs, estimates, variance_cm2)
 
 
-def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> Compared:
+def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> FilterComparison:
     counts = np.all([~np.isnan(each) for each in estimates.values()], axis=0)
     errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
-    put_out = counts & ~np.isnan(variance_cm2)
-    normalised = errors[CHANGEPOINT][put_out] ** 2 / variance_cm2[put_out]
-    return Compared(
+    stated = counts & ~np.isnan(variance_cm2)
+    normalised = errors[CHANGEPOINT][stated] ** 2 / variance_cm2[stated]
+    return FilterComparison(
         {each: error_statistics(error)[0] for each, error in errors.items()},
         {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
         float(normalised.mean()),
@@ -107,15 +108,15 @@ def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: 
 
 @dataclass(frozen=True)
 class Response:
-    """How the changepoint filter takes steps and single wild readings, with the wild mixture as its likelihood.
+    """Response of the changepoint filter to steps and single outliers, with the mixture with outliers as its model.
 
     Attributes
     ----------
     arrived
         Share of steps of `STEP_CM` after which the output is within `NEAR_CM` of the new level, after 1 to 4 readings
-        of which some are missing or wild.
+        of which some are missing or outliers.
     moved_cm
-        Largest movement of the output by one reading that is `WILD_CM` off [cm].
+        Largest movement of the output by one reading with an error of `OUTLIER_CM` [cm].
     """
 
     arrived: tuple[float, ...]
@@ -123,25 +124,25 @@ class Response:
 
 
 def responses(rng: np.random.Generator, steps: int) -> Response:
-    """Steps and wild readings, up and down, after 4 s at one level."""
+    """Return the response to steps and outliers, up and down, after 4 s at one level."""
     before, after = 40, 4
     arrived, moved = [], []
     for sign in (1.0, -1.0):
         runs = truth("fixed", steps, rng)
         true_cm = runs.true_cm[:, : before + after].copy()
         quiet_cm = np.rint(true_cm + rng.normal(0.0, gaussian_parameters().sigma_cm, true_cm.shape))
-        quiet_cm[:, before] += sign * WILD_CM
-        estimate_cm, _ = changepoint(quiet_cm, wild_parameters())
+        quiet_cm[:, before] += sign * OUTLIER_CM
+        estimate_cm, _ = changepoint(quiet_cm, outlier_parameters())
         moved.append(np.abs(estimate_cm[:, before] - estimate_cm[:, before - 1]).max())
         true_cm[:, before:] += sign * STEP_CM
         stepping = ScenarioRuns("step", true_cm, runs.segment, runs.ramp, true_cm)
-        estimate_cm, _ = changepoint(wild_readings(stepping, rng).reading_cm, wild_parameters())
+        estimate_cm, _ = changepoint(outlier_readings(stepping, rng).reading_cm, outlier_parameters())
         arrived.append((np.abs(estimate_cm - true_cm)[:, before:] < NEAR_CM).mean(axis=0))
     return Response(tuple(float(each) for each in np.mean(arrived, axis=0)), float(max(moved)))
 
 
 def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
-    """Mean of the squared normalised innovations of each run, noise as in the report; 1 where the filter is honest.
+    """Mean of the squared normalised innovations of each run, noise as in the report; 1 for a consistent filter.
 
     The predictive distribution is a mixture, so an innovation is normalised by what it is under that mixture: the
     normal deviate of its cumulative probability. A run's 199 have a mean within 0.81 and 1.21 in 95 of 100 runs.
@@ -163,22 +164,22 @@ def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True)
 class Study:
-    """All of it, by scenario."""
+    """All results by scenario."""
 
-    report_noise: Mapping[str, Compared]
-    wild: Mapping[str, Compared]
+    report_noise: Mapping[str, FilterComparison]
+    outliers: Mapping[str, FilterComparison]
     innovations: Mapping[str, Array]
     response: Response
 
 
 def run_study(seeds: int, seed: int) -> Study:
-    """Run the study; every part has random numbers of its own."""
+    """Run the study; every part has its own random numbers."""
     parts = [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
     return Study(
         {name: compare_report_noise(name, seeds, parts[index]) for index, name in enumerate(NAMES)},
-        {name: compare_wild(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},
+        {name: compare_with_outliers(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},
         {name: innovations(name, seeds, parts[6 + index]) for index, name in enumerate(NAMES)},
-        responses(parts[9], STEPS_A_SEED * seeds),
+        responses(parts[9], STEPS_PER_SEED * seeds),
     )
 
 

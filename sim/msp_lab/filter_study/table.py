@@ -1,4 +1,4 @@
-"""A table of error statistics, such as the report's tables 5.4-5.6: one row a scenario and filter.
+"""A table of error statistics, such as the report's tables 5.4-5.6: one row per scenario and filter.
 
 CSV enters, checked rows leave; the report's own table is `REPORT`. Two of the report's columns are swapped in places
 (erratum 7), which shows without any simulation: RMS^2 = mean^2 + (N - 1) / N variance.
@@ -63,7 +63,7 @@ class Row:
     decimals
         Digits after the point of each value.
     swapped
-        True where the columns median and mean were exchanged in the table, and are not any more.
+        True if the columns median and mean were exchanged in the table; the values are in the right order.
     """
 
     scenario: str
@@ -77,12 +77,12 @@ Table = Mapping[tuple[str, str], Row]
 
 
 def report_table() -> Table:
-    """The report's tables 5.4-5.6."""
+    """Return the report's tables 5.4-5.6."""
     return _parse(enumerate(csv.reader(StringIO(REPORT)), start=1), "the report's table")
 
 
 def read_table(path: Path) -> Table:
-    """A table of one's own, with the columns of `COLUMNS`.
+    """Read a table with the columns of `COLUMNS`.
 
     Raises
     ------
@@ -108,10 +108,10 @@ def _parse(rows: Iterator[tuple[int, list[str]]], source: str) -> Table:
             raise ConfigError(f"{place}: found {len(line)} cells, expected {len(head)}")
         row = _row(dict(zip(head, (cell.strip() for cell in line), strict=True)), place)
         if (row.scenario, row.filter) in table:
-            raise ConfigError(f"{place}: {row.filter} in scenario {row.scenario} is there twice, expected once")
+            raise ConfigError(f"{place}: {row.filter} in scenario {row.scenario} occurs twice, expected once")
         table[row.scenario, row.filter] = row
     if not table:
-        raise ConfigError(f"{source}: holds no rows, expected one a scenario and filter")
+        raise ConfigError(f"{source}: contains no rows, expected one per scenario and filter")
     return _columns_in_order(table)
 
 
@@ -137,7 +137,7 @@ def _row(cells: Mapping[str, str], place: str) -> Row:
 def _columns_in_order(table: Mapping[tuple[str, str], Row]) -> Table:
     """The rows with median and mean under their own names.
 
-    A row whose mean and median are too small to tell follows the others of its scenario.
+    A row with too small a mean and median to decide follows the others of its scenario.
     """
     swapped = {}
     for scenario in {row.scenario for row in table.values()}:
@@ -149,10 +149,10 @@ def _columns_in_order(table: Mapping[tuple[str, str], Row]) -> Table:
 
 
 def _is_swapped(row: Row) -> bool | None:
-    """Whether RMS^2 = mean^2 + (N - 1) / N variance holds with the column headed median only; None: cannot be told."""
+    """Whether RMS^2 = mean^2 + (N - 1) / N variance holds with the column headed median only; None: undecided."""
     rms, _, median, mean, variance = row.values
     as_named, exchanged = (abs(rms * rms - each * each - variance * (SAMPLES - 1) / SAMPLES) for each in (mean, median))
-    # What the rounding of the printed numbers alone makes.
+    # What the rounding of the printed numbers explains.
     rounding = rms * 10.0 ** -row.decimals[0] + 0.5 * 10.0 ** -row.decimals[4]
     if as_named <= rounding and exchanged <= rounding:
         return None
