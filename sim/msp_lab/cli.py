@@ -180,7 +180,7 @@ def characterise(
             rng=default_rng(seed),
             reference_std_cm=reference_std_cm,
             set_up_std_cm=set_up_std_cm,
-            say=status.update,
+            progress=status.update,
         )
         model = changed(started, findings, changes)
         write_model(out, model, findings, changes, starting_model.name)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range, peaks
+from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range, peaks
 from msp_lab.characterise.points import sort_into_points
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table
@@ -74,8 +74,8 @@ def test_the_baseline_has_its_numbers() -> None:
     assert 1.0 <= abs(found.largest_hit_error_cm) <= 4.0
 
 
-def test_the_longest_range_that_is_heard() -> None:
+def test_the_longest_range_that_is_echo() -> None:
     rng = np.random.default_rng(5)
     data = table(point(rng, 300), point(rng, 400, missed=0.1), point(rng, 500, missed=0.6))
-    assert heard_to_cm(sort_into_points(data, SENSOR), 0.8) == 400.0
-    assert heard_to_cm([], 0.8) is None
+    assert longest_reliable_cm(sort_into_points(data, SENSOR), 0.8) == 400.0
+    assert longest_reliable_cm([], 0.8) is None

@@ -102,8 +102,8 @@ def test_a_bend_is_kept_and_predicts_ranges_that_were_left_out() -> None:
     assert curve.forward(100.0) == pytest.approx(101.0, abs=0.3)
     assert curve.forward(300.0) == pytest.approx(307.5, abs=0.4)
     assert found.linearity is not None
-    assert found.linearity_by_chance_cm is not None
-    assert abs(found.linearity.value) > 3 * found.linearity_by_chance_cm
+    assert found.linearity_noise_floor_cm is not None
+    assert abs(found.linearity.value) > 3 * found.linearity_noise_floor_cm
 
 
 def test_a_sensor_without_error_gets_no_calibration() -> None:

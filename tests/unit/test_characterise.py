@@ -157,7 +157,7 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
         (lambda rng: [point(rng, 100, air_temperature_c=70.0)], "expected deg C from -50 to 65"),
         (
             lambda rng: [point(rng, 100, condition="basline")],
-            "no analysis knows the condition 'basline'; is it 'baseline'?",
+            "no analysis uses the condition 'basline'; is it 'baseline'?",
         ),
     ],
 )

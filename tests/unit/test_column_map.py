@@ -102,9 +102,9 @@ def test_mistakes_in_options(tmp_path: Path, options: list[str], message: str) -
     ("column_map", "message"),
     [
         ("columns: {reading_cm: dst}", "there is no column 'dst' for reading_cm. Did you mean 'dist'"),
-        ("columns: {reading_cm: twice}", "'twice' is there 2 times; give its number"),
+        ("columns: {reading_cm: twice}", "'twice' occurs 2 times; give its number"),
         ("columns: {reading_cm: 9}", "found 4 columns, expected a number 9"),
-        ("columns: {true_range_cm: dist}", "does not say where reading_cm is"),
+        ("columns: {true_range_cm: dist}", "the map has no column for reading_cm"),
         ("columns: {reading_cm: {column: dist, unit: rad}}", "found the unit 'rad', expected one of m, cm, mm, in, ft"),
         ("columns: {reading_cm: {column: dist, value: 3}}", "either a column or a value"),
         ("columns: {reading: dist}", "Did you mean 'reading_cm'"),

@@ -17,9 +17,9 @@ from msp_range.reading_model.sensor_model import SensorModel
 
 PEAK_HALF_CM = 3
 """Readings this near to each other belong to one peak [cm]."""
-LEAST_PEAK = 0.001
-LEAST_READINGS = 10
-BEYOND_CHANCE = 6.0
+MIN_PEAK_SHARE = 0.001
+MIN_READINGS = 10
+PEAK_DEVIATIONS = 6.0
 """A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
 evenly over the sensor's range would have."""
 
@@ -36,11 +36,11 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
     """
     found = sorted((point.found for point in points), key=lambda each: each.true_range_cm)
     errors = [each.error for each in found if each.error is not None]
-    heard = [point for point in points if point.found.error is not None]
+    echoes = [point for point in points if point.found.error is not None]
     if not errors:
         return None
     readings = sum(each.readings for each in found)
-    hits = np.concatenate([point.error_cm[point.is_hit] for point in heard])
+    hits = np.concatenate([point.error_cm[point.is_hit] for point in echoes])
     range_cm = np.array([each.true_range_cm for each in found if each.error is not None])
     mean_cm = np.array([each.value for each in errors])
     # A point whose readings give no interval counts as one rounded reading.
@@ -52,7 +52,7 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
     return Baseline(
         points=tuple(found),
         bias=fit_points(np.ones((len(errors), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
-        spread=pooled_spread(heard),
+        spread=pooled_spread(echoes),
         between_points=between,
         missed=share(sum(each.no_echo + each.saturated + each.no_answer for each in found), readings),
         outliers=share(sum(each.short + each.long for each in found), readings),
@@ -71,13 +71,13 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
     sensor
         Its codes.
     """
-    heard = [point for point in points if point.hits]
-    if not heard:
+    echoes = [point for point in points if point.hits]
+    if not echoes:
         return None
-    range_cm = max(point.range_cm for point in heard)
-    here = [point for point in heard if point.range_cm == range_cm]
+    range_cm = max(point.range_cm for point in echoes)
+    here = [point for point in echoes if point.range_cm == range_cm]
     readings = np.rint(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]))
-    kept = np.rint(np.concatenate([point.reading_cm[point.is_heard] for point in here]))
+    kept = np.rint(np.concatenate([point.reading_cm[point.is_echo] for point in here]))
     values, counts = np.unique(readings, return_counts=True)
     span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
     no_echo = int((readings == sensor.maximum_cm).sum())
@@ -96,8 +96,8 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
 def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings, the largest first.
 
-    A peak is where the readings within 3 cm hold the most, by `LEAST_PEAK` and the like; it ends where they hold less
-    than a tenth of its top.
+    A peak is where most readings are within 3 cm, by `MIN_PEAK_SHARE` and the like; it ends where they are less than a
+    tenth of its top.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
     first = int(reading_cm.min()) - 2 * PEAK_HALF_CM
     counts = np.bincount(reading_cm.astype(int) - first, minlength=int(np.ptp(reading_cm)) + 4 * PEAK_HALF_CM + 1)
     near = np.convolve(counts, np.ones(2 * PEAK_HALF_CM + 1), "same")
-    # What is there almost everywhere; most of the range holds nothing where readings do not stray.
+    # The background; most of the range has no readings if there are no outliers.
     evenly = float(np.median(np.concatenate([near, np.zeros(max(int(span_cm) - near.size, 0))])))
-    least = max(LEAST_PEAK * reading_cm.size, LEAST_READINGS, evenly + BEYOND_CHANCE * math.sqrt(evenly))
+    least = max(MIN_PEAK_SHARE * reading_cm.size, MIN_READINGS, evenly + PEAK_DEVIATIONS * math.sqrt(evenly))
     free = np.ones(counts.size, dtype=bool)
     found: list[Peak] = []
     while True:
@@ -139,7 +139,7 @@ def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
 
 
 def _mode(reading_cm: NDArray[np.float64]) -> IntervalEstimate:
-    """Most frequent reading, and those whose counts are not surely lower."""
+    """Most frequent reading, and those with counts that are not significantly lower."""
     values, counts = np.unique(reading_cm, return_counts=True)
     top = int(counts.max())
     as_likely = values[counts >= top - Z * np.sqrt(top + counts)]
@@ -148,7 +148,7 @@ def _mode(reading_cm: NDArray[np.float64]) -> IntervalEstimate:
     return IntervalEstimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)
 
 
-def heard_to_cm(points: Sequence[PointReadings], reliable_share: float) -> float | None:
+def longest_reliable_cm(points: Sequence[PointReadings], reliable_share: float) -> float | None:
     """Longest range on the axis at which a large enough share of the readings is of the surface [cm]."""
     ranges = [p.range_cm for p in points if p.reading_cm.size and p.hits / p.reading_cm.size >= reliable_share]
     return max(ranges, default=None)

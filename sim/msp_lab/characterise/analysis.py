@@ -1,6 +1,6 @@
-"""All analyses in order: loaded readings and a starting sensor model enter, findings and a new sensor model leave.
+"""All analyses in order: loaded readings and a starting sensor model enter, findings and model changes leave.
 
-What the data do not allow is left as the starting model has it, and the findings say why.
+What the data do not determine stays as in the starting model, and the findings give the reason.
 """
 
 import difflib
@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from msp_lab.characterise.accuracy import baseline, heard_to_cm, maximum_range
+from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
 from msp_lab.characterise.mixture import FittedMixture, fit_mixture
-from msp_lab.characterise.points import BASELINE, LEAST_HITS, PointReadings, sort_into_points
+from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
@@ -25,19 +25,19 @@ from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot
 from msp_range.recording.error import RecordingError
 
 UNDISTURBED = (BASELINE, "maximum_range")
-"""Experiments whose readings are of the sensor alone: what calibration and mixture are fitted to."""
+"""Experiments with nothing varied but range: calibration and mixture are fitted to them."""
 COMPENSATION = "temperature_compensation"
 SESSION_EFFECT = "run_offsets"
-"""Of the simulator: the name of an offset that differs from session to session."""
-NOT_ASKED = "no readings of this condition, or none at ranges to compare with"
+"""Name of the simulator's effect for an offset that differs between sessions."""
+NOT_MEASURED = "no readings of this condition, or none at ranges to compare with"
 KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
-"""Points with fewer readings than this are told of."""
+"""Warn about points with fewer readings: their mean error is not known to a third of their spread."""
 
 
 @dataclass(frozen=True)
 class Changes:
-    """What a characterisation changes in a sensor model; None: the data did not say."""
+    """Changes of a sensor model by a characterisation; None: the data do not determine it."""
 
     calibration: tuple[CalibrationKnot, ...] | None = None
     breakaway: tuple[BreakawayPoint, ...] | None = None
@@ -48,7 +48,7 @@ class Changes:
 
 
 class Characterised(NamedTuple):
-    """Findings, and what they change."""
+    """Findings, and the changes of the sensor model."""
 
     findings: Findings
     changes: Changes
@@ -62,7 +62,7 @@ def characterise(
     rng: np.random.Generator,
     reference_std_cm: float | None = None,
     set_up_std_cm: float | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Characterised:
     """Characterise a sensor.
 
@@ -73,22 +73,22 @@ def characterise(
     sensor
         The starting model: limits, codes, calibration temperature, and numbers to compare with.
     date
-        Of today, ISO 8601, for the record.
+        Date to record, ISO 8601.
     rng
-        For the randomised goodness of fit.
+        Random generator of the goodness of fit.
     reference_std_cm
         Standard deviation of an error that the reference may have at all ranges alike [cm]; None: not stated.
     set_up_std_cm
-        Standard deviation of what each set-up's true range is off by on its own [cm]; None: not stated.
-    say
-        Called with what is being done.
+        Standard deviation of the error of each placement's true range [cm]; None: not stated.
+    progress
+        Called with a description of the current analysis.
 
     Raises
     ------
     RecordingError
         Nothing can be found in these readings.
     """
-    say("sorting readings into points")
+    progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
@@ -97,7 +97,7 @@ def characterise(
     _check_one_kind(loaded, points)
     _check_together(loaded, undisturbed)
 
-    say("calibration")
+    progress("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = _curve(calibration)
@@ -106,17 +106,17 @@ def characterise(
     if calibration is None:
         absent["calibration"] = "no readings of the surface with nothing varied"
 
-    say("mixture")
+    progress("mixture")
     fitted = fit_mixture(undisturbed, curve, sensor, rng)
     if isinstance(fitted, str):
         absent["mixture"] = fitted
 
-    say("maximum range")
+    progress("maximum range")
     longest = maximum_range(by.get("maximum_range", []), sensor)
     if longest is None:
-        absent["maximum_range"] = NOT_ASKED
+        absent["maximum_range"] = NOT_MEASURED
 
-    say("field of view and sonar equation")
+    progress("field of view and sonar equation")
     view = find_field_of_view(by.get("field_of_view", []), curve)
     heard_cm = _heard_on_axis_cm(undisturbed, sensor)
     rows = breakaway_rows(view.angles) if view is not None else []
@@ -126,18 +126,18 @@ def characterise(
     if sonar is None:
         absent["sonar"] = "needs breakaway angles at three ranges at least"
 
-    say("questions")
+    progress("questions")
     found_points = tuple(point.found for point in points)
     asked = answer_questions(found_points)
     for name in TOPICS:
         if not any(each.name == name for each in asked):
-            absent[name] = NOT_ASKED
+            absent[name] = NOT_MEASURED
     boxes = hot_boxes(found_points, sensor.calibration_temperature_c)
     table = compensation_table(by.get(COMPENSATION, []), curve)
     if not boxes:
         absent["hot_boxes"] = "no three ranges with hot or cold air at the sensor and the same ranges without"
     if not table:
-        absent[COMPENSATION] = NOT_ASKED
+        absent[COMPENSATION] = NOT_MEASURED
 
     findings = Findings(
         sensor=sensor.name,
@@ -175,7 +175,7 @@ def characterise(
 
 
 def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:
-    """Refuse what one sensor makes beside what another one makes, unless the person has named both."""
+    """Refuse readings of different sensors in different experiments, unless the user has selected them."""
     if loaded.sensors:
         return
     of = {
@@ -187,19 +187,19 @@ def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> 
         if not its & theirs:
             raise RecordingError(
                 f"{_names(loaded.sources)}: {one} is of {', '.join(sorted(its))} and {other} of "
-                f"{', '.join(sorted(theirs))}, and one model is of one kind of sensor: name the one with --of SENSOR, "
-                "or all with --of for each where they are of one kind"
+                f"{', '.join(sorted(theirs))}, but a model describes one kind of sensor: select one with --of SENSOR, "
+                "or all with --of for each if they are of the same kind"
             )
 
 
 def _check_together(loaded: LoadedReadings, undisturbed: Sequence[PointReadings]) -> None:
-    """Refuse readings of which most are nowhere near their true ranges, though they are readings of something."""
-    heard = [p for p in undisturbed if 2 * int(p.is_heard.sum()) >= p.reading_cm.size]
-    astray = [p for p in heard if p.hits < LEAST_HITS <= int(p.is_heard.sum())]
-    if 2 * len(astray) > len(heard):
-        where = ", ".join(f"{p.range_cm:g}" for p in astray[:5])
+    """Refuse readings of which most are far from their true ranges."""
+    echoes = [p for p in undisturbed if 2 * int(p.is_echo.sum()) >= p.reading_cm.size]
+    far_off = [p for p in echoes if p.hits < MIN_HITS <= int(p.is_echo.sum())]
+    if 2 * len(far_off) > len(echoes):
+        where = ", ".join(f"{p.range_cm:g}" for p in far_off[:5])
         raise RecordingError(
-            f"{_names(loaded.sources)}: at {len(astray)} of {len(heard)} undisturbed points the readings are not "
+            f"{_names(loaded.sources)}: at {len(far_off)} of {len(echoes)} undisturbed points the readings are not "
             f"near the true range ({where} cm ...); do true_range_cm and reading_cm belong together, row by row?"
         )
 
@@ -226,7 +226,7 @@ def _knots(calibration: CalibrationFindings | None) -> tuple[CalibrationKnot, ..
 def _with_set_up_offset(
     sensor: SensorModel, calibration: CalibrationFindings | None
 ) -> tuple[dict[str, Any], ...] | None:
-    """Effects with the offset of each session, where one is sure."""
+    """Effects with the offset of sessions, if its interval excludes 0."""
     found = None if calibration is None else calibration.set_up_offset
     if found is None or not found.low:
         return None
@@ -238,9 +238,9 @@ def _with_set_up_offset(
 
 
 def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:
-    """Longest range at which a large target was heard; None unless that was asked."""
-    heard = heard_to_cm([p for p in points if p.condition == "maximum_range"], RELIABLE_SHARE)
-    return None if heard is None else min(round(heard, 1), float(sensor.maximum_cm))
+    """Longest range at which a large target is read reliably; None if that was not measured."""
+    echoes = longest_reliable_cm([p for p in points if p.condition == "maximum_range"], RELIABLE_SHARE)
+    return None if echoes is None else min(round(echoes, 1), float(sensor.maximum_cm))
 
 
 def _warnings(
@@ -251,64 +251,64 @@ def _warnings(
     angles: Sequence[BreakawayAngle],
     rows: Sequence[tuple[float, float]],
 ) -> list[str]:
-    told = list(loaded.messages)
+    found = list(loaded.messages)
     for word in sorted({p.condition for p in points} - KNOWN_CONDITIONS):
         near = difflib.get_close_matches(word, KNOWN_CONDITIONS, n=1)
-        told.append(f"no analysis knows the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
+        found.append(f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
     unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:
-        told.append(f"{unknown} rows have no true range and were left out")
+        found.append(f"{unknown} rows without a true range are left out")
     sensors = sorted({p.sensor for p in undisturbed})
     if len(sensors) > 1:
-        told.append(f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise")
+        found.append(f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise")
     ranges = {round(p.range_cm, 1) for p in undisturbed}
     if len(ranges) == 1:
-        told.append("one range only: no scale, no linearity, and nothing that depends on range can be found")
+        found.append("one range only: no scale, no linearity, and nothing that depends on range can be found")
     if calibration is not None and undisturbed and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
-        told.append(
+        found.append(
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
         )
     few = [p for p in undisturbed if p.reading_cm.size < FEW_READINGS]
     if few:
-        told.append(f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings")
+        found.append(f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings")
     silent = [p for p in undisturbed if p.found.error is None]
     if silent:
         shown = ", ".join(f"{p.range_cm:g}" for p in silent[:5])
-        told.append(f"{len(silent)} points have hardly a reading of the surface: at {shown} cm")
+        found.append(f"{len(silent)} points have almost no reading of the surface: at {shown} cm")
     for angle in angles:
         if angle.half_angle.value == 0.0:
-            told.append(f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table")
+            found.append(f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table")
         elif angle.half_angle.high is None:
-            told.append(f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider")
+            found.append(f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider")
         if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 3.6:
-            told.append(
+            found.append(
                 f"at {angle.range_cm:g} cm the two sides differ ({angle.negative.value:g} and "
                 f"{angle.positive.value:g} deg): is the sensor's axis where 0 deg is?"
             )
     measured = {angle.range_cm: angle.half_angle.value for angle in angles}
     wider = [r for r, half_deg in rows if half_deg < measured[r]]
     if wider:
-        told.append(
-            "an angle that is larger than at a shorter range was taken as that one: at "
+        found.append(
+            "an angle larger than at a shorter range was limited to that one: at "
             + ", ".join(f"{r:g}" for r in wider)
             + " cm"
         )
-    return told
+    return found
 
 
 def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:
-    """A bench's noise is not a vehicle's, and a filter that is too sure is the worse mistake."""
+    """Warn about a spread far below the starting model's: a vehicle shakes, and a filter must not be overconfident."""
     if fitted is None or fitted.sigma_cm > sensor.reading_model.sigma_cm / 2.0:
         return []
     return [
-        f"the spread of {fitted.sigma_cm:.2g} cm is a bench's, and {sensor.reading_model.sigma_cm:.2g} cm was taken "
-        "before: filters that trust it on a vehicle, which shakes, may be too sure"
+        f"the spread of {fitted.sigma_cm:.2g} cm was measured on a bench, and the starting model had "
+        f"{sensor.reading_model.sigma_cm:.2g} cm: on a vehicle, which shakes, a filter with it may be overconfident"
     ]
 
 
 def provenance(findings: Findings) -> dict[str, object]:
-    """The entry for the sensor model file's `evidence`."""
+    """Return the entry for the sensor model file's `evidence`."""
     return {
         "what": "characterisation",
         "date": findings.date,

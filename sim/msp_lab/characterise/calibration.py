@@ -28,19 +28,22 @@ from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, In
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import IDENTITY, Calibration, PiecewiseLinear
 
-LEAST_RANGES = 4
-"""A straight line that is to predict a range which it has not seen needs three others."""
-LEAST_RUNS = 3
-LEAST_SET_UPS = 8
-"""Of which a variance between them can be known within a factor of 4."""
-RANGES_A_PIECE = 3
-MOST_PIECES = 4
+MIN_RANGES = 4
+"""Ranges that a straight line needs: it predicts each from the others, and three determine it with an error."""
+MIN_RUNS = 3
+"""Runs with several ranges each that are needed to leave out whole runs."""
+MIN_SET_UPS = 8
+"""Set-ups that are needed for a variance between them: with 8 it is known within a factor of 4."""
+RANGES_PER_PIECE = 3
+"""Ranges per segment of a piecewise linear calibration, so that each segment has a residual."""
+MAX_PIECES = 4
+"""Segments of a calibration at most; more follow the placements and not the sensor."""
 
 _Array = NDArray[np.float64]
 
 
 class _Points(NamedTuple):
-    """What a point says: apparent true range, mean reading, its variance by chance, true range, number of its run."""
+    """Columns of the points: apparent true range, mean reading, its variance, true range, number of the run."""
 
     true_cm: _Array
     reading_cm: _Array
@@ -67,8 +70,8 @@ def calibrate(
         Standard deviation of an error that the reference may have at all ranges alike [cm], as its owner states it;
         it widens the bias's interval, for readings cannot tell it from the sensor's own.
     set_up_std_cm
-        Standard deviation of what each set-up's true range is off by on its own [cm]; None: not stated, and all that
-        lies between set-ups is taken for it.
+        Standard deviation of the error of each placement's true range [cm]; None: not stated, and all differences
+        between placements are attributed to it.
 
     Returns
     -------
@@ -91,10 +94,10 @@ def calibrate(
     line = None
     if ranges.size >= 3:
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
-    # Set-ups differ by more than chance in the readings; what the line leaves over is added to every point.
+    # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
     between_cm2 = 0.0 if line is None else line.between
     form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2))
-    linearity, by_chance = (None, None) if line is None else _linearity(data, line)
+    linearity, noise_floor = (None, None) if line is None else _linearity(data, line)
     step_cm = used[0].step_cm
     return CalibrationFindings(
         form=form,
@@ -109,7 +112,7 @@ def calibrate(
             f"all readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
         linearity=linearity,
-        linearity_by_chance_cm=by_chance,
+        linearity_noise_floor_cm=noise_floor,
         reference_std_cm=reference_std_cm,
         set_up_offset=_set_up_offset(used, data, knots, set_up_std_cm),
         held_out=held_out,
@@ -123,7 +126,7 @@ def calibrate(
 def _set_up_offset(
     used: Sequence[PointReadings], data: _Points, knots: Sequence[Knot], set_up_std_cm: float | None
 ) -> IntervalEstimate | None:
-    if set_up_std_cm is None or len(used) < LEAST_SET_UPS:
+    if set_up_std_cm is None or len(used) < MIN_SET_UPS:
         return None
     curve = (
         Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
@@ -154,29 +157,27 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
 
 
 def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:
-    """Largest distance from the line, and what chance in the readings alone makes the largest in 95 % of cases."""
+    """Largest distance from the line, and its noise floor: what the scatter of readings reaches in 95 % of cases."""
     residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
     i = int(np.abs(residual).argmax())
     half = Z * math.sqrt(float(data.variance_cm2[i]))
     value = float(residual[i])
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
-    by_chance = z * math.sqrt(float(data.variance_cm2.mean()))
-    return IntervalEstimate(value, value - half, value + half, "cm", residual.size, "points"), by_chance
+    noise_floor = z * math.sqrt(float(data.variance_cm2.mean()))
+    return IntervalEstimate(value, value - half, value + half, "cm", residual.size, "points"), noise_floor
 
 
 def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
-    """The form whose predictions of what it has not seen are surely better than those of the simpler ones."""
+    """The form that predicts left-out ranges significantly better than the simpler ones."""
     ranges = np.unique(data.range_cm)
-    if ranges.size < LEAST_RANGES:
-        reason = (
-            f"found {ranges.size} range{'s'[: ranges.size - 1]}, expected {LEAST_RANGES} to check it on one left out"
-        )
+    if ranges.size < MIN_RANGES:
+        reason = f"found {ranges.size} range{'s'[: ranges.size - 1]}, expected {MIN_RANGES} to check it on one left out"
         return "none", (), reason, ()
-    pieces = [count for count in range(2, MOST_PIECES + 1) if ranges.size >= RANGES_A_PIECE * count]
+    pieces = [count for count in range(2, MAX_PIECES + 1) if ranges.size >= RANGES_PER_PIECE * count]
     by_run = _has_runs(data)
     errors = {count: _left_out_errors(data, count, data.range_cm) for count in (0, 1, *pieces)}
-    # Of the piecewise ones the best stands for its kind.
+    # The best piecewise linear form represents its kind.
     best = min(pieces, key=lambda count: _rms(errors[count]), default=None)
     tried: list[tuple[Form, int]] = [("offset and scale", 1)]
     tried += [("piecewise linear", best)] if best is not None else []
@@ -193,10 +194,10 @@ def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, 
             refused.append(f"{_named(form)} would predict better and is no calibration: {why}")
         elif is_better:
             kept = form, count
-    reason = f"ranges left out are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
+    reason = f"left-out ranges are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
     others = [f"{each.rms_cm:.2f} cm by {_named(each.form)}" for each in held_out if each.form != kept[0]]
-    reason += f", against {' and '.join(others)}; a more complex form is kept where its gain is sure"
-    reason += " and runs left out agree" if by_run else ""
+    reason += f", against {' and '.join(others)}; a more complex form is kept if its gain is significant"
+    reason += " and left-out runs agree" if by_run else ""
     reason = "; ".join([reason, *refused])
     return kept[0], _knots(data, kept[1]), reason, tuple(held_out)
 
@@ -204,7 +205,7 @@ def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, 
 def _has_runs(data: _Points) -> bool:
     """True where runs hold several ranges each: a whole one can then be left out."""
     ranges = [np.unique(data.range_cm[data.run == run]).size for run in np.unique(data.run)]
-    return len(ranges) >= LEAST_RUNS and min(ranges) >= 2
+    return len(ranges) >= MIN_RUNS and min(ranges) >= 2
 
 
 def _named(form: Form) -> str:

@@ -1,4 +1,4 @@
-"""Intervals and tests that the analyses share: shares, means and spreads of whole centimetres, Holm, power.
+"""Intervals and tests for all analyses: shares, means and spreads of whole centimetres, Holm, power.
 
 Counts and readings enter, `IntervalEstimate` values and p-values leave. Intervals are 95 % ones. A sensor that reports
 whole centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals are
@@ -18,6 +18,7 @@ from scipy.special import log_ndtr, ndtri
 from msp_lab.characterise.findings import IntervalEstimate
 
 CONFIDENCE = 0.95
+"""Level of all intervals."""
 Z = float(ndtri(0.5 + CONFIDENCE / 2))
 _LIKELIHOOD_DROP = Z**2 / 2
 DITHERED = 0.6
@@ -123,7 +124,7 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
 
 
 def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> IntervalEstimate:
-    """Standard deviation between points beyond what chance and a known variance make of it [cm].
+    """Standard deviation between points beyond the scatter of readings and a known variance [cm].
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def dependence_factor(series: Sequence[_Array]) -> float:
         means += length * float(cut.mean(axis=1).var(ddof=1)) * (batches - 1)
         singles += float(cut.var(ddof=1)) * (batches - 1)
         freedom += batches - 1
-    # By chance the ratio is above 1 in half of all cases: it counts from where it is sure.
+    # The ratio is above 1 in half of all cases without dependence: only a significant one counts.
     if singles == 0.0 or means / singles < float(stats.chi2.isf(0.01, freedom)) / freedom:
         return 1.0
     return means / singles

@@ -31,15 +31,16 @@ from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
 
 RELIABLE_SHARE = 0.8
-"""Share of readings of the wall from which on an angle is reliable. The report gives no criterion; echoes end within
-about one step of its motor, so that any between a half and nine tenths gives the same angle or its neighbour."""
+"""Smallest share of readings of the wall at a reliable angle. Echoes end within about one step of 1.8 deg, so that any
+value from 0.5 to 0.9 gives the same angle or its neighbour."""
 CRITERION = (
     f"at least {RELIABLE_SHARE:.0%} of the readings are of the wall: from {GATE_CM:g} cm before the perpendicular "
     f"distance to {GATE_CM:g} cm behind the slant range; and so at all smaller angles to that side"
 )
 BEYOND_CM = (250.0, 300.0, 400.0, 500.0, 600.0, 765.0)
-LEAST_TELLING_CM = 1.0
-"""Slant and perpendicular that differ by less than this at every angle cannot be told apart by whole centimetres."""
+"""Ranges beyond the measured ones at which the findings give the half angle [cm]."""
+MIN_DIFFERENCE_CM = 1.0
+"""Slant and perpendicular that differ by less at every angle are not distinguishable in whole centimetres [cm]."""
 
 
 def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
@@ -96,7 +97,7 @@ def sonar_through(
     sensor
         Frequency and longest range.
     on_axis_cm
-        Range at which a wall is heard on the axis at least [cm].
+        Range at which a wall is at least detected on the axis [cm].
 
     Returns
     -------
@@ -145,7 +146,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     nearest_cm = calibration.forward(perpendicular_cm)
     slant_cm = calibration.forward(slant_range(perpendicular_cm, incidence_rad))
     of_wall = point.reading_cm[
-        point.is_heard & (point.reading_cm >= nearest_cm - GATE_CM) & (point.reading_cm <= slant_cm + GATE_CM)
+        point.is_echo & (point.reading_cm >= nearest_cm - GATE_CM) & (point.reading_cm <= slant_cm + GATE_CM)
     ]
     reliable = share(of_wall.size, point.reading_cm.size)
     reading = None
@@ -200,8 +201,8 @@ def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
 def _likely_steps(of_wall: NDArray[np.float64], readings: NDArray[np.int64]) -> list[int]:
     """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
 
-    Those whose binomial likelihood, with one share before and one behind, is not surely below the best: 1.92 of its
-    logarithm.
+    Those whose binomial likelihood, with one share before and one behind, is not significantly below the best: by 1.92
+    of its logarithm.
     """
     log_likelihood = []
     for count in range(readings.size + 1):
@@ -222,8 +223,8 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
         if each.reading is not None
     ]
     growth = np.array([row[1] for row in rows])
-    if len(rows) < 4 or growth.max() - growth.min() < LEAST_TELLING_CM:
-        reason = f"slant and perpendicular differ by less than {LEAST_TELLING_CM:g} cm at the reliable angles"
+    if len(rows) < 4 or growth.max() - growth.min() < MIN_DIFFERENCE_CM:
+        reason = f"slant and perpendicular differ by less than {MIN_DIFFERENCE_CM:g} cm at the reliable angles"
         return Oblique("unknown", None, None, None, reason)
     excess = np.array([row[2] for row in rows])
     start = np.array([row[0] for row in rows])

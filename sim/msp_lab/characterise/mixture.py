@@ -1,8 +1,8 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
 Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
-is `msp_range.reading_model.fit`. Each set-up is fitted about where its own readings show that it stood: how far a tape
-was off is not the sensor's noise, and how far set-ups are from the calibration is the calibration's to say.
+is `msp_range.reading_model.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement
+is not noise of the sensor; the calibration deals with the differences between set-ups.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, SetUpError
+from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
@@ -24,12 +24,12 @@ from msp_range.reading_model.pit import goodness_of_fit
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
 
 ENOUGH_HITS = 50
-"""Set-ups with fewer stay where the reference puts them: their own mean would take 2 % and more off the variance."""
+"""Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
 
 AT_FLOOR = (
     f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
 )
-AT_BOUND = "at its bound; the readings say only to which side of it the value is"
+AT_BOUND = "at its bound; the value may lie beyond it"
 
 UNIT = {
     "sigma_cm": "cm",
@@ -67,7 +67,7 @@ def fit_mixture(
     FittedMixture or str
         The reason where it cannot be fitted.
     """
-    set_ups = [_set_up_error(point, calibration) for point in points]
+    set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm = np.concatenate([point.reading_cm for point in points] or [np.empty(0)])
     expected_cm = np.concatenate(
         [
@@ -106,7 +106,10 @@ def fit_mixture(
     fitted, raised = with_floors(result.parameters)
     bound = {*result.at_bound, *raised}
     notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.names if name in bound]
-    notes += [f"{name}: these readings do not say what it is; the one before is kept" for name in result.not_identified]
+    notes += [
+        f"{name}: not identifiable from these readings; the starting model's value is kept"
+        for name in result.not_identified
+    ]
     found = Mixture(
         parameters=tuple(_parameter(name, result, sensor.reading_model, name in bound) for name in result.names),
         readings=result.readings,
@@ -121,14 +124,14 @@ def fit_mixture(
     return FittedMixture(found, fitted.model_copy(update=unknown))
 
 
-def _set_up_error(point: PointReadings, calibration: Calibration) -> SetUpError | None:
-    """None where it is unknown: too few hits, or a moving range, which has no set-up."""
+def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
+    """Error of a placement; None: too few hits, or a moving range."""
     mean = point.found.error
     if mean is None or point.hits < ENOUGH_HITS or np.ptp(point.true_range_cm) > 0.0:
         return None
     expected_cm = float(np.mean(calibration.forward(point.apparent_cm[point.is_hit])))
     error_cm = point.range_cm + mean.value - expected_cm
-    return SetUpError(point.condition, point.run, point.range_cm, error_cm)
+    return PlacementError(point.condition, point.run, point.range_cm, error_cm)
 
 
 def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound: bool) -> MixtureParameter:
@@ -163,11 +166,11 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
         return "not tried: all readings are of one range"
     if not grown:
         return "nothing depends on range (by BIC)"
-    told = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
+    growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "missed_growth_per_m" not in result.estimates:
-        return told
+        return growing
     model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
     names = ("hit", "short", "missed", "random")
     shares = zip(names, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
-    return f"{told}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"
+    return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

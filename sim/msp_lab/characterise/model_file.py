@@ -76,7 +76,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
 
 
 def model_text(sensor: SensorModel, findings: Findings, changes: Changes, started_from: str) -> str:
-    """The model file's text, with a comment over each part that says whether it was fitted."""
+    """Return the model file's text, with a comment over each part on whether it was fitted."""
     content = sensor.model_dump(mode="json")
     kept = f"Kept from {started_from}"
     sections: list[tuple[list[str], Sequence[str]]] = [
@@ -91,8 +91,8 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
         (_effects_comment(sensor, findings, changes, kept), ("effects",)),
         (["What this file was made from, the newest last."], ("evidence",)),
     ]
-    told = {name for _, names in sections for name in names}
-    assert told == set(content), f"no section for {set(content) ^ told}"
+    named = {name for _, names in sections for name in names}
+    assert named == set(content), f"no section for {set(content) ^ named}"
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for comments, names in sections:
         lines += [f"# {line}" for comment in comments for line in _wrapped(comment)]
@@ -121,7 +121,7 @@ def _breakaway_comment(findings: Findings, changes: Changes, kept: str) -> list[
 def _on_axis_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
     if changes.heard_on_axis_cm is None:
         return [f"{kept}."]
-    return ["Fitted: longest range of the maximum range experiment that was heard reliably."]
+    return ["Fitted: longest range of the maximum range experiment that was read reliably."]
 
 
 def _calibration_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
@@ -134,13 +134,11 @@ def _calibration_comment(findings: Findings, changes: Changes, kept: str) -> lis
 
 
 def _effects_comment(sensor: SensorModel, findings: Findings, changes: Changes, kept: str) -> list[str]:
-    told = [f"{kept}: added to another base than this one." if sensor.effects else kept + "."]
+    found = [f"{kept}: added to another base than this one." if sensor.effects else kept + "."]
     if changes.effects is None or findings.calibration is None or findings.calibration.set_up_offset is None:
-        return told
+        return found
     between = _interval(findings.calibration.set_up_offset, 2)
-    return [
-        f"Fitted: an offset that differs from set-up to set-up, {between} cm, beyond what their true ranges are off by."
-    ]
+    return [f"Fitted: an offset that differs between placements, {between} cm, beyond the error of their true ranges."]
 
 
 def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
@@ -153,8 +151,8 @@ def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[st
     )
     return [
         f"Fitted to {found.readings} undisturbed readings by maximum likelihood, 95 % intervals: {shown}.",
-        "These are a bench's. A vehicle shakes, and there are objects below it: kinds of reading that a bench does not "
-        f"show have a weight of {MIN_WEIGHT:g} here, and a filter that trusts this spread in flight may be too sure.",
+        "These were measured on a bench. A vehicle shakes, and there are objects below it: kinds of reading that the "
+        f"bench did not show have a weight of {MIN_WEIGHT:g}, and a filter with this spread may be overconfident.",
     ]
 
 

@@ -1,8 +1,8 @@
-"""Readings sorted into points: one set-up of the bench each, which is what is independent, and not the reading.
+"""Readings sorted into points: one set-up of the bench each, which is the independent unit, not the reading.
 
-Measured data enters, `PointReadings` leave: which readings are codes, which are of the surface and which of something
-else, and their mean error and spread. A second reading of a point repeats how well its range was set up; analyses that
-ask about more than chance in the readings take points as their unit.
+Measured data enters, `PointReadings` leave: which readings are codes, which are of the surface and which are not, and
+their mean error and spread. All readings of a point share the error of its placement, so that analyses of anything but
+the scatter of readings use points as their unit.
 """
 
 import math
@@ -24,18 +24,21 @@ GATE_CM = 8.0
 report assumes (R = 3.78 cm^2). A narrower gate makes outliers of noisy hits, a wider one hits of outliers."""
 GATE_DEVIATIONS = 4.5
 GATE_SHARE = 0.05
-"""Where hits scatter more, the gate is so many of their (robust) standard deviations, up to this share of the range."""
+"""For hits that scatter more, the gate is so many of their robust standard deviations, at most this share of the range:
+one in 150,000 normal hits is outside."""
 FARTHEST_CM, FARTHEST_SHARE = 25.0, 0.15
-"""Readings whose middle is off by more than this, or this share of the range, are not of the surface: four times what
-46 deg C do to 260 cm, and more than a neighbour's ping 1 ms early [cm]."""
-LEAST_HITS = 3
-"""Fewer readings of the surface give a point no mean error."""
+"""Readings with a median error above this, or this share of the range, are not of the surface [cm]: four times the
+error of 46 deg C at 260 cm, and more than that of a neighbour's ping 1 ms early."""
+MIN_HITS = 3
+"""A point with fewer readings of the surface has no mean error: its spread would be unknown."""
 LEVEL_GAP_C = 4.0
-"""Air temperatures that differ by more belong to different levels of the temperature experiment [deg C]."""
+"""Air temperatures that differ by more are different levels of the temperature experiment [deg C]: a room varies by
+less, a box by more."""
 BIN_CM = 20.0
-"""Width of the points that a range which changes from row to row is cut into [cm]."""
-LEAST_READINGS = 5
-"""Ranges with fewer readings each are not set-ups of a bench: the range changed while it was read."""
+"""Width of the bins that serve as points if the range changes from row to row [cm]: a scale of 1 % changes the error
+by 2 mm within one."""
+MIN_READINGS = 5
+"""If most ranges have fewer readings, they are not set-ups of a bench: the range changed while it was read."""
 
 BASELINE = "baseline"
 VARIED = {
@@ -43,7 +46,7 @@ VARIED = {
     "vibration_hz": "vibration",
     "external_level_db": "external_interference",
 }
-"""What a reading's experiment is where no column `condition` says it: a column that is known and not zero."""
+"""Experiment of a reading without a `condition`: that of a column which is known and not zero."""
 
 SETTINGS = (
     "target_size_cm",
@@ -53,13 +56,13 @@ SETTINGS = (
     "external_distance_cm",
     "external_frequency_khz",
 )
-"""Columns of which every value is a set-up of its own."""
+"""Columns of which every value makes a different point."""
 SOURCE_DISTANCE_CM = 30.0
-"""Where the level of an external source is given [cm]."""
+"""Distance at which the level of an external source is given [cm]."""
 CLASS_DB = 20.0
 """Width of the classes of sound level at the sensor that external sources are sorted into [dB]."""
 NEAR_KHZ = 1.0
-"""A source within this of the ping's frequency is on it."""
+"""A source within this of the ping's frequency counts as on it [kHz]: the receiver's bandwidth is about 2 kHz."""
 
 _Array = NDArray[np.float64]
 
@@ -114,10 +117,10 @@ class PointReadings:
         return missed | saturated if abs(expected_cm - SATURATED_CM) > GATE_CM else missed
 
     @cached_property
-    def is_heard(self) -> NDArray[np.bool_]:
+    def is_echo(self) -> NDArray[np.bool_]:
         """Answers that are no code."""
-        heard: NDArray[np.bool_] = ~np.isnan(self.reading_cm) & ~self.is_code
-        return heard
+        echoes: NDArray[np.bool_] = ~np.isnan(self.reading_cm) & ~self.is_code
+        return echoes
 
     @cached_property
     def error_cm(self) -> _Array:
@@ -129,16 +132,16 @@ class PointReadings:
         """Errors between which a reading is of the surface [cm].
 
         About the middle of the fullest window of twice `GATE_CM`: a median would lie between two clusters. Both ends
-        are the same where that window is too far off to be of the surface; NaN where nothing is heard.
+        are the same where that window is too far off to be of the surface; NaN where nothing is echoes.
         """
-        heard = np.sort(self.error_cm[self.is_heard])
-        if not heard.size:
+        echoes = np.sort(self.error_cm[self.is_echo])
+        if not echoes.size:
             return math.nan, math.nan
-        counts = np.searchsorted(heard, heard + 2.0 * GATE_CM, side="right") - np.arange(heard.size)
+        counts = np.searchsorted(echoes, echoes + 2.0 * GATE_CM, side="right") - np.arange(echoes.size)
         fullest = np.flatnonzero(counts == counts.max())
         # Of equally full ones the nearest to the truth.
-        first = int(fullest[np.abs(heard[fullest] + GATE_CM).argmin()])
-        window = heard[first : first + int(counts[first])]
+        first = int(fullest[np.abs(echoes[fullest] + GATE_CM).argmin()])
+        window = echoes[first : first + int(counts[first])]
         middle = float(np.median(window))
         if abs(middle) > max(FARTHEST_CM, FARTHEST_SHARE * self.range_cm):
             return 0.0, 0.0
@@ -150,7 +153,7 @@ class PointReadings:
     def is_hit(self) -> NDArray[np.bool_]:
         """Readings of the surface."""
         low, high = self.gate_cm
-        return self.is_heard & (self.error_cm >= low) & (self.error_cm <= high) & (low < high)
+        return self.is_echo & (self.error_cm >= low) & (self.error_cm <= high) & (low < high)
 
     @cached_property
     def compensation(self) -> _Array:
@@ -166,7 +169,7 @@ class PointReadings:
 
     @cached_property
     def _statistics(self) -> MeanAndSpread | None:
-        if self.hits < LEAST_HITS:
+        if self.hits < MIN_HITS:
             return None
         # Readings are whole steps, and errors too where the truth is one number.
         truth = float(self.true_range_cm[0])
@@ -183,8 +186,8 @@ class PointReadings:
     @cached_property
     def found(self) -> PointResult:
         """What was found at this point."""
-        heard_error = self.error_cm[self.is_heard]
-        hit, middle = self.is_hit[self.is_heard], sum(self.gate_cm) / 2.0
+        heard_error = self.error_cm[self.is_echo]
+        hit, middle = self.is_hit[self.is_echo], sum(self.gate_cm) / 2.0
         statistics = self._statistics
         codes = self.reading_cm[self.is_code]
         no_echo = int((codes == self.sensor_model.maximum_cm).sum())
@@ -219,7 +222,7 @@ class PointReadings:
 def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[PointReadings]:
     """The points of measured data, in the order of their first readings.
 
-    Rows without a true range are left out: nothing can be said of their error.
+    Rows without a true range are left out: their error is unknown.
 
     Parameters
     ----------
@@ -266,7 +269,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
 
 
 def conditions(data: MeasuredData) -> NDArray[np.str_]:
-    """The experiment of each row: as its column says, or by what is varied."""
+    """Return the experiment of each row: its column `condition`, or what is varied."""
     found = np.full(len(data), BASELINE, dtype="U32")
     for name, word in VARIED.items():
         column = _numbers(data, name)
@@ -278,8 +281,8 @@ def conditions(data: MeasuredData) -> NDArray[np.str_]:
             found[(incidence == 0.0) & (found == BASELINE)] = "field_of_view"
     if "condition" not in data:
         return found
-    said = data["condition"]
-    return np.where(said == "", found, said)
+    named = data["condition"]
+    return np.where(named == "", found, named)
 
 
 def _levels(
@@ -325,7 +328,7 @@ def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
 def _places(truth_cm: _Array) -> _Array:
     """True range of each row's point: itself at a bench, the middle of a bin where it changes all the time."""
     _, which, counts = np.unique(truth_cm, return_inverse=True, return_counts=True)
-    if np.median(counts[which.ravel()]) >= LEAST_READINGS:
+    if np.median(counts[which.ravel()]) >= MIN_READINGS:
         return truth_cm
     return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
 

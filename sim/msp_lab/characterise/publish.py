@@ -1,4 +1,4 @@
-"""What a characterisation leaves on disk beside the sensor model: all its numbers, and the page.
+"""The files of a characterisation next to the sensor model: all its numbers, and the page.
 
 Findings enter, files leave; none is overwritten.
 """
@@ -15,12 +15,12 @@ PAGE = "report.html"
 
 
 def check_free(out: Path, folder: Path | None) -> None:
-    """Refuse before the work what could not be written after it.
+    """Check before the analysis that its files can be written.
 
     Raises
     ------
     ConfigError
-        There is a file already.
+        One of the files exists, or its folder cannot be created.
     """
     taken = [out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])]
     for path in taken:

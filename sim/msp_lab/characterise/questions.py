@@ -3,7 +3,7 @@
 Points of an experiment and points to compare them with enter, `Question`s leave: four effects each, with an interval,
 a p-value corrected for all that was asked (Holm), a verdict that may be 'cannot tell', and the smallest effect that
 these data would have shown. Readings of a point share its set-up, so the bias and the spread are compared from point to
-point at equal ranges; shares of readings get the variance between points where that is more than chance.
+point at equal ranges; shares of readings get the variance between points where it exceeds that of independent readings.
 """
 
 import math
@@ -21,25 +21,29 @@ from msp_lab.characterise.estimates import CONFIDENCE, Z, detectable, holm
 from msp_lab.characterise.findings import FactorEffect, IntervalEstimate, Metric, PointResult, Question, Verdict
 
 LEVEL = 0.05
+"""Family-wise false-positive rate over all questions (Holm)."""
 BIAS_BOUND_CM = 1.0
-"""A mean error that moves by less does not matter: the step of a sensor that reports whole centimetres."""
+"""A smaller change of the mean error does not matter [cm]: the step of a sensor that reports whole centimetres. A
+larger bound calls more influences irrelevant."""
 SPREAD_BOUND = 1.5
-"""Nor a spread that grows or shrinks by less than this factor."""
+"""Nor does a spread that changes by a smaller factor: a filter's output changes by less than its own error."""
 ODDS_BOUND = 2.0
-"""Nor odds of a missed or foreign reading that change by less than this factor ..."""
+"""Nor odds of a missed reading or an outlier that change by a smaller factor ..."""
 SHARE_BOUND = 0.01
-"""... or by less than one reading in a hundred."""
+"""... or by less than this share of all readings: one second in 100 at any rate."""
 STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
-"""Spread that whole centimetres have of themselves; a smaller one is as good as this."""
+"""Spread of the rounding to whole centimetres; a smaller one counts as this."""
 FEW_RANGES = 4
-MORE_THAN_CHANCE = 1.5
-"""Variance between points, over that of chance, from which on points and not readings are counted in a share's test."""
-MOST_CM, MOST_RATIO = 100.0, 1000.0
-"""Data that would show nothing smaller than this show nothing."""
-LEAST_SCATTER_CM = 0.05
-"""Equal readings at two points are no proof that set-ups never differ: the scatter is taken to be at least so much."""
+"""With fewer common ranges the scatter between ranges is not known, and that between set-ups is used."""
+MAX_VARIANCE_RATIO = 1.5
+"""Ratio of the variance between points to that of independent readings above which a share's test counts points and
+not readings."""
+MAX_CM, MAX_RATIO = 100.0, 1000.0
+"""If the smallest detectable effect is larger than this, it is given as unknown [cm, ratio]."""
+MIN_SCATTER_CM = 0.05
+"""Smallest scatter between set-ups that is assumed [cm]: equal readings at two points do not prove 0."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
-"""Experiments with two sensors, each of which has its own question; what their level is called."""
+"""Experiments with two sensors, each with its own question -> name of their level."""
 METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
 
 _Array = NDArray[np.float64]
@@ -92,14 +96,14 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
         for each in _compared(name, topic, [p for p in points if p.condition == name], points)
     ]
     raw = {(i, metric): _effect(metric, each) for i, each in enumerate(asked) for metric in METRICS}
-    told = [key for key, each in raw.items() if each is not None]
-    tests = [raw[key] for key in told]
-    different = dict(zip(told, holm([each.p_value for each in tests if each]), strict=True))
-    alike = dict(zip(told, holm([_p_alike(each) for each in tests if each]), strict=True))
+    estimated = [key for key, each in raw.items() if each is not None]
+    tests = [raw[key] for key in estimated]
+    different = dict(zip(estimated, holm([each.p_value for each in tests if each]), strict=True))
+    alike = dict(zip(estimated, holm([_p_alike(each) for each in tests if each]), strict=True))
     answered = []
     for i, each in enumerate(asked):
         effects = tuple(
-            _told(metric, raw[i, metric], different.get((i, metric)), alike.get((i, metric)), len(told))
+            _effect_found(metric, raw[i, metric], different.get((i, metric)), alike.get((i, metric)), len(estimated))
             for metric in METRICS
         )
         answered.append(_answered(replace(each, effects=effects)))
@@ -189,7 +193,7 @@ def _paired(question: Question, value: Callable[[PointResult], float | None], bo
         differences = of_points if of_points.size > differences.size else differences
     if differences.size < 2:
         return None
-    error = math.hypot(float(differences.std(ddof=1)), LEAST_SCATTER_CM) / math.sqrt(differences.size)
+    error = math.hypot(float(differences.std(ddof=1)), MIN_SCATTER_CM) / math.sqrt(differences.size)
     mean, freedom = float(differences.mean()), differences.size - 1
     p_value = 2.0 * float(stats.t.sf(abs(mean) / error, freedom))
     return _Raw(mean, error, freedom, differences.size, "points", p_value, bound, False)
@@ -221,7 +225,7 @@ def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[
         over = over_reference
     error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
     freedom = len(varied) + len(reference) - 2.0
-    if max(over, over_reference) > MORE_THAN_CHANCE and freedom >= 1.0:
+    if max(over, over_reference) > MAX_VARIANCE_RATIO and freedom >= 1.0:
         # By ranks: one point that is unlike all others is no evidence.
         shares = [[count(p) / of(p) for p in each] for each in (varied, reference)]
         p_value = float(stats.mannwhitneyu(*shares, method="asymptotic").pvalue)
@@ -250,7 +254,7 @@ def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
 def _overdispersion(
     points: Sequence[PointResult], count: Callable[[PointResult], int], of: Callable[[PointResult], int]
 ) -> float:
-    """Variance of the points' counts over that of chance, at least 1."""
+    """Variance of the points' counts over that of independent readings, at least 1."""
     share = sum(map(count, points)) / sum(map(of, points))
     if len(points) < 2 or not 0.0 < share < 1.0:
         return 1.0
@@ -265,7 +269,9 @@ def _p_alike(raw: _Raw) -> float:
     return min(by_value, LEVEL / 1e3) if raw.small_share else by_value
 
 
-def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int) -> FactorEffect:
+def _effect_found(
+    metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int
+) -> FactorEffect:
     is_ratio = metric != "bias"
     bound = {"bias": BIAS_BOUND_CM, "spread": SPREAD_BOUND}.get(metric, ODDS_BOUND)
     if raw is None or different is None or alike is None:
@@ -291,8 +297,8 @@ def _told(metric: Metric, raw: _Raw | None, different: float | None, alike: floa
 def _known_size(shown: float, is_ratio: bool) -> float | None:
     """None where it is so large that the data show nothing."""
     if is_ratio:
-        return math.exp(shown) if shown < math.log(MOST_RATIO) else None
-    return shown if shown < MOST_CM else None
+        return math.exp(shown) if shown < math.log(MAX_RATIO) else None
+    return shown if shown < MAX_CM else None
 
 
 def _answered(question: Question) -> Question:
@@ -312,7 +318,7 @@ def _answered(question: Question) -> Question:
     elif verdict == "does not matter":
         answer = (
             f"{subject}: does not matter beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and "
-            f"{ODDS_BOUND:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and foreign readings"
+            f"{ODDS_BOUND:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
         )
         seen = [_size(each) for each in question.effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
         answer += f"; within that there is {'; '.join(seen)}" if seen else ""
@@ -330,7 +336,7 @@ def _size(effect: FactorEffect) -> str:
     low, high = estimate.low, estimate.high
     if effect.metric == "bias":
         return f"bias {estimate.value:+.2f} cm ({low:+.2f} to {high:+.2f})"
-    name = {"spread": "spread", "missed": "odds of a missed echo"}.get(effect.metric, "odds of a foreign reading")
+    name = {"spread": "spread", "missed": "odds of a missed echo"}.get(effect.metric, "odds of an outlier")
     return f"{name} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
 
 

@@ -1,4 +1,4 @@
-"""A characterisation's results in a short table on the terminal, with what the data did not allow.
+"""The results of a characterisation as a short table on the terminal, with what the data did not allow.
 
 Findings enter, lines leave; the page has the rest.
 """
@@ -37,16 +37,16 @@ def show_findings(findings: Findings, console: Console) -> None:
 def _lines(findings: Findings) -> Iterator[tuple[str, str | Text]]:
     base, calibration = findings.baseline, findings.calibration
     if base is not None:
-        yield "mean error", told(base.bias, 2)
+        yield "mean error", as_text(base.bias, 2)
         largest = f"{base.largest_hit_error_cm:+.3g} cm; of any reading but codes {base.largest_error_cm:+.3g} cm"
         yield "largest error of a hit", largest
-        yield "missed echoes", told(base.missed, 4)
+        yield "missed echoes", as_text(base.missed, 4)
     if calibration is not None:
-        yield "spread of hits", told(calibration.spread, 2)
+        yield "spread of hits", as_text(calibration.spread, 2)
         if calibration.scale is not None and calibration.offset is not None:
-            yield "offset, scale", f"{told(calibration.offset, 2)}, {told(calibration.scale, 4)}"
+            yield "offset, scale", f"{as_text(calibration.offset, 2)}, {as_text(calibration.scale, 4)}"
         if calibration.set_up_offset is not None:
-            yield "between set-ups", told(calibration.set_up_offset, 2)
+            yield "between set-ups", as_text(calibration.set_up_offset, 2)
         yield "calibration", f"{calibration.form}: {calibration.reason}"
     longest = findings.maximum_range
     if longest is not None:
@@ -63,7 +63,7 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str | Text]]:
     view = findings.field_of_view
     if view is not None:
         for angle in view.angles:
-            yield f"breakaway at {angle.range_cm:g} cm", told(angle.half_angle, 1)
+            yield f"breakaway at {angle.range_cm:g} cm", as_text(angle.half_angle, 1)
         yield "a tilted sensor reads", f"{view.oblique.verdict}: {view.oblique.reason}"
     if findings.sonar is not None:
         rows = [
@@ -75,7 +75,7 @@ def _lines(findings: Findings) -> Iterator[tuple[str, str | Text]]:
         subject = f"{question.level} against {question.reference}" + (f", {question.sensor}" if question.sensor else "")
         yield question.name, Text(f"{subject}: {_verdict(question)}", style=STYLES[question.verdict])
     for box in findings.hot_boxes:
-        found = f"{told(box.per_cent, 1)} of range, not {box.uniform_per_cent:.1f} %; so deep: {told(box.depth, 0)}"
+        found = f"{as_text(box.per_cent, 1)} of range, not {box.uniform_per_cent:.1f} %; depth {as_text(box.depth, 0)}"
         yield f"box at {box.box_c:.0f} C", found
     for row in findings.temperature_compensation:
         compensated = "not compensated" if row.compensated is None else f"{row.compensated.value:.2f} cm"
@@ -94,13 +94,13 @@ def _verdict(question: Question) -> str:
 def _effect(effect: FactorEffect) -> str:
     assert effect.estimate is not None
     if effect.metric == "bias":
-        return told(effect.estimate, 2)
+        return as_text(effect.estimate, 2)
     estimate = effect.estimate
     return f"x {estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
 
 
-def told(estimate: IntervalEstimate, digits: int) -> str:
-    """An estimate as text."""
+def as_text(estimate: IntervalEstimate, digits: int) -> str:
+    """Return an estimate with its interval as text."""
     low, high = ("?" if end is None else f"{end:.{digits}f}" for end in (estimate.low, estimate.high))
     return f"{estimate.value:.{digits}f} {estimate.unit}".rstrip() + f" ({low} to {high})"
 

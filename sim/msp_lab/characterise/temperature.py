@@ -75,7 +75,7 @@ def _hot_box(
     uniform_per_cent = 100.0 * (speed_of_sound(box_c) / speed_of_sound(room_c) - 1.0)
     ideas: dict[AirBefore, _Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
     squares = {name: float(((shift - idea) ** 2).sum()) for name, idea in ideas.items()}
-    # The confined air has a parameter: it must explain surely more (1.92 in the logarithm of the likelihood).
+    # The confined air has a parameter: it must explain significantly more (1.92 in the log-likelihood).
     squares["confined"] *= math.exp(2 * 1.92 / n)
     best = min(squares, key=lambda name: squares[name])
     mean = float(shift.mean())
@@ -142,7 +142,7 @@ def _gradient(range_cm: _Array, box_c: float, room_c: float, calibration_c: floa
 
 
 def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], _Array]) -> IntervalEstimate:
-    """Length of the box's air by least squares, and where the sum of squares says that it may lie."""
+    """Length of the box's air by least squares, with its interval from the sum of squares."""
     depths = np.linspace(0.0, float(range_cm.max()), 1041)
     squares = np.array([float(((shift - confined(range_cm, depth)) ** 2).sum()) for depth in depths])
     best = int(squares.argmin())

@@ -1,6 +1,6 @@
 """Where findings agree with the report and where they differ, a line each.
 
-Findings enter, lines leave: what was found here, what the report says, and whether both agree.
+Findings enter, lines leave: the finding, the report's statement, and whether both agree.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ Agreement = Literal["agrees", "differs", "not in the report"]
 
 @dataclass(frozen=True)
 class ComparisonLine:
-    """A subject, what was found, what the report says, and whether they agree; None: there is nothing to decide."""
+    """A subject, the finding, the report's statement, and whether they agree; None: not decided."""
 
     subject: str
     found: str

@@ -1,8 +1,8 @@
 """Other people's tables in the names and units of the CSV form.
 
 A map (a YAML file, or NAME=COLUMN*FACTOR on the command line) and a CSV file enter, measured data leaves. Columns are
-told by their header or, where that is empty or there twice, by their number from 1; tables that stand side by side in
-one file are parts of the map.
+named by their header or, where that is empty or not unique, by their number from 1. Tables side by side in one file
+are parts of the map.
 """
 
 import difflib
@@ -49,33 +49,33 @@ class MappedColumn(Section):
     """Its header, or its number from 1."""
 
     value: str | float | None = None
-    """Instead of a column: one value for all rows."""
+    """One value for all rows, instead of a column."""
 
     unit: Unit | None = None
-    """Of the numbers; left out: the unit that the CSV form has. cos: they are the cosine of an angle."""
+    """Unit of the numbers; left out: that of the CSV form. cos: they are the cosine of an angle."""
 
     factor: float = Field(1.0)
-    """The numbers are multiplied by this, after the unit: -1 turns a sign."""
+    """Factor of the numbers, applied after the unit: -1 changes the sign."""
 
     offset: float = Field(0.0)
-    """Added after that, in the CSV form's unit."""
+    """Offset that is added after the factor, in the CSV form's unit."""
 
 
 class Codes(Section):
-    """Readings that are no distance, in the numbers of the file."""
+    """Values in the file that are no distance."""
 
     no_echo: tuple[float, ...] = ()
-    """Nothing heard: becomes the sensor's maximum."""
+    """Readings of no echo, which become the sensor's maximum."""
 
     no_answer: tuple[float, ...] = ()
-    """No measurement: becomes an empty reading."""
+    """Readings of no measurement, which become empty."""
 
 
 class Part(Section):
     """One table of a file."""
 
     columns: dict[str, str | int | MappedColumn] = Field(min_length=1)
-    """Column of the CSV form -> where it is; a name or a number alone is a column in the CSV form's unit."""
+    """Column of the CSV form -> its place; a name or a number alone is a column in the CSV form's unit."""
 
     @field_validator("columns")
     @classmethod
@@ -96,31 +96,31 @@ class ColumnMap(Part):
     """A map file."""
 
     columns: dict[str, str | int | MappedColumn] = Field(default_factory=dict)
-    """Column of the CSV form -> where it is, in every part."""
+    """Column of the CSV form -> its place in every part."""
 
     parts: tuple[Part, ...] = ()
-    """Tables side by side in one file, whose rows come one table after the other; left out: one table."""
+    """Tables side by side in one file, joined one after the other; left out: one table."""
 
     codes: Codes = Codes()
-    """Readings that are no distance."""
+    """Codes for readings that are no distance."""
 
     leave_out: dict[str, tuple[float, ...]] = Field(default_factory=dict)
-    """Column of the CSV form -> values whose rows are not used."""
+    """Column of the CSV form -> values of rows that are left out."""
 
     note: str = ""
-    """What to know before numbers from these data are used."""
+    """A warning about the use of numbers from these data."""
 
     delimiter: str = Field(",", min_length=1, max_length=1)
     """Between the cells."""
 
 
 def check(name: str, place: MappedColumn) -> None:
-    """Refuse what cannot be: a name that the CSV form does not have, or a unit that is not of its kind.
+    """Check that the CSV form has a column of this name, and that the unit is of its kind.
 
     Raises
     ------
     ValueError
-        In a line.
+        It is neither; in one line.
     """
     if name not in KNOWN:
         near = difflib.get_close_matches(name, KNOWN, n=1, cutoff=0.4)
@@ -134,7 +134,7 @@ def check(name: str, place: MappedColumn) -> None:
 
 
 def load_map(options: Sequence[str]) -> ColumnMap:
-    """The map that ``--map`` names: one file, or any number of NAME=COLUMN*FACTOR.
+    """Return the map of ``--map``: one file, or any number of NAME=COLUMN*FACTOR.
 
     Raises
     ------
@@ -166,21 +166,21 @@ def load_map(options: Sequence[str]) -> ColumnMap:
 
 
 def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> MeasuredData:
-    """Read someone's table.
+    """Read a table with other column names.
 
     Parameters
     ----------
     path
         A CSV file with a header, also compressed (.gz).
     column_map
-        Where its columns are.
+        Places of its columns.
     maximum_cm
-        Reading that stands for no echo.
+        Reading that means no echo.
 
     Returns
     -------
     MeasuredData
-        ``time_s`` is the row's number and ``sensor`` the file's name where the map does not say them.
+        ``time_s`` is the row's number and ``sensor`` the file's name if the map does not name them.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     data = MeasuredData(joined)
     for name, values in column_map.leave_out.items():
         if name not in data:
-            raise RecordingError(f"{path}: the map leaves out rows by {name}, which it does not say where to find")
+            raise RecordingError(f"{path}: the map leaves out rows by {name}, but has no column for it")
         data = data.select(~np.isin(data[name], values))
     return data
 
@@ -220,7 +220,7 @@ class _Part:
 
     def __init__(self, path: Path, header: list[str], places: dict[str, MappedColumn]) -> None:
         if "reading_cm" not in places:
-            raise RecordingError(f"{path}: the map does not say where reading_cm is. Columns: {short_list(header)}")
+            raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
         self.places = places
         self.size = 0
         self._path = path
@@ -234,7 +234,7 @@ class _Part:
 
     def read(self, block: list[tuple[int, list[str]]], codes: Codes, maximum_cm: float) -> None:
         """Read some rows, each with the number of its line."""
-        # A table beside a longer one ends where all its cells are empty.
+        # A table next to a longer one ends where all its cells are empty.
         used = {index for index in self._where.values() if index is not None}
         rows = [(line, row) for line, row in block if any(index < len(row) and row[index].strip() for index in used)]
         self.size += len(rows)
@@ -270,11 +270,11 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
     if count == 1:
         return header.index(place.column)
     if count:
-        raise RecordingError(f"{path}: the column {place.column!r} is there {count} times; give its number from 1")
+        raise RecordingError(f"{path}: the column {place.column!r} occurs {count} times; give its number from 1")
     near = difflib.get_close_matches(place.column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
-        hint = f" Are the columns told apart by {other!r}? A map file says so: delimiter: {json.dumps(other)}."
+        hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
     there = short_list([each or "(no name)" for each in header])
     raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
 

@@ -31,7 +31,7 @@ CLOCK_FAULT_CM = 32768.0
 They are left out where a unit is judged by distances."""
 OVERLAP_SHARE = 0.95
 """Two files of which this share of the smaller one's rows is in both are the same readings twice, and are refused. Any
-value from 0.5 on finds a table and the recording that it was made from; chance repeats stay far below."""
+value from 0.5 on finds a table and the recording that it was made from; accidental repeats stay far below."""
 EQUAL_RELATIVE = 1e-9
 """A column whose values differ by a smaller share than this is constant: 100.00000000000142 is 100. It is far above the
 rounding of arithmetic (1e-15) and far below any resolution."""

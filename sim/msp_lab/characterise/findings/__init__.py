@@ -1,4 +1,4 @@
-"""What a characterisation has found: values only, for the model file, the terminal, the page and other programs.
+"""The findings of a characterisation: values only, for the model file, the terminal, the page and other programs.
 
 The analyses make these; nothing here computes or draws. Every interval is a 95 % one unless its field says otherwise,
 errors are reading minus truth (a positive one reads too far), and None is 'not known from these data'. `as_json` turns
@@ -19,7 +19,7 @@ from msp_lab.characterise.findings.accuracy import (
 )
 from msp_lab.characterise.findings.beam import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.findings.estimate import IntervalEstimate
-from msp_lab.characterise.findings.mixture import Mixture, MixtureParameter, SetUpError
+from msp_lab.characterise.findings.mixture import Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.findings.points import PointResult
 from msp_lab.characterise.findings.questions import FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.findings.temperature import AirBefore, CompensationRow, HotBox, HotBoxRow
@@ -47,9 +47,9 @@ __all__ = [
     "MixtureParameter",
     "Oblique",
     "Peak",
+    "PlacementError",
     "PointResult",
     "Question",
-    "SetUpError",
     "SonarFit",
     "SonarRow",
     "Verdict",
@@ -59,7 +59,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Findings:
-    """All that was found. A part that the data do not allow is None or empty, and `absent` says why.
+    """All findings. A part that the data do not allow is None or empty, and `absent` has the reason.
 
     Attributes
     ----------
@@ -70,11 +70,11 @@ class Findings:
     sources
         The data.
     points
-        Every set-up.
+        All set-ups.
     absent
-        Part -> why it is not there.
+        Part -> why it is missing.
     warnings
-        What to know before these numbers are used.
+        Warnings about the use of these numbers.
     """
 
     sensor: str

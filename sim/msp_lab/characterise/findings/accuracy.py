@@ -23,7 +23,7 @@ class Baseline:
     spread
         Of readings about their point's mean, without the rounding [cm].
     between_points
-        Standard deviation of the points' mean errors about the straight line, beyond what chance in their readings
+        Standard deviation of the points' mean errors about the straight line, beyond what the scatter of readings
         explains [cm]: how well ranges were set up, and how far the sensor is from linear; these data cannot part them.
     missed, outliers
         Shares of all readings.
@@ -86,13 +86,13 @@ class CalibrationFindings:
     resolution
         Step of the readings, and its evidence in `resolution_note`.
     linearity
-        Largest distance of a point's mean from the straight line [cm], and what chance alone would make the largest in
-        95 % of cases in `linearity_by_chance_cm`.
+        Largest distance of a point's mean from the straight line [cm], and in `linearity_noise_floor_cm` what the
+        scatter of readings alone reaches in 95 % of cases.
     reference_std_cm
         Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
     set_up_offset
-        Standard deviation between set-ups about the calibration, beyond chance and what their true ranges are stated
-        to be off by [cm]: an offset of the sensor that differs from one session to the next. None: not stated.
+        Standard deviation between set-ups about the calibration, beyond the scatter of readings and the stated error
+        of their true ranges [cm]: an offset of the sensor that differs from one session to the next. None: not stated.
     held_out
         The forms tried and how each did on ranges that it had not seen.
     held_out_unit
@@ -111,7 +111,7 @@ class CalibrationFindings:
     resolution: IntervalEstimate
     resolution_note: str
     linearity: IntervalEstimate | None
-    linearity_by_chance_cm: float | None
+    linearity_noise_floor_cm: float | None
     reference_std_cm: float | None
     held_out: tuple[HeldOut, ...]
     held_out_unit: str
@@ -144,7 +144,7 @@ class MaximumRange:
     peaks_before, peaks_after
         Peaks of the histogram, the largest first.
     peak
-        Where the masked histogram has its peak [cm]: the most frequent reading, and those that are not surely rarer.
+        Where the masked histogram has its peak [cm]: the most frequent reading, and those not significantly rarer.
     """
 
     true_range_cm: float

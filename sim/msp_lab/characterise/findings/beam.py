@@ -19,7 +19,7 @@ class AnglePoint:
     reading
         Mean of those readings [cm]; None without any.
     slant_cm, nearest_cm
-        What the two hypotheses say that it should be, after the calibration.
+        Its value by the two hypotheses, after the calibration.
     """
 
     range_cm: float

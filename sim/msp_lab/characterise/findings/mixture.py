@@ -7,7 +7,7 @@ from msp_lab.characterise.findings.estimate import IntervalEstimate
 
 @dataclass(frozen=True)
 class MixtureParameter:
-    """One parameter of the fitted mixture: its name in the sensor model file, and what the starting model said.
+    """One parameter of the fitted mixture: its name in the sensor model file, and the starting model's value.
 
     `at_bound` marks a value at the end of what it can be: the model has its bound or its floor, and not an estimate.
     """
@@ -19,7 +19,7 @@ class MixtureParameter:
 
 
 @dataclass(frozen=True)
-class SetUpError:
+class PlacementError:
     """How far the hits of one set-up are from where calibration and reference expect them [cm]."""
 
     condition: str
@@ -43,13 +43,13 @@ class Mixture:
     pit_counts
         Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model fits.
     pit_p_value
-        Of uniformity; a small one says that the model does not fit. None: too few readings for it.
+        Of uniformity; a small one means that the model does not fit. None: too few readings for it.
     conditional
-        What was said to depend on range, and why, in a sentence.
+        What depends on range, and why, in a sentence.
     notes
         What to know of these numbers.
     set_ups
-        About whose own mean the fit took the hits, with how far that is from the calibration.
+        Set-ups that were fitted about their own mean, with its distance from the calibration.
     """
 
     parameters: tuple[MixtureParameter, ...]
@@ -59,4 +59,4 @@ class Mixture:
     pit_p_value: float | None
     conditional: str
     notes: tuple[str, ...] = ()
-    set_ups: tuple[SetUpError, ...] = ()
+    set_ups: tuple[PlacementError, ...] = ()

@@ -1,4 +1,4 @@
-"""One set-up of the bench and what was read there."""
+"""One set-up of the bench and its readings."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from msp_lab.characterise.findings.estimate import IntervalEstimate
 
 @dataclass(frozen=True)
 class PointResult:
-    """One set-up of the bench and what was read there.
+    """One set-up of the bench and its readings.
 
     Attributes
     ----------
@@ -30,8 +30,8 @@ class PointResult:
     no_echo, saturated, no_answer
         Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading.
     error, spread
-        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals say
-        what chance in the readings does, and nothing of how well the range was set up. None without hits.
+        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
+        contain the scatter of readings, not the error of the placement. None without hits.
     compensated_error
         The mean error compensated for the air's temperature; None without an air temperature.
     worst_error_cm

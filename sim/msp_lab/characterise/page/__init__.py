@@ -2,6 +2,6 @@
 
 `write_report(findings, data, model, directory)`: what was found (`msp_lab.characterise.findings`), the readings that
 it was found in, and the fitted sensor model enter; ``report.html`` and PNGs leave. `draw` makes pictures of plain
-arrays, a module for each subject takes those arrays out of data and findings or says why they are not there, `write`
-makes the page. Needs the extra ``lab``.
+arrays, a module for each subject takes those arrays out of data and findings or gives the reason why they are missing,
+`write` makes the page. Needs the extra ``lab``.
 """

@@ -115,7 +115,7 @@ def _beam(findings: Findings) -> Iterator[Conclusion]:
 
 
 def _questions(findings: Findings) -> Iterator[Conclusion]:
-    """A line each; what several have in common is said in the first."""
+    """One line per question; what several have in common is only in the first."""
     before = ""
     for question in findings.questions:
         is_first = question.name != before

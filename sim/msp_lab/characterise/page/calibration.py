@@ -34,7 +34,7 @@ def _calibration(findings: Findings, rows: PictureData) -> Drawn:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
     if found.linearity is not None:
         caption += f"; farthest from it {interval(found.linearity)}"
-        if found.linearity_by_chance_cm is not None:
-            caption += f" (by chance up to {found.linearity_by_chance_cm:.2f} cm)"
+        if found.linearity_noise_floor_cm is not None:
+            caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
     return Drawn(draw_linearity(linearity), caption, "Mean error over true range with the calibration.")

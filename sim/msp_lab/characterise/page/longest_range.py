@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, set_up_error_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import are, interval
 from msp_range.reading_model.mixture import ReadingModel
 
@@ -98,7 +98,7 @@ def _histogram(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
 def _probabilities(findings: Findings, rows: PictureData, true_cm: float) -> NDArray[np.float64]:
     """Probability of each reading from 0 cm on by the fitted model, about the range that the fit took it to be."""
     expected_cm = float(np.mean(rows.apparent_cm[rows.of("maximum_range") & (rows.true_cm == true_cm)]))
-    expected_cm += set_up_error_cm(findings, "maximum_range", true_cm)
+    expected_cm += placement_error_cm(findings, "maximum_range", true_cm)
     readings = np.arange(0.0, rows.model.maximum_cm + 1.0)
     model = ReadingModel.of(rows.model)
     return np.exp(model.log_prob(readings, {"true_range_cm": np.full(readings.size, expected_cm)}))

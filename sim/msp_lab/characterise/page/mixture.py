@@ -18,7 +18,7 @@ from msp_lab.characterise.page.draw.mixture import (
     draw_random,
     draw_short,
 )
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, set_up_error_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
@@ -77,7 +77,7 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
     # About the range that the fit took it to be.
-    apparent_cm = float(np.mean(rows.apparent_cm[chosen])) + set_up_error_cm(findings, condition, true_cm)
+    apparent_cm = float(np.mean(rows.apparent_cm[chosen])) + placement_error_cm(findings, condition, true_cm)
     contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
     whole = ReadingModel.of(rows.model)
     mixture = whole.rows(contexts["true_range_cm"])
@@ -166,7 +166,7 @@ def _pit(findings: Findings, rows: PictureData) -> Drawn:
 
 
 def mixture_table(mixture: Mixture) -> PageTable:
-    """The fitted parameters with intervals, and what the model said before."""
+    """Return the fitted parameters with intervals, and the starting model's values, as a table."""
     return PageTable(
         name="mixture_parameters",
         title="Parameters of the mixture",

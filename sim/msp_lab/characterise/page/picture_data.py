@@ -39,7 +39,7 @@ CONDITIONS = {
 
 
 class Absent(Exception):
-    """The data do not allow this picture; the message says why and what would."""
+    """The data do not allow this picture; the message gives the reason and what is needed."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class PictureData:
         """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
         missed = np.ones(len(self.data), dtype=bool)
         for point in self._points:
-            missed[point.rows] = ~point.is_heard
+            missed[point.rows] = ~point.is_echo
         return missed
 
     @cached_property
@@ -145,8 +145,8 @@ class PictureData:
         rows = known & (self._condition == condition)
         if not np.any(rows):
             what = CONDITIONS.get(condition, condition)
-            unsaid = "" if "condition" in self.data else " (no column condition says which experiment a reading is of)"
-            raise Absent(f"No readings of {what} are in the data{unsaid}.")
+            hint = "" if "condition" in self.data else " (there is no column condition with the experiment)"
+            raise Absent(f"No readings of {what} are in the data{hint}.")
         return np.asarray(rows)
 
     def errors(self, rows: _Mask, label: str = "", reading_cm: _Array | None = None) -> Errors:
@@ -178,22 +178,22 @@ Entry = tuple[str, str, Maker]
 
 def summary(errors: Errors) -> str:
     """Count, mean error of the bulk and missed readings of a picture, in a sentence."""
-    heard = errors.error_cm[~errors.missed]
+    echoes = errors.error_cm[~errors.missed]
     n = errors.error_cm.size
     missed = int(np.count_nonzero(errors.missed))
     ranges = np.unique(errors.true_range_cm).size
     text = f"{n:,} readings at {ranges} range{'s' if ranges != 1 else ''}; "
     text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
-    if heard.size:
+    if echoes.size:
         text += (
-            f"; {'of the rest ' if missed else ''}median error {plus(float(np.median(heard)))} cm, 95 % from "
-            f"{plus(float(np.quantile(heard, 0.025)))} to {plus(float(np.quantile(heard, 0.975)))} cm"
+            f"; {'of the rest ' if missed else ''}median error {plus(float(np.median(echoes)))} cm, 95 % from "
+            f"{plus(float(np.quantile(echoes, 0.025)))} to {plus(float(np.quantile(echoes, 0.975)))} cm"
         )
     return text + "."
 
 
-def set_up_error_cm(findings: Findings, condition: str, true_range_cm: float) -> float:
-    """How far the set-ups of a condition at a range are from the calibration, their mean [cm]; 0 where unknown."""
+def placement_error_cm(findings: Findings, condition: str, true_range_cm: float) -> float:
+    """Return the mean placement error of a condition at a range [cm]; 0 where unknown."""
     set_ups = () if findings.mixture is None else findings.mixture.set_ups
     found = [
         each.error_cm

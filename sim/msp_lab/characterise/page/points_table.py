@@ -1,4 +1,4 @@
-"""Table of every set-up and what was read there."""
+"""Table of all set-ups and their readings."""
 
 from msp_lab.characterise.findings import Findings, IntervalEstimate, PointResult
 from msp_sim.page.page import PageTable
@@ -8,7 +8,7 @@ MAX_POINTS = 400
 
 
 def make_points_table(findings: Findings) -> PageTable | None:
-    """Every set-up and what was read there; None without any."""
+    """Return all set-ups and their readings as a table; None without any."""
     if not findings.points:
         return None
     left_out = len(findings.points) - MAX_POINTS

@@ -53,7 +53,7 @@ def forest(findings: Findings, rows: PictureData) -> Drawn:
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
         "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
         f"number of questions (Holm). Missed readings and outliers that change by less than {SHARE_BOUND:.0%} of all "
-        "readings also count as too small, whatever their odds. No bars: not known. An arrow: the interval goes on."
+        "readings also count as too small, whatever their odds. No bars: unknown. An arrow: the interval is longer."
     )
     return Drawn(draw_questions(shown), caption, "Effect sizes of every question with their intervals.")
 

@@ -25,7 +25,7 @@ def interval(estimate: IntervalEstimate) -> str:
         return minus(f"{estimate.value:.6g}{unit}")
     digits = int(min(max(1 - np.floor(np.log10(reach)), 0), 6))
     if ends and 0.0 < abs(estimate.value) < 0.1 * reach:
-        # A wide interval says that little is known, and not another number.
+        # With a wide interval the value itself needs more digits than the interval.
         digits = int(min(max(digits, 1 - np.floor(np.log10(abs(estimate.value)))), 6))
     low = "?" if estimate.low is None else f"{estimate.low:.{digits}f}"
     high = "?" if estimate.high is None else f"{estimate.high:.{digits}f}"

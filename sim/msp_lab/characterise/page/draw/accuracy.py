@@ -49,7 +49,7 @@ class Linearity:
 
 
 def draw_linearity(linearity: Linearity) -> Figure:
-    """Error of the mean reading over range with the forms of calibration; beside it how each did on unseen points."""
+    """Mean error over range with the forms of calibration; next to it their errors on left-out points."""
     figure = new_figure(3.7)
     if linearity.held_out:
         axes, side = figure.subplots(1, 2, width_ratios=(3.4, 1.0))

@@ -119,7 +119,7 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
     errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
     low, high = -3.2, 3.2
     if errors.size:
-        # One reading in 400 at either end may fall outside, where it is marked: a stray or two would hide the rest.
+        # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
         shown = np.quantile(errors, [0.0025, 0.9975])
         low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
     for line in (*axes.lines, *axes.points) if axes else ():

@@ -35,7 +35,7 @@ _READ: dict[str, Any] = {
     "capsize": 2.5,
     "zorder": 5,
 }
-"""Looks of what was read, beside what was fitted."""
+"""Look of the readings, as opposed to the fit."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Densities:
 
 
 def draw_hit(densities: Densities) -> Figure:
-    """The measurement noise (5.3): the Gaussian's probability of each centimetre, beside the share that was read."""
+    """The hits: the Gaussian's probability of each centimetre, next to the share that was read."""
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["hit"]
     shown = _bulk(p, 1e-5)
@@ -85,7 +85,7 @@ def draw_short(densities: Densities) -> Figure:
     inside = k <= densities.true_range_cm + 0.5
     axes.fill_between(k[inside], 0.0, p[inside], step="mid", color=ORANGE, alpha=0.35, linewidth=0)
     axes.step(k[inside], p[inside], where="mid", color=ORANGE, label="fitted, if a reading is of this kind")
-    # Where the hits begin nothing else can be told from them.
+    # Nothing else can be distinguished from the hits where they begin.
     hits = _bulk(densities.density["hit"], 1e-7)
     _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "short")
     if densities.weight["short"] < NO_WEIGHT:
@@ -192,7 +192,7 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
         n = float(np.sum(densities.counts))
         single = (np.abs(k - densities.true_range_cm) <= SINGLE_CM) | is_code
         _dots(axes, k[single], densities.counts[single] / n, densities.counts[single], n, f"read ({n:,.0f} readings)")
-        # Rare readings in bins: a centimetre that was read once says less than it seems to.
+        # Rare readings in bins: a single reading of a centimetre looks like more than it is.
         for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
             if single[stretch[0]]:
                 continue
@@ -273,7 +273,7 @@ def _finish(figure: Figure, axes: Axes, label: str) -> Figure:
 
 
 def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
-    """Readings whose probability is not next to nothing beside the peak's."""
+    """Readings with a probability that is visible next to the peak's."""
     return np.asarray(p > share_of_peak * np.max(p))
 
 
@@ -296,8 +296,8 @@ def _dots(
 def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: str) -> None:
     """What was read in a stretch, in broad bins, as the density of one kind.
 
-    The readings of a kind cannot be told one by one: a bin's count is taken times the share that the kind has in it by
-    the fitted model, and the codes are left out.
+    The readings of a kind cannot be identified one by one: a bin's count is multiplied by the share of the kind in it,
+    by the fitted model, and the codes are left out.
     """
     if densities.counts is None:
         return

@@ -44,14 +44,14 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     figure = new_figure(3.3)
     axes = figure.subplots()
     number = np.arange(1.0, fixed.reading_cm.size + 1.0)
-    heard = ~fixed.missed & np.isfinite(fixed.reading_cm)
+    echoes = ~fixed.missed & np.isfinite(fixed.reading_cm)
     dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": OURS}
     if masked:
         # Thousands of dots would be a bar of one colour: let the ground shine through.
         alpha = min(1.0, max(0.08, 2000.0 / number.size))
-        axes.plot(number[heard], fixed.reading_cm[heard], markersize=2.2, alpha=alpha, zorder=3, **dots)
+        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=2.2, alpha=alpha, zorder=3, **dots)
     else:
-        axes.plot(number[heard], fixed.reading_cm[heard], markersize=1.8, zorder=3, **dots)
+        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=1.8, zorder=3, **dots)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", linewidth=1.1, zorder=4)
     handles = [
         axes.plot([], [], "o", color=OURS, markersize=4, label="reading")[0],
@@ -63,7 +63,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
         outside = np.count_nonzero((fixed.kept_cm < low) | (fixed.kept_cm > high))
         if outside:
             note(axes, f"{outside} readings ({100 * outside / fixed.kept_cm.size:.2g} %) lie outside of this picture")
-        inside = heard & (fixed.reading_cm >= low) & (fixed.reading_cm <= high)
+        inside = echoes & (fixed.reading_cm >= low) & (fixed.reading_cm <= high)
         handles += _running_mean(axes, number[inside], fixed.reading_cm[inside])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
