@@ -52,7 +52,7 @@ fuzz: .venv/.installed-test compile
 
 N ?= 200
 gap-demo: .venv/.installed
-	$(BIN)/msp-lab demo --out flights/gap-demo
+	$(BIN)/msp-lab demo --out flights/gap-demo --force
 
 blind: .venv/.installed-test compile
 	$(BIN)/python -m tests.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import pytest
+
 from msp_lab.gap import demo
 from msp_lab.gap.steps import Steps
 from msp_range.clock import SystemClock
+from msp_range.yaml_file import ConfigError
 
 
 def test_all_hidden_effects_are_named_and_the_extended_model_flies(tmp_path: Path) -> None:
@@ -19,6 +22,15 @@ def test_all_hidden_effects_are_named_and_the_extended_model_flies(tmp_path: Pat
     assert findings.gap.nats_per_reading.after < 0.01 * (findings.gap.nats_per_reading.before or 0.0)
     assert (tmp_path / "gap" / "report.html").exists()
     assert (tmp_path / "flight-8.mcap").stat().st_size > 10_000
+
+
+def test_an_earlier_demonstration_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    demo.clear(tmp_path, force=False)
+    (tmp_path / "flight-0.mcap").write_bytes(b"")
+    with pytest.raises(ConfigError, match="--force"):
+        demo.clear(tmp_path, force=False)
+    demo.clear(tmp_path, force=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_was_not_named_is_said_so() -> None:

@@ -113,6 +113,7 @@ def _demo(
         "flights/gap-demo"
     ),
     seed: Seed = 1,
+    force: Annotated[bool, typer.Option("--force", help="replace an earlier demonstration in --out")] = False,
 ) -> None:
     require("lab", "The gap workflow")
     from msp_lab.gap import demo
@@ -121,6 +122,7 @@ def _demo(
     from msp_sim.terminal import make_folder
 
     make_folder(out)
+    demo.clear(out, force)
     with ProgressBar() as progress:
         findings = demo.run(out, seed, Steps(out / "gap", progress.clock, progress.report))
     print_findings(findings, out / "gap")

@@ -16,7 +16,7 @@ from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.steps import Steps
 from msp_range.clock import VirtualClock
 from msp_range.recording.writer import Recorder
-from msp_range.yaml_file import config_path
+from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.model.model import load_model
@@ -63,6 +63,21 @@ class Comparison:
     def holds(self) -> bool:
         """Whether the interval holds the true value."""
         return self.low is not None and self.high is not None and self.low <= self.hidden <= self.high
+
+
+def clear(folder: Path, force: bool) -> None:
+    """Remove the recordings of an earlier demonstration.
+
+    Raises
+    ------
+    ConfigError
+        There are some, and `force` is not given.
+    """
+    recordings = list(folder.glob("flight-*.mcap"))
+    if recordings and not force:
+        raise ConfigError(f"{folder}: found an earlier demonstration; give --force to replace it, or another --out")
+    for path in recordings:
+        path.unlink()
 
 
 def write_models(folder: Path) -> tuple[Path, Path]:
