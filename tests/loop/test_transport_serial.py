@@ -177,7 +177,7 @@ def test_unplugged_and_plugged_in_again_under_the_same_name(device: Device) -> N
         assert link.last_error is not None
         clock.now_s += 0.5
         assert link.receive() == b""
-        assert link.last_error == f"serial:{device.path}:57600: No such file or directory"
+        assert link.last_error == f"serial:{device.path}:57600: there is no such port"
         device.plug_in()
         clock.now_s += 1.0
         assert link.send(numbered_frame(100))
@@ -248,7 +248,7 @@ def test_a_missing_device_is_looked_for_less_and_less_often(tmp_path: Path, coun
         return times_s
 
     with opened(f"serial:{path}", clock) as link:
-        assert link.last_error == f"serial:{path}:57600: No such file or directory"
+        assert link.last_error == f"serial:{path}:57600: there is no such port"
         assert openings_after_s(18.0) == [0.5, 1.5, 3.5, 7.5, 12.5, 17.5]
         device = Device(path)
         clock.now_s += 5.0
