@@ -149,8 +149,8 @@ class Bridge:
     recorder
         Keeps every stage of every reading; None: nothing is kept.
     report
-        Called with (severity, text) at every change of health, beside the STATUSTEXT that goes out.
-    hear
+        Called with (severity, text) at every change of health, alongside the STATUSTEXT that is sent.
+    on_message
         Called with (time [s], message) for every message of the autopilot.
     wanted
         Messages to ask the autopilot for: name -> rate [Hz].
@@ -181,7 +181,7 @@ class Bridge:
         *,
         recorder: Records | None = None,
         report: Report | None = None,
-        hear: Callable[[float, Any], None] | None = None,
+        on_message: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
         thermometer: ThermometerReader | None = None,
         schedule: Schedule | None = None,
@@ -192,7 +192,7 @@ class Bridge:
         self._clock = clock
         self._recorder = recorder
         self._report = report
-        self._hear = hear
+        self._report_message = on_message
         self._windows = windows_of(airframe)
         memory_s = self._windows.memory_s
         self._channels = {sensor.name: _Channel(sensor, airframe, memory_s) for sensor in airframe.sensors}
@@ -213,7 +213,7 @@ class Bridge:
             transport,
             clock,
             component_id=airframe.link.component_id,
-            hear=self._on_message,
+            on_message=self._on_message,
             wanted=asked | dict(wanted or {}),
             autopilot=airframe.link.autopilot,
             system_id=airframe.link.system_id,
@@ -324,15 +324,15 @@ class Bridge:
         self._temperature.on_message(now_s, message)
         if self._fusion is not None:
             self._on_motion(now_s, message)
-        if self._hear is not None:
-            self._hear(now_s, message)
+        if self._report_message is not None:
+            self._report_message(now_s, message)
 
     def _on_motion(self, now_s: float, message: Any) -> None:
         """Attitude, acceleration and pressure, for the fusion and the record."""
         if message.get_type() == ATTITUDE:
             time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
             angles = Angles(time_s, message.roll, message.pitch, message.yaw)
-            if self._attitude.hear(angles):
+            if self._attitude.update(angles):
                 self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
         elif (force := specific_force(message)) is not None:
             rotation = self._attitude.rotation_at(now_s)
@@ -356,7 +356,7 @@ class Bridge:
         conditions.append(self._attitude.condition(now_s))
         for condition in conditions:
             self.health.set(*condition)
-        if self._reminder.is_due(now_s, self.link.autopilot_heard, self.link.autopilot_clock.reboots):
+        if self._reminder.is_due(now_s, self.link.autopilot_is_present, self.link.autopilot_clock.reboots):
             for severity, text in self.health.faults() + self._below.texts():
                 self.link.send_text(severity, text)
         self.link.system_status = self._system_status(now_s)

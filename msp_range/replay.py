@@ -65,7 +65,7 @@ class RecordedOrder:
         sensor = self._sensors[address]
         return replace(sensor, timing=replace(sensor.timing, first_answer_s=self._bus.next_ready_s(address)))
 
-    def hear(self, reading: Reading) -> None:
+    def on_reading(self, reading: Reading) -> None:
         """A record does not change with what is received."""
 
     def again(self, sensor: str) -> None:

@@ -135,9 +135,9 @@ def serve(
         if now_s < next_note_s:
             continue
         next_note_s = now_s + 1.0
-        if bridge.link.autopilot_heard and bridge.link.autopilot_system != autopilot:
+        if bridge.link.autopilot_is_present and bridge.link.autopilot_system != autopilot:
             autopilot = bridge.link.autopilot_system
-            log.info("autopilot heard", system=autopilot)
+            log.info("autopilot found", system=autopilot)
         if transport.last_error != trouble or transport.connected != connected:
             trouble, connected = transport.last_error, transport.connected
             write = log.info if connected else log.warning

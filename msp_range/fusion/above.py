@@ -1,8 +1,8 @@
-"""Whether the vehicle is above its sensors' range, or they hear nothing of a ground that is near.
+"""Whether the vehicle is above its sensors' range, or they miss a ground that is near.
 
-What the downward sensors heard and the last known distance to the ground enter. 'Above the maximum' is an answer that
+What the downward sensors report and the last known distance to the ground enter. 'Above the maximum' is an answer that
 an autopilot believes, so it is given only where the vehicle can be there: where it may have climbed so far since the
-ground was last seen, or, where no ground was ever seen, where all sensors have heard nothing for some turns.
+ground was last seen, or, where no ground was ever seen, where all sensors have had no echo for some turns.
 """
 
 from msp_range.fusion.vertical import Known, VerticalMotion
@@ -16,8 +16,8 @@ CLIMB_SIGMAS = 3.0
 """A climb by the barometer may be longer than it says by so many standard deviations."""
 ACCELERATION_M_S2, FASTEST_M_S = 2.0, 5.0
 """How fast a vehicle without a barometer may have begun to climb [m/s^2], and the fastest that it may climb [m/s].
-Larger says 'above the maximum' sooner over ground that the sensors do not hear, smaller is silent longer after a climb
-through the maximum."""
+Larger says 'above the maximum' sooner over ground without an echo, smaller is silent longer after a climb through the
+maximum."""
 
 
 class AboveMaximum:
@@ -49,7 +49,7 @@ class AboveMaximum:
         self._last = known
 
     def decide(self, now_s: float) -> bool:
-        """Whether the vehicle is above the maximum: most working sensors hear nothing, and it may have got there."""
+        """Whether the vehicle is above the maximum: most working sensors have no echo, and it may have got there."""
         counts = self._no_echo.values()
         silent = sum([count > 0 for count in counts])
         if not silent or 2 * silent <= len(counts):

@@ -43,7 +43,7 @@ class Attitude(Protocol):
 
 
 class AttitudeTrack:
-    """The last two attitudes that were heard."""
+    """The last two attitudes received."""
 
     def __init__(self) -> None:
         self._before: Angles | None = None
@@ -59,7 +59,7 @@ class AttitudeTrack:
         text = "Range: attitude makes no sense" if self.is_refused(now_s) else None
         return Condition("attitude", text, "Range: attitude is back")
 
-    def hear(self, angles: Angles) -> bool:
+    def update(self, angles: Angles) -> bool:
         """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""
         if not self._makes_sense(angles):
             first_s = angles.time_s if self._refused_s is None else self._refused_s[0]
@@ -129,7 +129,7 @@ class RecordedAttitude:
         now_s = self._now()
         while self._next is not None and self._next[0] <= now_s:
             received_s, angles = self._next
-            if self._track.hear(angles) and self._keep is not None:
+            if self._track.update(angles) and self._keep is not None:
                 self._keep(received_s, angles)
             self._next = next(self._coming, None)
         return self._track.rotation_at(time_s)

@@ -18,7 +18,7 @@ FASTEST_M_S, SURE_M_S = 5.0, 1.0
 """A vehicle climbs or sinks no faster than the first, where no barometer says how fast [m/s]. Up to the second two
 readings are enough; a faster line goes through any two, so it takes a third one."""
 READINGS, READINGS_ALONE, READINGS_IN_DOUBT = 2, 4, 4
-"""Heights that have to agree: at least; of a sensor that alone gives ranges while others hear nothing; and where other
+"""Heights that have to agree: at least; of a sensor that alone gives ranges while others get no echo; and where other
 readings of the last turn do not agree, or the sensors that do are half of those that work or fewer. Two outliers agree
 often enough, four hardly ever."""
 SURE_STD_M_S = 0.3
@@ -103,7 +103,7 @@ class Start:
         newest
             The height.
         working
-            How many sensors are in order, whether they give ranges or hear nothing.
+            How many sensors are in order, whether they give ranges or get no echo.
         """
         self._heights.setdefault(newest.sensor, deque(maxlen=READINGS_KEPT)).append(newest)
         if self._known is not None:

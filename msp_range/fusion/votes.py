@@ -164,7 +164,7 @@ def tally(sights: Collection[Sight], now_s: float, windows: Windows) -> Tally:
 
 
 def working(sights: Collection[Sight], now_s: float, windows: Windows) -> int:
-    """Sensors that are in order and do not repeat themselves, whether they give ranges or hear nothing."""
+    """Sensors that are in order and do not repeat themselves, whether they give ranges or get no echo."""
     since_s = now_s - windows.held_s
     return sum([sight.works and not sight.repeated and sight.read_s >= since_s for sight in sights])
 

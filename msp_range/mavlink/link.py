@@ -59,7 +59,7 @@ class Link:
         The bridge's clock.
     component_id
         This component's id; 191 is the first onboard computer.
-    hear
+    on_message
         Called with (time [s], message) for every message of the autopilot.
     wanted
         Messages to request from the autopilot: rate [Hz] by name.
@@ -75,14 +75,14 @@ class Link:
         clock: Clock,
         *,
         component_id: int = 191,
-        hear: Callable[[float, Any], None] | None = None,
+        on_message: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
         autopilot: Autopilot | None = None,
         system_id: int | None = None,
     ) -> None:
         self.transport = transport
         self._clock = clock
-        self._hear = hear
+        self._report_message = on_message
         self.wanted = WantedMessages(wanted or {})
         self._participants = Participants(autopilot)
         self._pinned_system = system_id
@@ -93,7 +93,7 @@ class Link:
         now_s = clock.now()
         self._start_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
-        self._autopilot_heard_s = float("-inf")
+        self._heartbeat_s = float("-inf")
         self.autopilot_system: int | None = None
         self.autopilot_armed = False
         """State in its last heartbeat, even if none arrives any more."""
@@ -107,9 +107,9 @@ class Link:
         self._command_answers = _Allowance(ANSWERS_PER_S, now_s)
 
     @property
-    def autopilot_heard(self) -> bool:
+    def autopilot_is_present(self) -> bool:
         """True while heartbeats of an autopilot are received."""
-        return self._clock.now() - self._autopilot_heard_s < AUTOPILOT_LOST_S
+        return self._clock.now() - self._heartbeat_s < AUTOPILOT_LOST_S
 
     def send(self, message: Any) -> bytes | None:
         """Send a message at once; returns the frame, or None if the transport dropped it."""
@@ -140,7 +140,7 @@ class Link:
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
-        if self.autopilot_heard:
+        if self.autopilot_is_present:
             self._ask(now_s)
         quiet_until_s = self.transport.quiet_until_s
         if quiet_until_s > self.next_event_s and not self._from_autopilot and not self._from_others:
@@ -228,25 +228,25 @@ class Link:
         ):
             self.wanted.on_answer(now_s, message.result)
         self.wanted.on_message(now_s, message.get_msgId())  # not message.id, which some messages have as a field
-        if self._hear is not None:
-            self._hear(now_s, message)
+        if self._report_message is not None:
+            self._report_message(now_s, message)
 
     def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
         """Keep the first autopilot, or the one stated in the file; another one is used only when the first is lost."""
-        heard = self.autopilot_heard
+        is_present = self.autopilot_is_present
         own_system = self._pinned_system
         if own_system is None:
-            own_system = self.autopilot_system if heard and self.autopilot_system is not None else system
+            own_system = self.autopilot_system if is_present and self.autopilot_system is not None else system
         if system != own_system:
-            self._participants.on_other_autopilot(now_s, system, own_system, heard)
+            self._participants.on_other_autopilot(now_s, system, own_system, is_present)
             return
         if system != self.autopilot_system:
             self.autopilot_system = system
             self._system = system
             self.autopilot_clock = AutopilotClock(self._start_s)
-        if not heard:
+        if not is_present:
             self.wanted.ask_anew(now_s)
-        self._autopilot_heard_s = now_s
+        self._heartbeat_s = now_s
         self.autopilot_armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._participants.on_autopilot(now_s, message.autopilot)
 

@@ -84,7 +84,7 @@ class ParameterClient:
         self._heartbeat: Any = None
         self._heartbeat_s = float("-inf")
         self.link = Link(
-            transport, clock, component_id=COMPONENT_ID, hear=self.on_message, wanted=wanted, system_id=system_id
+            transport, clock, component_id=COMPONENT_ID, on_message=self.on_message, wanted=wanted, system_id=system_id
         )
 
     def on_message(self, now_s: float, message: Any) -> None:

@@ -55,7 +55,7 @@ class ReadingModel:
 
         p(M) = (1 - s) q(M),    p(255) = q(255) + s q(M),    p(k) = q(k) otherwise
 
-    Two of the parameters may depend on the range r = z* within 0 ... M (M where nothing is heard)::
+    Two of the parameters may depend on the range r = z* within 0 ... M (M where there is no echo)::
 
         sigma(r)^2 = sigma^2 + (g r)^2
         w_missed(r) / (1 - w_missed(r)) = w_missed / (1 - w_missed) exp(h (r - 3 m)),  the others in proportion
@@ -186,7 +186,7 @@ class ReadingModel:
         return hit, short, missed, random
 
     def _within(self, true_range_cm: Any) -> Any:
-        """The range on which the parameters may depend: what is not heard is as far as the sensor can reach."""
+        """The range on which the parameters may depend: what gives no echo is as far as the sensor can reach."""
         return np.maximum(np.fmin(true_range_cm, self.maximum_cm), 0.0)
 
 

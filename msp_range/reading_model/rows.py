@@ -37,7 +37,7 @@ class MixtureRows:
     Attributes
     ----------
     centre_cm, sigma_cm
-        Of the hits, (n,), or one sigma for all; a centre of NaN is not heard.
+        Of the hits, (n,), or one sigma for all; a centre of NaN gives no echo.
     log_weights
         Logarithms of the weights of hit, short, missed, random, but for a common summand: numbers or arrays.
     rate_per_m, saturated_fraction, minimum_cm, maximum_cm
@@ -165,7 +165,7 @@ class MixtureRows:
         """
         reading_cm: _Array = Hit.draw(normal, self.centre_cm, self.sigma_cm)
         np.rint(reading_cm, out=reading_cm)
-        # fmin and not minimum: it takes NaN, a surface that is not heard, to the maximum.
+        # fmin and not minimum: it takes NaN, a surface that gives no echo, to the maximum.
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
         others = np.flatnonzero(kind >= self._below()[0])

@@ -57,7 +57,7 @@ class Timing(Section):
     """Time after the ping at which a sensor that has not answered is given up [s]."""
 
     ping_interval_s: float = Field(gt=0.0, le=10.0)
-    """Shortest time between two pings that can hear each other, for the sound to decay [s]."""
+    """Shortest time between two pings that can disturb each other, for the sound to decay [s]."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "Timing":
@@ -192,7 +192,7 @@ class SensorModel(Section):
     """Largest angle with a reliable range, over range."""
 
     heard_on_axis_cm: float | None = Field(None, gt=0.0, le=10_000.0)
-    """Range at which a wall straight ahead is heard for sure [cm]; left out: that of the last breakaway angle."""
+    """Range at which a wall straight ahead gives an echo for sure [cm]; left out: that of the last breakaway angle."""
 
     calibration: tuple[CalibrationKnot, ...] = ()
     """Mean reading over true range: linear between the knots, and beyond them. None: the reading is the range."""

@@ -103,7 +103,7 @@ class Poller:
         else:
             ranging = self._ask(self._next, now_s)
         if ranging is not None:
-            self._schedule.hear(ranging.reading)
+            self._schedule.on_reading(ranging.reading)
         if self._to_reopen is not None:
             self.next_event_s = self._to_reopen.answered_s
         elif self._pending and not self._unpinged:

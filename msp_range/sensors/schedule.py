@@ -100,7 +100,7 @@ class Schedule(Protocol):
         """
         ...
 
-    def hear(self, reading: Reading) -> None:
+    def on_reading(self, reading: Reading) -> None:
         """Record a reading."""
         ...
 
@@ -183,7 +183,7 @@ class RoundRobin:
         self._is_retry = self._is_dead_group(group) and bool(self._living_groups())
         return at_s, group
 
-    def hear(self, reading: Reading) -> None:
+    def on_reading(self, reading: Reading) -> None:
         """Record whether the sensor works, and whether it is near the ground."""
         name = reading.sensor
         below_m = self._spacing.near_below_m or 0.0

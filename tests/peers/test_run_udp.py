@@ -159,8 +159,8 @@ def test_a_late_autopilot_and_its_reboot(tmp_path: Path) -> None:
             assert {each.message.get_srcSystem() for each in end.arrived} == {7}
             assert end.of("HEARTBEAT")[-1].system_status == ardupilotmega.MAV_STATE_CRITICAL
         assert service.stop(signal.SIGINT) == 0
-        heard = [each for each in service.log() if each["event"] == "autopilot heard"]
-        assert [each["system"] for each in heard] == [7]
+        found = [each for each in service.log() if each["event"] == "autopilot found"]
+        assert [each["system"] for each in found] == [7]
 
 
 def check_times(end: LinkEnd, testbed: KernelTestbed) -> None:

@@ -406,7 +406,7 @@ def test_with_attitude_the_height_is_straight_up_and_the_distance_along_the_vehi
     off_m = []
     for i in range(300):
         time_s = i * SLOT_S
-        assert track.hear(Angles(time_s + 0.01, *vehicle.angles(time_s + 0.01)))
+        assert track.update(Angles(time_s + 0.01, *vehicle.angles(time_s + 0.01)))
         fused = take(fusion, reading(NAMES[i % 4], time_s, ranges(NAMES[i % 4], time_s)))
         if fused is not None and i > 100:
             roll, pitch, _ = vehicle.angles(time_s)
@@ -431,10 +431,10 @@ def test_without_attitude_a_leaning_vehicle_sees_a_slope_and_the_same_distance()
 def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> None:
     track = AttitudeTrack()
     assert track.rotation_at(0.0) is None
-    assert track.hear(Angles(1.0, 0.0, 0.0, math.radians(350)))
-    assert not track.hear(Angles(1.1, math.nan, 0.0, 0.0))
-    assert track.hear(Angles(1.2, 0.0, 0.2, math.radians(10)))
-    assert not track.hear(Angles(1.2005, 0.0, 0.9, 0.0)), "the same buffer"
+    assert track.update(Angles(1.0, 0.0, 0.0, math.radians(350)))
+    assert not track.update(Angles(1.1, math.nan, 0.0, 0.0))
+    assert track.update(Angles(1.2, 0.0, 0.2, math.radians(10)))
+    assert not track.update(Angles(1.2005, 0.0, 0.9, 0.0)), "the same buffer"
     rotation = track.rotation_at(1.1)
     assert rotation is not None
     assert -rotation[2][0] == pytest.approx(math.sin(0.1))

@@ -38,7 +38,7 @@ class Bench:
             self.transport,
             self.clock,
             component_id=component_id,
-            hear=lambda _, message: self.heard.append(message),
+            on_message=lambda _, message: self.heard.append(message),
             wanted=wanted,
             **link,
         )
@@ -128,14 +128,14 @@ class TestAddress:
         bench.run(2.0)
         assert {source(message) for message in bench.sent()} == {(1, 191)}
         assert bench.link.autopilot_system is None
-        assert not bench.link.autopilot_heard
+        assert not bench.link.autopilot_is_present
 
     def test_the_autopilots_system_from_then_on(self, bench: Bench) -> None:
         bench.arrive(Component(42).heartbeat())
         bench.sent()
         bench.run(2.0)
         assert {source(message) for message in bench.sent()} == {(42, 191)}
-        assert bench.link.autopilot_heard
+        assert bench.link.autopilot_is_present
 
     def test_component_id_is_the_airframes(self) -> None:
         bench = Bench(component_id=192)
@@ -168,7 +168,7 @@ class TestAddress:
     ) -> None:
         bench.arrive(Component(*address).frame(dialect.MAVLink_heartbeat_message(type, autopilot, 0, 0, 4, 3)))
         assert bench.link.autopilot_system is None
-        assert not bench.link.autopilot_heard
+        assert not bench.link.autopilot_is_present
 
     def test_a_second_autopilot_changes_nothing_while_the_first_is_there(self, bench: Bench) -> None:
         first, second = Component(3), Component(4)
@@ -192,12 +192,12 @@ class TestAddress:
 
     def test_an_autopilot_that_has_gone_is_missed(self, met: Bench) -> None:
         met.run(4.5)
-        assert met.link.autopilot_heard
+        assert met.link.autopilot_is_present
         met.run(1.0)
-        assert not met.link.autopilot_heard
+        assert not met.link.autopilot_is_present
         assert met.link.autopilot_system == 7
         met.arrive(Component(7).heartbeat())
-        assert met.link.autopilot_heard
+        assert met.link.autopilot_is_present
 
     def test_its_own_echo_is_passed_over(self, met: Bench) -> None:
         """An autopilot or a router may send back what it got."""
@@ -529,7 +529,7 @@ class TestSomebodyElse:
         bench = Bench(system_id=7)
         bench.arrive(Component(3).heartbeat(), Component(3).frame(dialect.MAVLink_system_time_message(0, 90_000)))
         assert bench.link.autopilot_system is None
-        assert not bench.link.autopilot_heard
+        assert not bench.link.autopilot_is_present
         assert bench.heard == []
         assert self.texts(bench) == ["Range: autopilot is system 3, file says 7"]
         assert source(bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0)) and bench.sent()[-1]) == (7, 191)
@@ -537,7 +537,7 @@ class TestSomebodyElse:
         assert bench.link.autopilot_system == 7
         bench.run(30.0, Component(3).heartbeat)
         assert bench.link.autopilot_system == 7
-        assert not bench.link.autopilot_heard
+        assert not bench.link.autopilot_is_present
 
     @pytest.mark.parametrize(
         ("expected", "found", "text"),
@@ -671,7 +671,7 @@ class TestWhatArrives:
     def test_messages_of_the_autopilot_are_passed_on_with_their_time(self) -> None:
         heard: list[tuple[float, str]] = []
         transport, clock = MemoryTransport(), VirtualClock(START_S)
-        link = Link(transport, clock, hear=lambda time_s, message: heard.append((time_s, message.get_type())))
+        link = Link(transport, clock, on_message=lambda time_s, message: heard.append((time_s, message.get_type())))
         autopilot = Component(7)
         transport.arrived += autopilot.heartbeat()
         link.service()
@@ -694,9 +694,9 @@ class TestWhatArrives:
             bench.arrive(noise.randbytes(noise.randrange(600)), autopilot.heartbeat())
             # A frame has at most 280 bytes: what noise took for the start of one ends within 14 heartbeats.
             bench.arrive(*(autopilot.heartbeat() for _ in range(14)))
-            assert bench.link.autopilot_heard
+            assert bench.link.autopilot_is_present
             bench.clock.sleep_until(bench.clock.now() + 10.0)
-            assert not bench.link.autopilot_heard
+            assert not bench.link.autopilot_is_present
 
     def test_messages_of_ardupilots_own_dialect_do_no_harm(self, met: Bench) -> None:
         autopilot = Component(7, dialect=ardupilotmega)

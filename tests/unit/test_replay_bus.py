@@ -212,7 +212,7 @@ class RecordedOrder:
         }
         return (min(due), [due[min(due)]]) if due else (math.inf, [])
 
-    def hear(self, reading: Reading) -> None:
+    def on_reading(self, reading: Reading) -> None:
         """Nothing to learn."""
 
     def again(self, sensor: str) -> None:

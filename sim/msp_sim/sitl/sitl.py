@@ -272,7 +272,7 @@ class Sitl:
             transport,
             recorder=recorder,
             report=self._on_health,
-            hear=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
+            on_message=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             thermometer=LoopReader(self._thermometer),
         )
@@ -287,7 +287,7 @@ class Sitl:
 
     def is_autopilot_connected(self) -> bool:
         """Whether heartbeats of an autopilot are being received."""
-        return self._bridge.link.autopilot_heard
+        return self._bridge.link.autopilot_is_present
 
     def step(self) -> list[Step]:
         """Run one step of the bridge and record it."""
