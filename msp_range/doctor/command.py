@@ -1,4 +1,4 @@
-"""What `msp-range doctor` prints: each finding as it comes, or all of them as JSON."""
+"""What `msp-range doctor` prints: each finding as soon as it is known, or all of them as JSON."""
 
 import json
 import textwrap

@@ -74,13 +74,13 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
                 continue
         alone[sensor.name] = pings
         findings.append(_readings(sensor, pings))
-    heard = {name: ranges for name, pings in alone.items() if (ranges := _ranges(pings))}
+    with_echo = {name: ranges for name, pings in alone.items() if (ranges := _ranges(pings))}
     if len(alone) > 1:
         findings.append(_crosstalk(airframe, polled, clock, alone))
     delays_s = [each.answered_s - each.echo_s for pings in alone.values() for each in pings if each.range_m is not None]
     return Looked(
         findings,
-        {name: median(ranges) for name, ranges in heard.items()},
+        {name: median(ranges) for name, ranges in with_echo.items()},
         min(delays_s) if delays_s else None,
     )
 
@@ -263,9 +263,9 @@ def _crosstalk(
                 moved.append(name)
     if disturbed:
         remedy = (
-            "raise polling.ping_interval_s, take sensors that hear each other out of a group, or turn them outwards"
+            "raise polling.ping_interval_s, take sensors that disturb each other out of a group, or turn them outwards"
         )
-        return wrong(step, f"sensors hear each other: {', '.join(disturbed)}", remedy)
+        return wrong(step, f"sensors disturb each other: {', '.join(disturbed)}", remedy)
     if moved:
         return unknown(step, f"{', '.join(moved)} moved meanwhile", "hold the vehicle still and try again")
     return right(step, "each reads alone as it does in turn with the others")

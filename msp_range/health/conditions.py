@@ -1,7 +1,7 @@
 """Health as a pilot wants it reported: once when it changes, and again when an autopilot comes back.
 
-Every sensor is good or bad; one odd reading changes nothing, three of a kind in a row do. What is wrong is told in at
-most 50 characters, the length of a STATUSTEXT.
+Every sensor is good or bad; one odd reading changes nothing, three of a kind in a row do. What is wrong is reported in
+at most 50 characters, the length of a STATUSTEXT.
 """
 
 from collections import deque

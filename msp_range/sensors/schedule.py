@@ -14,7 +14,7 @@ from msp_range.reading import Reading
 from msp_range.sensors.base import RangeSensor
 
 DEAD_AFTER = 3
-"""Number of successive faults after which a sensor's turns are given to the others; the pilot is told at the same time
+"""Number of successive faults after which a sensor's turns are given to the others; the pilot then gets a text
 (`msp_range.health`). With fewer, sensors that sometimes fail lose their turns; with more, the turns of a dead sensor
 are given away later, by one cycle each. Four sensors that each fail in 40 % of their readings give 517 fused distances
 per minute with 2, 542 with 3, 550 with 4; with 20 % faults 592, 593 and 594."""

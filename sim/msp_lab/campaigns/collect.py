@@ -57,7 +57,7 @@ class Operator(Protocol):
     def on_reading(
         self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
-        """Receive each reading as it comes in; STOP ends the session, everything else continues."""
+        """Receive each reading when it arrives; STOP ends the session, everything else continues."""
         ...
 
     def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:

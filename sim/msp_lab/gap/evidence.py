@@ -8,6 +8,10 @@ rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & 
 What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs counts by
 Student's t of as many runs. So an effect is judged at the level at which it varies: that of the shift by which the two
 fits differ.
+
+The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
+runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
+sums by run, relative to that of as many independent readings, again by Student's t.
 """
 
 import numpy as np
@@ -124,12 +128,12 @@ def evidence_nats(
     plain = (larger.log_likelihood - smaller.log_likelihood) * scale
     if unit is None:
         return plain
+    runs = int(np.unique(unit).size)
     gained = plain + offset_nats(larger, unit, scale) - offset_nats(smaller, unit, scale)
     if gained > 0.0:
         inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
-        between = _between(gained - inside, int(np.unique(unit).size))
-        gained = inside / wander_inflation(smaller, larger, unit) + between
-    gained = max(gained, _by_scatter(plain / _inflation(smaller, larger, unit), int(np.unique(unit).size)))
+        gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
+    gained = max(gained, _by_scatter(plain / _inflation(smaller, larger, unit), runs))
     if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
         gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
     return gained

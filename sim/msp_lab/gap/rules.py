@@ -283,7 +283,7 @@ ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
 SEPARABLE_Z = 3.0
-"""Two effects can be told apart if their scores differ by so many standard errors. Never wrong in a trial with known
+"""Two effects are distinguishable if their scores differ by so many standard errors. Never wrong in a trial with known
 effects. Lower: pairs are resolved wrongly; higher: more alternatives."""
 KEEP_SHARE = 0.6
 """A term stays while it gains this share of what it needed to come in. What was certain alone may share its evidence

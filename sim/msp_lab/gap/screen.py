@@ -233,8 +233,6 @@ class Screen:
         The largest |z|, and the value that it passes with probability alpha where nothing is missing.
     p_value
         Of the largest of those that are no numbers of the base.
-    inflation
-        Variance of the sums over runs against that of independent readings; 1 where they are independent.
     best
         Numbers at which the profile is highest; NaN where there is none.
     """
@@ -245,7 +243,6 @@ class Screen:
     largest: float
     critical: float
     p_value: float
-    inflation: _Array
     best: _Array
 
     @property
@@ -334,7 +331,7 @@ def screen(
     p_value = float((1 + np.sum(beyond)) / (1 + rules.SCREEN_DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
     largest = float(np.abs(z).max(initial=0.0))
-    return Screen(z, 0.5 * z**2, deviation, largest, critical, p_value, inflation, measured.best)
+    return Screen(z, 0.5 * z**2, deviation, largest, critical, p_value, measured.best)
 
 
 def _projection(information: _Array, nuisance: NDArray[np.intp], others: NDArray[np.intp]) -> _Array:

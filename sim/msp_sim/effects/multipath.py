@@ -10,8 +10,8 @@ from msp_sim.effects.component import Normal
 
 def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
     twice_cm = 2.0 * scene.range_cm
-    heard = twice_cm < scene.sensor.maximum_cm
-    return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(heard, values["share"], 0.0))
+    in_range = twice_cm < scene.sensor.maximum_cm
+    return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(in_range, values["share"], 0.0))
 
 
 MULTIPATH = Effect(
