@@ -48,6 +48,8 @@ class Terms:
         Parameters, and those from sigma_growth on whose derivatives are computed.
     below
         Compute the probability of all readings up to each one, instead of its own.
+    reference_cm2
+        Variance of the error of each expected range [cm^2], part of the hits' variance.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Terms:
         theta: _Array,
         free: frozenset[int],
         below: bool = False,
+        reference_cm2: float | _Array = 0.0,
     ) -> None:
         self.theta, self.free = theta, free
         lowest, highest, step = grid.minimum_cm, grid.maximum_cm, grid.resolution_cm
@@ -69,7 +72,7 @@ class Terms:
         self.expected = np.fmin(expected_cm, UNHEARD)
         # Spread and missed echoes may depend on the range within 0 ... maximum [cm].
         self.within = np.clip(self.expected, 0.0, highest)
-        variance = math.exp(2.0 * theta[T])
+        variance = math.exp(2.0 * theta[T]) + reference_cm2
         self.variance: float | _Array = variance
         if theta[V] != 0.0 or V in free:
             self.variance = variance + theta[V] * self.within * self.within
@@ -171,26 +174,35 @@ def optional(moving: Sequence[int]) -> frozenset[int]:
     return frozenset(number for number in moving if number >= V)
 
 
-def probabilities(grid: ReadingGrid, theta: _Array, reading_cm: _Array, expected_cm: _Array) -> tuple[_Array, _Array]:
+def probabilities(
+    grid: ReadingGrid,
+    theta: _Array,
+    reading_cm: _Array,
+    expected_cm: _Array,
+    reference_cm2: _Array | None = None,
+) -> tuple[_Array, _Array]:
     """Probability of a smaller reading than each, and of each itself, (n,).
 
     Codes are ordered among the readings by their number.
     """
     cell = grid.cell(reading_cm)
+    if reference_cm2 is None:
+        reference_cm2 = np.zeros(cell.size)
     second_cm, share = grid.second_no_echo_cm, theta[S] if grid.second_no_echo_cm is not None else 0.0
     free = optional([number for number in (V, G) if theta[number] != 0.0])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-        missed = Terms(grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free).q
+        missed = Terms(grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free, False, reference_cm2).q
         # The grid's readings up to a value, which for a code off the grid lies between two cells.
         on_grid = grid.cells - 1 if grid.code_on_grid else grid.cells
         place = np.ceil((reading_cm - grid.minimum_cm) / grid.resolution_cm - 0.5)
         place = np.clip(place, 0, on_grid).astype(np.int64)
-        up_to = Terms(grid, np.maximum(place - 1, 0), expected_cm, theta, free, below=True).q
+        up_to = Terms(grid, np.maximum(place - 1, 0), expected_cm, theta, free, True, reference_cm2).q
         below = np.where(place > 0, up_to, 0.0)
         own = np.where(cell == SECOND_NO_ECHO, -1 if grid.second_cell is None else grid.second_cell, cell)
         itself = np.zeros(reading_cm.size)
         ordinary = own >= 0
-        itself[ordinary] = Terms(grid, own[ordinary], expected_cm[ordinary], theta, free).q
+        some = grid, own[ordinary], expected_cm[ordinary], theta, free, False, reference_cm2[ordinary]
+        itself[ordinary] = Terms(*some).q
     below += np.where(reading_cm > grid.code_cm, (1.0 - share) * missed, 0.0)
     itself += np.where(cell == NO_ECHO, (1.0 - share) * missed, 0.0)
     if second_cm is not None:

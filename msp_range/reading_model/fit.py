@@ -49,6 +49,7 @@ def fit_readings(
     offset: bool = False,
     scale: bool = False,
     growth: bool = False,
+    reference_std_cm: ArrayLike | None = None,
 ) -> FitResult:
     """Fit the base mixture to readings.
 
@@ -66,6 +67,9 @@ def fit_readings(
     growth
         Test whether spread and missed echoes depend on range, and select by BIC. This assumes independent readings;
         otherwise it selects too much.
+    reference_std_cm
+        Standard deviation of each expected range's own normal error [cm], (n,); None: they are exact. It widens the
+        hits and is no part of sigma.
 
     Returns
     -------
@@ -90,7 +94,8 @@ def fit_readings(
     """
     reading, expected = columns(reading_cm, expected_cm)
     cell = _checked_cells(reading, expected, grid)
-    rows = _counted(grid, cell, expected)
+    reference_cm2 = None if reference_std_cm is None else np.asarray(reference_std_cm, dtype=np.float64) ** 2
+    rows = _counted(grid, cell, expected, reference_cm2)
     moving = [mix.U, mix.R, mix.M, mix.T, mix.L]
     if grid.second_no_echo_cm is not None:
         moving.append(mix.S)
@@ -151,8 +156,10 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
     return cell
 
 
-def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array) -> Likelihood:
+def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array, reference_cm2: _Array | None) -> Likelihood:
     """The likelihood of the rows; equal ones are combined if there are few ranges."""
+    if reference_cm2 is not None and reference_cm2.any():
+        return Likelihood(grid, cell, expected, np.ones(expected.size), reference_cm2)
     sample = expected[:: max(expected.size // 5_000, 1)]
     if np.unique(sample).size > FEW_RANGES * sample.size:
         return Likelihood(grid, cell, expected, np.ones(expected.size))

@@ -164,10 +164,13 @@ class FitResult:
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[int, ...] = field(repr=False, compare=False)
 
-    def below(self, reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
+    def below(
+        self, reading_cm: ArrayLike, expected_cm: ArrayLike, reference_std_cm: ArrayLike = 0.0
+    ) -> tuple[_Array, _Array]:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)
-        return mix.probabilities(self.grid, self._optimum.theta, reading, expected)
+        reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
+        return mix.probabilities(self.grid, self._optimum.theta, reading, expected, reference_cm2)
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter.

@@ -26,12 +26,13 @@ class _Kind(NamedTuple):
     cell: NDArray[np.int64]
     expected_cm: _Array
     times: _Array
+    reference_cm2: _Array
 
     def chunks(self) -> "Iterator[_Kind]":
         """A part of the rows at a time."""
         for start in range(0, self.cell.size, CHUNK):
             rows = slice(start, start + CHUNK)
-            yield _Kind(self.cell[rows], self.expected_cm[rows], self.times[rows])
+            yield _Kind(self.cell[rows], self.expected_cm[rows], self.times[rows], self.reference_cm2[rows])
 
 
 class Likelihood:
@@ -43,15 +44,25 @@ class Likelihood:
         The possible readings.
     cell, expected_cm, count
         Arrays of length n: cell of the grid, expected range [cm] (infinite: no echo), and count.
+    reference_cm2
+        Variance of the error of each expected range [cm^2], (n,); None: they are exact.
     """
 
-    def __init__(self, grid: ReadingGrid, cell: NDArray[np.int64], expected_cm: _Array, count: _Array) -> None:
+    def __init__(
+        self,
+        grid: ReadingGrid,
+        cell: NDArray[np.int64],
+        expected_cm: _Array,
+        count: _Array,
+        reference_cm2: _Array | None = None,
+    ) -> None:
         self.grid = grid
         self.readings = float(count.sum())
         self.rows = cell.size
         self._cell, self._expected_cm, self._count = cell, expected_cm, count
+        self._reference_cm2 = np.zeros(cell.size) if reference_cm2 is None else reference_cm2
         self._ordinary, self._missed, self._second = (
-            _Kind(cell[rows], expected_cm[rows], count[rows])
+            _Kind(cell[rows], expected_cm[rows], count[rows], self._reference_cm2[rows])
             for rows in (cell >= 0, cell == NO_ECHO, cell == SECOND_NO_ECHO)
         )
         self.no_echoes = float(self._missed.times.sum())
@@ -80,7 +91,8 @@ class Likelihood:
     def part(self, every: int) -> "Likelihood":
         """The likelihood of every n-th row."""
         rows = slice(None, None, every)
-        return Likelihood(self.grid, self._cell[rows], self._expected_cm[rows], self._count[rows])
+        columns = self._cell[rows], self._expected_cm[rows], self._count[rows], self._reference_cm2[rows]
+        return Likelihood(self.grid, *columns)
 
     def derivatives(self, theta: _Array, free: frozenset[int]) -> tuple[float, _Array, _Array]:
         """Value, gradient (k,) and Hessian (k, k) at `theta` (k,).
@@ -91,7 +103,7 @@ class Likelihood:
         value, gradient, hessian = 0.0, np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
             for kind in (*self._ordinary.chunks(), *self._missed.chunks()):
-                terms = Terms(self.grid, kind.cell, kind.expected_cm, theta, free)
+                terms = Terms(self.grid, kind.cell, kind.expected_cm, theta, free, False, kind.reference_cm2)
                 value += _add(terms, kind.times, gradient, hessian)
             if self.no_echoes:
                 first = 1.0 - theta[S]
@@ -110,15 +122,15 @@ class Likelihood:
         self, kind: "_Kind", theta: _Array, free: frozenset[int], gradient: _Array, hessian: _Array
     ) -> float:
         """Readings of the second code: p = q(its own cell) + s q(no echo)."""
-        cell, expected_cm, count = kind
-        missed = Terms(self.grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free)
+        cell, expected_cm, count, reference_cm2 = kind
+        missed = Terms(self.grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free, False, reference_cm2)
         p = theta[S] * missed.q
         by_missed = dict(missed.first())
         first = {i: theta[S] * each for i, each in by_missed.items()}
         own = None
         if self.grid.second_cell is not None:
             own_cell = np.full_like(cell, self.grid.second_cell)
-            own = Terms(self.grid, own_cell, expected_cm, theta, free)
+            own = Terms(self.grid, own_cell, expected_cm, theta, free, False, reference_cm2)
             p = p + own.q
             for i, each in own.first():
                 first[i] = first[i] + each

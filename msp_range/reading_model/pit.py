@@ -47,10 +47,14 @@ class GoodnessOfFit:
 
 
 def pit_values(
-    result: FitResult, reading_cm: ArrayLike, expected_cm: ArrayLike, rng: np.random.Generator
+    result: FitResult,
+    reading_cm: ArrayLike,
+    expected_cm: ArrayLike,
+    rng: np.random.Generator,
+    reference_std_cm: ArrayLike = 0.0,
 ) -> NDArray[np.float64]:
     """Transform each reading to 0 ... 1, (n,); NaN for what the sensor cannot report."""
-    below, itself = result.below(reading_cm, expected_cm)
+    below, itself = result.below(reading_cm, expected_cm, reference_std_cm)
     transformed = below + rng.random(below.size) * itself
     transformed[itself <= 0.0] = np.nan
     return np.clip(transformed, 0.0, 1.0)
@@ -62,6 +66,7 @@ def goodness_of_fit(
     expected_cm: ArrayLike,
     rng: np.random.Generator,
     fitted_here: bool = True,
+    reference_std_cm: ArrayLike = 0.0,
 ) -> GoodnessOfFit:
     """Test whether the readings could come from the fitted mixture.
 
@@ -76,13 +81,15 @@ def goodness_of_fit(
     fitted_here
         Whether the parameters were fitted to these readings. They then fit better than they should, by as many
         degrees of freedom as were fitted.
+    reference_std_cm
+        Standard deviation of the error of each expected range [cm], a number or (n,).
 
     Raises
     ------
     ValueError
         There are too few readings for a histogram, or the model says that one cannot be.
     """
-    transformed = pit_values(result, reading_cm, expected_cm, rng)
+    transformed = pit_values(result, reading_cm, expected_cm, rng, reference_std_cm)
     readings = transformed.size
     if readings < BINS * FEWEST_IN_BIN:
         raise ValueError(f"found {readings} readings, expected at least {BINS * FEWEST_IN_BIN}")

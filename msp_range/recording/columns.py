@@ -6,6 +6,7 @@ BASE_COLUMNS = {
     "run": "name of the session; times of different runs do not compare",
     "reading_cm": "distance as the sensor reported it [cm]; empty: no answer",
     "true_range_cm": "perpendicular distance to the surface [cm]",
+    "true_range_std_cm": "standard deviation of that distance's error [cm]; empty: exact",
 }
 CONTEXT_COLUMNS = {
     "condition": "which experiment of a campaign the reading belongs to, a word",

@@ -84,7 +84,7 @@ def calibrate(
     errors = [point.found.error for point in points if point.found.error is not None]
     variance = np.array([standard_error(error) ** 2 for error in errors])
     # A point whose readings give no interval counts as one rounded reading.
-    variance = np.where(np.isfinite(variance), variance, 1.0)
+    variance = np.where(np.isfinite(variance), variance, 1.0) + [point.placement_cm2 for point in used]
     true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
     reading_cm = np.array([point.range_cm + error.value for point, error in zip(used, errors, strict=True)])
     runs = np.unique([point.run for point in used], return_inverse=True)[1].ravel().astype(np.float64)

@@ -76,8 +76,14 @@ def fit_mixture(
         ]
         or [np.empty(0)]
     )
+    # The mean of a placement's own hits has the error of its one reference in it.
+    reference_cm = [
+        point.reference_std_cm if set_up is None else np.zeros(point.reading_cm.size)
+        for point, set_up in zip(points, set_ups, strict=True)
+    ]
     answered = ~np.isnan(reading_cm)
     reading_cm, expected_cm = reading_cm[answered], expected_cm[answered]
+    reference_std_cm = np.concatenate(reference_cm or [np.empty(0)])[answered]
     grid = ReadingGrid.of(sensor)
     if sensor.reading_model.saturated_fraction == 0.0:
         grid = replace(grid, second_no_echo_cm=None)
@@ -86,12 +92,13 @@ def fit_mixture(
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
     try:
-        result = fit_readings(whole, expected_cm, grid, growth=np.unique(expected_cm).size > 1)
+        growth = np.unique(expected_cm).size > 1
+        result = fit_readings(whole, expected_cm, grid, growth=growth, reference_std_cm=reference_std_cm)
     except (FitError, ValueError) as error:
         return str(error)
     good = None
     try:
-        good = goodness_of_fit(result, whole, expected_cm, rng)
+        good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
         notes.append(good.note)
     except ValueError as error:
         notes.append(f"how well it fits is not known: {error}")

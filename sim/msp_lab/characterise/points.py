@@ -77,6 +77,8 @@ class PointReadings:
         As in `findings.PointResult`.
     reading_cm, true_range_cm, air_temperature_c
         A row each; NaN where there was no answer, or where the temperature is unknown.
+    reference_std_cm
+        Standard deviation of the error of each row's true range [cm]; 0 where it is not stated.
     incidence_deg, target_temperature_c
         NaN where unknown.
     sensor_model
@@ -94,6 +96,7 @@ class PointReadings:
     reading_cm: _Array
     true_range_cm: _Array
     air_temperature_c: _Array
+    reference_std_cm: _Array
     incidence_deg: float
     target_temperature_c: float
     sensor_model: SensorModel
@@ -104,6 +107,16 @@ class PointReadings:
     def range_cm(self) -> float:
         """True range, the mean over the point [cm]."""
         return float(self.true_range_cm.mean())
+
+    @property
+    def is_fixed(self) -> bool:
+        """All readings have the same true range, and so the same error of it."""
+        return bool((self.true_range_cm == self.true_range_cm[0]).all())
+
+    @property
+    def placement_cm2(self) -> float:
+        """Variance of an error that the true ranges of all readings have in common [cm^2]."""
+        return float(np.mean(self.reference_std_cm**2)) if self.is_fixed else 0.0
 
     @cached_property
     def is_code(self) -> NDArray[np.bool_]:
@@ -172,11 +185,11 @@ class PointReadings:
         if self.hits < MIN_HITS:
             return None
         # Readings are whole steps, and errors too where the truth is one number.
-        truth = float(self.true_range_cm[0])
-        is_fixed = bool((self.true_range_cm == truth).all())
+        truth, is_fixed = float(self.true_range_cm[0]), self.is_fixed
         found = self.reading_cm[self.is_hit] - (0.0 if is_fixed else self.true_range_cm[self.is_hit])
         mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0)
-        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), spread)
+        reference_cm2 = 0.0 if is_fixed else float(np.mean(self.reference_std_cm[self.is_hit] ** 2))
+        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), _without(spread, reference_cm2))
 
     @property
     def hits(self) -> int:
@@ -237,6 +250,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
         return []
     size = len(known)
     numbers = {name: _numbers(known, name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
+    reference_std_cm = np.nan_to_num(_numbers(known, "true_range_std_cm"))
     condition = conditions(known)
     words = {name: known[name] if name in known else np.full(size, "") for name in ("sensor", "run", "target")}
     level = _levels(known, condition, words["target"], numbers["air_temperature_c"], sensor_model.frequency_hz)
@@ -258,6 +272,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
             reading_cm=known["reading_cm"][member],
             true_range_cm=truth[member],
             air_temperature_c=numbers["air_temperature_c"][member],
+            reference_std_cm=reference_std_cm[member],
             incidence_deg=_mean(numbers["incidence_deg"][member]),
             target_temperature_c=_mean(numbers["target_temperature_c"][member]),
             sensor_model=sensor_model,
@@ -353,6 +368,17 @@ def _known(value: float) -> float | None:
 
 def _word(value: float, unit: str) -> str:
     return "" if math.isnan(value) else f"{value:g} {unit}"
+
+
+def _without(spread: IntervalEstimate, variance: float) -> IntervalEstimate:
+    """A standard deviation and its interval without a variance that is known to be part of it."""
+    if variance == 0.0:
+        return spread
+    value, low, high = (
+        None if each is None else math.sqrt(max(each**2 - variance, 0.0))
+        for each in (spread.value, spread.low, spread.high)
+    )
+    return replace(spread, value=value or 0.0, low=low, high=high)
 
 
 def _shifted(estimate: IntervalEstimate, by: float) -> IntervalEstimate:

@@ -16,11 +16,11 @@ from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS
-from msp_sim.effects.base import WORD_COLUMNS
+from msp_sim.effects.base import REFERENCE_STD, WORD_COLUMNS
 from msp_sim.effects.curve import CurveChannel, hats
 
 _Array = NDArray[np.float64]
-NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition"})
+NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
 ODDS_CHANNELS = ("short", "missed", "random")
 
 

@@ -20,6 +20,7 @@ from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import step_of
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
+from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
@@ -236,7 +237,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
 def _constant(data: MeasuredData) -> tuple[tuple[str, str], ...]:
     found = []
     for name, column in data.columns.items():
-        if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor"):
+        if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor", REFERENCE_STD):
             continue
         known = column[~np.isnan(column)] if column.dtype.kind == "f" else column[column != ""]
         if known.size and (known == known[0]).all():

@@ -135,10 +135,12 @@ class ChannelSlopes:
         if self.carry is None or channel > 1:
             return self.by[:, channel] * template
         template = np.broadcast_to(template, self.log_p.shape)
-        before = template[self.carry.before]
         if channel == 0:
-            return self.own_centre * (template - self.carry.factor * before)
-        return self.by[:, 1] * template + self.own_centre * self.carry.shift_cm * (template - before)
+            return self.own_centre * (template - self.carry.factor * template[self.carry.before])
+        # Of the logarithm of the whole spread, of which the sensor's own is a part.
+        whole = self.rows.within_share * template
+        carried: _Array = self.own_centre * self.carry.shift_cm * (whole - whole[self.carry.before])
+        return self.by[:, 1] * template + carried
 
 
 def channel_slopes(rows: ModelRows, reading_cm: _Array) -> ChannelSlopes:

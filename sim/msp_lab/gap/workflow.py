@@ -22,9 +22,10 @@ from msp_lab.gap.runs import Split, split
 from msp_lab.gap.slices import ranked, remeasured
 from msp_lab.gap.verdict import sentence, verdict
 from msp_lab.readings.intake import PREVIOUS
+from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.model.model import Model
 
-NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm"})
+NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD})
 
 
 @dataclass(frozen=True)

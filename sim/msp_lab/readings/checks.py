@@ -23,6 +23,7 @@ TEMPERATURES_C = {"air_temperature_c": (-50.0, 65.0), "target_temperature_c": (-
 """Temperatures outside of these limits are taken for another unit [deg C]: air that people and sensors endure, and
 what asphalt reaches in the sun. Narrower limits would refuse hot boxes, wider ones accept deg F."""
 CONTEXT_LIMITS = {
+    "true_range_std_cm": (0.0, 1000.0, "the standard deviation of true_range_cm's error in cm, 0 or more"),
     "humidity_pct": (0.0, 100.0, "per cent of saturation, 0 to 100"),
     "incidence_deg": (-90.0, 90.0, "degrees between beam and normal, -90 to 90"),
     "throttle": (0.0, 1.0, "a share, 0 to 1"),

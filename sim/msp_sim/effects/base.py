@@ -22,6 +22,7 @@ Array: TypeAlias = NDArray[np.float64]
 Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "component", "code"]
 
 TRUE_RANGE = "true_range_cm"
+REFERENCE_STD = "true_range_std_cm"
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 """Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 

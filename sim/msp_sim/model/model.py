@@ -19,7 +19,7 @@ from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
+from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE, WORD_COLUMNS, Effect, Scene
 from msp_sim.effects.curve import CURVE, MAX_VALUE, curve
 from msp_sim.effects.own import find_effect
 from msp_sim.model.history import HISTORY_COLUMNS, History
@@ -102,7 +102,7 @@ class Model:
     def columns(self) -> frozenset[str]:
         """Context columns that the model uses."""
         history = HISTORY_COLUMNS if self.sensor.reading_model.correlation > 0.0 else ()
-        return frozenset({TRUE_RANGE, *history}).union(*(each.effect.columns for each in self.effects))
+        return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(*(each.effect.columns for each in self.effects))
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> _Array:
         """Draw one reading for each context.
@@ -110,7 +110,9 @@ class Model:
         Parameters
         ----------
         contexts
-            Columns of length n by name; ``true_range_cm`` is required, NaN if there is no echo.
+            Columns of length n by name; ``true_range_cm`` is required, NaN if there is no echo. Where
+            ``true_range_std_cm`` is known, the true range has a normal error with that standard deviation, which
+            widens the hits.
         rng
             A generator, or random streams, which continue from their present state.
 
@@ -189,7 +191,13 @@ def base_rows(model: Model, scene: Scene) -> ModelRows:
     history = None
     if parameters.correlation > 0.0:
         history = history_of(scene, parameters.correlation, parameters.correlation_spacing_s)
-    return ModelRows(**base | {"sigma_cm": np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)}, history=history)
+    own_cm = np.broadcast_to(base["sigma_cm"], base["centre_cm"].shape)
+    known = scene.known(REFERENCE_STD)
+    if known is False:
+        return ModelRows(**base | {"sigma_cm": own_cm}, history=history)
+    reference_cm2 = np.asarray(np.where(known, scene[REFERENCE_STD], 0.0), dtype=np.float64) ** 2
+    sigma_cm = np.sqrt(own_cm**2 + reference_cm2)
+    return ModelRows(**base | {"sigma_cm": sigma_cm}, history=history, reference_cm2=reference_cm2)
 
 
 def history_of(scene: Scene, correlation: float, spacing_s: float) -> History:

@@ -88,25 +88,37 @@ class ModelRows(MixtureRows):
         Which reading came before which, if the noise is correlated. Then a reading's probability is that after the
         readings before it: with e_j the error of the last hit j and c their correlation, its hit is normal about
         centre_i + c (sigma_i / sigma_j) e_j with the deviation sigma_i sqrt(1 - c^2).
+    reference_cm2
+        Variance of the error of each reading's true range [cm^2], (n,) or a number; part of ``sigma_cm``. A normal
+        error of the reference widens the hits, and what is counted from them, exactly; the end of short readings,
+        which lies below the hits, is not blurred.
     """
 
     added: tuple[AddedComponent, ...] = ()
     faults: tuple[AppliedFault, ...] = ()
     run_offsets: tuple[RunOffset, ...] = ()
     history: History | None = None
+    reference_cm2: Any = 0.0
 
     @property
     def between_cm2(self) -> Any:
         """Variance of the hits between runs [cm^2]."""
         return sum(np.where(runs != "", deviation_cm**2, 0.0) for deviation_cm, runs, _ in self.run_offsets)
 
+    @property
+    def within_share(self) -> Any:
+        """Share of the hits' variance that is the sensor's own scatter within a run: not the offsets of runs, and not
+        the reference's error."""
+        if not self.run_offsets and np.ndim(self.reference_cm2) == 0 and self.reference_cm2 == 0.0:
+            return 1.0
+        return np.maximum(1.0 - (self.between_cm2 + self.reference_cm2) / self.sigma_cm**2, 0.0)
+
     def wider(self, factor: Any) -> "ModelRows":
-        """A copy with the spread within runs multiplied by a factor; that between runs is unchanged."""
-        if not self.run_offsets:
+        """A copy with the sensor's spread within runs multiplied by a factor; the rest of the spread is unchanged."""
+        within = self.within_share
+        if np.ndim(within) == 0 and within == 1.0:
             return replace(self, sigma_cm=self.sigma_cm * factor)
-        between_cm2 = self.between_cm2
-        within_cm2 = np.maximum(self.sigma_cm**2 - between_cm2, 0.0)
-        return replace(self, sigma_cm=np.sqrt(within_cm2 * factor**2 + between_cm2))
+        return replace(self, sigma_cm=self.sigma_cm * np.sqrt(1.0 - within + within * factor**2))
 
     @property
     def marginal(self) -> Self:
@@ -135,6 +147,9 @@ class ModelRows(MixtureRows):
             centre_cm=self.centre_cm + carry.shift_cm,
             sigma_cm=sigma_cm * np.sqrt(left),
             history=None,
+            # What is known of the error takes the same share from each of its parts.
+            run_offsets=(),
+            reference_cm2=(self.between_cm2 + self.reference_cm2) * left,
         )
         return rows, replace(carry, log_sigma_slope=-carry.log_sigma_slope / left)
 
@@ -154,6 +169,7 @@ class ModelRows(MixtureRows):
             added=tuple(AddedComponent(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
             faults=tuple(AppliedFault(take(share, rows), fault, stream) for share, fault, stream in self.faults),
             run_offsets=tuple(RunOffset(each, runs[rows], stream) for each, runs, stream in self.run_offsets),
+            reference_cm2=take(self.reference_cm2, rows),
         )
 
     def sample(self, streams: RandomStreams) -> _Array:

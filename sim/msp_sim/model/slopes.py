@@ -43,8 +43,7 @@ def slopes(rows: ModelRows, reading_cm: _Array) -> tuple[_Array, _Array]:
     parts = rows.of_readings(reading_cm, ModelRows.slopes)
     p = np.maximum(parts[0], MIN_PROBABILITY)
     by = np.where(parts[0] > MIN_PROBABILITY, parts[1:] / p, 0.0)
-    if rows.run_offsets:
-        by[1] *= 1.0 - rows.between_cm2 / rows.sigma_cm**2
+    by[1] *= rows.within_share
     return np.log(p), np.ascontiguousarray(by.T)
 
 
