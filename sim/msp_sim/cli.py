@@ -123,22 +123,28 @@ def sample(
     seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
     effects: OwnEffects = None,
 ) -> None:
-    """Draw one reading from a sensor model for each row of a CSV."""
-    require("sim", "msp-sim sample")
-    from numpy.random import default_rng
+    """Draw one reading from a sensor model for each row of a CSV.
 
+    Columns that the model uses and the CSV lacks are computed from others where that is possible: the rate of the
+    range, the time in the run, the incidence from roll_deg and pitch_deg. The previous reading is the one drawn before.
+    """
+    require("sim", "msp-sim sample")
     from msp_range.recording.csv_form import read_csv, write_csv
     from msp_sim.effects.own import add_own_effects
+    from msp_sim.model.derived import PREVIOUS, sample_in_order, with_derived
     from msp_sim.model.model import load_model
 
     add_own_effects(effects or ())
     readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
-    reading_cm = readings.sample(given.columns, default_rng(seed))
-    write_csv(out, {**given.columns, "reading_cm": reading_cm})
+    columns, derived = with_derived(readings, given.columns)
+    reading_cm = sample_in_order(readings, columns, seed)
+    write_csv(out, {**columns, "reading_cm": reading_cm})
     print(f"{out}: {len(given)} readings", file=sys.stderr)
+    for name, words in derived.items():
+        print(f"{name} was computed from {words}", file=sys.stderr)
     for effect in readings.effects:
-        absent = [name for name in effect.effect.requires if name not in given]
+        absent = [name for name in effect.effect.requires if name not in columns and name != PREVIOUS]
         if absent:
             print(f"{effect.stream} has no effect: there is no column {', '.join(absent)}", file=sys.stderr)
 
