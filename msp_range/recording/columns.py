@@ -18,6 +18,7 @@ CONTEXT_COLUMNS = {
     "throttle": "throttle, 0 to 1",
     "vibration_hz": "frequency of vibration [Hz]",
     "uptime_s": "time since the sensor was powered [s]",
+    "time_in_run_s": "time since the first reading of the run [s]",
     "target": "what the beam meets, a word",
     "target_size_cm": "shorter side of the target [cm]",
     "neighbour_lag_ms": "time since the last ping of another sensor [ms]; empty: none",

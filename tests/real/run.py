@@ -141,7 +141,9 @@ def found_in(gap: Mapping[str, Any]) -> tuple[Found, ...]:
             values = {name: each["value"] for name, each in effect.get("parameters", {}).items()}
             found.append(Found(names, values))
     for unknown in gap.get("unknown", ()):
-        found.append(Found(frozenset(f"unknown {unknown['channel']} of {name}" for name in unknown["variables"])))
+        # The time in the run is the time, where runs are as they were recorded.
+        variables = ["time_s" if name == "time_in_run_s" else name for name in unknown["variables"]]
+        found.append(Found(frozenset(f"unknown {unknown['channel']} of {name}" for name in variables)))
     for calibration in gap.get("calibration", ()):
         # reading_model.missed_growth_per_m is named by its last part.
         found.append(Found(frozenset({f"calibration {calibration['name'].rpartition('.')[2]}"})))

@@ -152,3 +152,24 @@ def test_a_file_that_is_no_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted(MAPS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_maps_that_are_shipped_are_maps(path: Path) -> None:
     assert load_map([str(path)])
+
+
+def test_columns_of_ones_own_are_numbers_or_words(tmp_path: Path) -> None:
+    rows = "\n".join(
+        f"{100 + i},{4.5 + i / 1e4:.4f},{'a1' if i < 1500 else ''},{i if i < 2000 else 'none'}" for i in range(2100)
+    )
+    data = mapped(
+        tmp_path,
+        f"r,v,where,mixed\n{rows}\n",
+        "columns: {reading_cm: r, supply_mv: {column: v, factor: 1000}, anchor: where, state: mixed}\n",
+    )
+    assert data["supply_mv"][:2].tolist() == [4500.0, 4500.1]
+    assert (data["anchor"][0], data["anchor"][-1]) == ("a1", "")
+    # Words that begin after two thousand numbers: it was words all along.
+    assert (data["state"][0], data["state"][-1]) == ("0", "none")
+
+
+def test_without_a_time_column_nothing_drifts_over_the_rows_numbers(tmp_path: Path) -> None:
+    data = mapped(tmp_path, "r\n10\n11\n", "columns: {reading_cm: r}\n")
+    assert np.isnan(data["time_in_run_s"]).all()
+    assert "time_in_run_s" not in mapped(tmp_path, "r,t\n10,0\n11,1\n", "columns: {reading_cm: r, time_s: t}\n")

@@ -94,8 +94,8 @@ def test_the_columns_are_those_that_were_agreed() -> None:
     assert list(BASE_COLUMNS) == ["time_s", "sensor", "run", "reading_cm", "true_range_cm", "true_range_std_cm"]
     assert list(CONTEXT_COLUMNS) == [
         "condition", "air_temperature_c", "target_temperature_c", "humidity_pct", "incidence_deg", "range_rate_cm_s",
-        "throttle", "vibration_hz", "uptime_s", "target", "target_size_cm", "neighbour_lag_ms", "neighbour_range_cm",
-        "external_level_db", "external_duty", "external_distance_cm", "external_frequency_khz",
+        "throttle", "vibration_hz", "uptime_s", "time_in_run_s", "target", "target_size_cm", "neighbour_lag_ms",
+        "neighbour_range_cm", "external_level_db", "external_duty", "external_distance_cm", "external_frequency_khz",
     ]  # fmt: skip
 
 

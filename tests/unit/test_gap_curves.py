@@ -15,6 +15,7 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import split
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
+from msp_sim.model.sampler import Sampler
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 
@@ -164,3 +165,20 @@ def test_an_experiment_that_is_named_tells_the_two_apart() -> None:
     names = {apart.name, *(other.name for other in apart.alternatives)}
     assert names & {"range_scale", "thermometer_offset"}
     assert "air_temperature" not in names
+
+
+def test_a_column_of_words_of_ones_own_is_a_value_for_each() -> None:
+    contexts = flown(21)
+    anchor = np.random.default_rng(21).choice(["a1", "a2", "a3"], N)
+    contexts["anchor"] = anchor
+    best = forms(contexts, read(contexts, 21, 0.5 * (anchor == "a2")))[0]
+    assert (best.channel, best.variables, best.degrees) == ("bias", ("anchor",), 2)
+    found = MODEL.adding_curve("bias", ["anchor"], [["a1", "a2", "a3"]], [0.0, 30.0, 0.0])
+    drawn = found.sample({name: contexts[name] for name in ("true_range_cm", "anchor")}, np.random.default_rng(1))
+    off = drawn - number(contexts, "true_range_cm")
+    assert np.median(off[anchor == "a2"]) - np.median(off[anchor != "a2"]) == pytest.approx(30.0, abs=1.0)
+    # A word that the curve does not know has none of its values, and no word has none either.
+    alone = Sampler(found, np.random.default_rng(1))
+    many = [alone.sample_one({"true_range_cm": 100.0, "anchor": each}) for each in ["a2", "a9", None] for _ in range(9)]
+    assert np.median(many[:9]) == pytest.approx(130.0, abs=2.0)
+    assert np.median(many[9:]) == pytest.approx(100.0, abs=2.0)

@@ -147,3 +147,16 @@ def test_selected_sensors_only(tmp_path: Path) -> None:
     assert (set(found.data["sensor"]), len(found.data), found.sensors) == ({"left"}, 150, ("left",))
     with pytest.raises(RecordingError, match=r"no readings of the sensor 'centre'; there are some of left, right"):
         load_readings([path], SENSOR, sensors=["centre"])
+
+
+def test_the_time_in_the_run_is_made_from_the_time(tmp_path: Path) -> None:
+    half = np.arange(300) >= 150
+    columns = data(run=lambda c: np.where(half, "b", "a"), time_s=lambda c: 1000.0 * half + 0.1 * np.arange(300))
+    found = load_readings([written(tmp_path, columns)], SENSOR).data["time_in_run_s"]
+    assert (found[0], found[150]) == (0.0, 0.0)
+    assert [found[149], found[299]] == pytest.approx([14.9, 14.9])
+
+
+def test_a_time_since_power_up_is_not_doubled(tmp_path: Path) -> None:
+    known = written(tmp_path, data(uptime_s=lambda c: c["time_s"] + 5.0))
+    assert "time_in_run_s" not in load_readings([known], SENSOR).data

@@ -16,7 +16,7 @@ from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS
-from msp_sim.effects.base import REFERENCE_STD, WORD_COLUMNS
+from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.effects.curve import CurveChannel, hats
 
 _Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def variables_of(contexts: Mapping[str, Any]) -> dict[str, list[tuple[Any, ...]]
         if name in NO_VARIABLES:
             continue
         values = np.asarray(column)
-        if name in WORD_COLUMNS:
+        if values.dtype.kind == "U":
             words = [str(word) for word in np.unique(values) if word]
             if 2 <= len(words) <= max(rules.MAX_KNOTS.values()):
                 found[name] = [tuple(words)]
@@ -107,7 +107,7 @@ def curves_of(contexts: Mapping[str, Any]) -> CurveWeights:
     ]
     for count in rules.PAIR_KNOTS:
         coarse = {
-            name: sizes[0] if name in WORD_COLUMNS else _knots(np.asarray(contexts[name], dtype=float), count)
+            name: sizes[0] if isinstance(sizes[0][0], str) else _knots(np.asarray(contexts[name], dtype=float), count)
             for name, sizes in places.items()
         }
         names = [name for name, knots in coarse.items() if 2 <= len(knots) <= 4]
@@ -120,7 +120,7 @@ def curves_of(contexts: Mapping[str, Any]) -> CurveWeights:
         for name, its_knots in zip(variables, knots, strict=True):
             if (name, its_knots) not in single:
                 column = np.asarray(contexts[name])
-                known = (column != "") if name in WORD_COLUMNS else np.isfinite(column)
+                known = (column != "") if column.dtype.kind == "U" else np.isfinite(column)
                 single[name, its_knots] = hats(contexts, [name], [its_knots]) * known[:, None]
             own = single[name, its_knots]
             weight = (weight[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)

@@ -17,7 +17,12 @@ _UNITS = {
     "_s": "s",
     "_db": "dB",
 }
-_SPECIAL = {"range_rate_cm_s": "rate of the range", "uptime_s": "time since power-up", "incidence_deg": "incidence"}
+_SPECIAL = {
+    "range_rate_cm_s": "rate of the range",
+    "uptime_s": "time since power-up",
+    "time_in_run_s": "time in the run",
+    "incidence_deg": "incidence",
+}
 
 
 def unit_of(column: str) -> str:

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.csv_form import BLOCK, Column, MeasuredData, join_columns, word_column
 from msp_range.recording.csv_rows import csv_rows, short_list
@@ -39,6 +40,10 @@ _KINDS: dict[str, dict[str, tuple[float, float]]] = {
 """Ending of a column's name -> units that can be converted to it: (factor, offset)."""
 
 KNOWN = {**BASE_COLUMNS, **CONTEXT_COLUMNS}
+MISSPELT = 0.75
+"""Refuse a name that is no column of the CSV form but so similar to one (share of equal letters): it is a misspelling
+and no column of one's own. `reading` for `reading_cm` has 0.82; lower: `range_m` is refused too; higher: misspellings
+become columns that nothing uses."""
 _OPTION = re.compile(r"\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
 
 
@@ -75,7 +80,7 @@ class Part(Section):
     """One table of a file."""
 
     columns: dict[str, str | int | MappedColumn] = Field(min_length=1)
-    """Column of the CSV form -> its place; a name or a number alone is a column in the CSV form's unit."""
+    """Column of the CSV form, or of one's own -> its place; a name or a number alone needs no other unit."""
 
     @field_validator("columns")
     @classmethod
@@ -115,17 +120,22 @@ class ColumnMap(Part):
 
 
 def check(name: str, place: MappedColumn) -> None:
-    """Check that the CSV form has a column of this name, and that the unit is of its kind.
+    """Check that a column's name is none of the CSV form's misspelt, and that the unit is of its kind.
 
     Raises
     ------
     ValueError
-        It is neither; in one line.
+        It is, or it is not; in one line.
     """
     if name not in KNOWN:
-        near = difflib.get_close_matches(name, KNOWN, n=1, cutoff=0.4)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"found the column name {name!r}, which the CSV form does not have.{hint}")
+        near = difflib.get_close_matches(name, KNOWN, n=1, cutoff=MISSPELT)
+        if near:
+            raise ValueError(
+                f"found the column name {name!r}, which the CSV form does not have. Did you mean {near[0]!r}? "
+                "A column of your own needs a name that is less like it"
+            )
+        if not name.strip() or CONTROL.search(name):
+            raise ValueError(f"found the column name {name!r}, expected letters")
     if (place.column is None) == (place.value is None):
         raise ValueError(f"{name}: expected either a column or a value")
     if place.unit is not None and place.unit not in (units := _units(name)):
@@ -180,7 +190,8 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     Returns
     -------
     MeasuredData
-        ``time_s`` is the row's number and ``sensor`` the file's name if the map does not name them.
+        If the map does not name them, ``time_s`` is the row's number, ``time_in_run_s`` unknown and ``sensor`` the
+        file's name.
 
     Raises
     ------
@@ -203,9 +214,12 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     sizes = [part.size for part in parts]
     joined: dict[str, Column] = {}
     for name in names:
-        pieces = [piece for part in parts for piece in part.column(name)]
+        own_words = name not in KNOWN and any(part.has_words(name) for part in parts)
+        pieces = [piece for part in parts for piece in part.column(name, own_words)]
         joined[name] = join_columns(str(path), name, pieces)
-    joined.setdefault("time_s", np.arange(float(sum(sizes))))
+    if "time_s" not in joined:
+        # Numbers of rows keep their order, and are no time that anything could drift over.
+        joined |= {"time_s": np.arange(float(sum(sizes))), "time_in_run_s": np.full(sum(sizes), math.nan)}
     joined.setdefault("sensor", np.full(sum(sizes), path.name.split(".")[0]))
     data = MeasuredData(joined)
     for name, values in column_map.leave_out.items():
@@ -228,9 +242,17 @@ class _Part:
         self._where = {name: _index(path, header, name, place) for name, place in places.items()}
         self._columns: dict[str, list[Column]] = {name: [] for name in places}
 
-    def column(self, name: str) -> list[Column]:
-        """Pieces of a column of the CSV form, one after the other; unknown where this table does not have it."""
-        return self._columns.get(name) or [np.full(self.size, "" if name in WORD_COLUMNS else math.nan)]
+    def has_words(self, name: str) -> bool:
+        """Whether a column of one's own holds anything but numbers."""
+        return any(not _is_number(cell) for piece in self._columns.get(name, []) for cell in np.unique(piece).tolist())
+
+    def column(self, name: str, own_words: bool = False) -> list[Column]:
+        """Pieces of a column, one after the other; unknown where this table does not have it."""
+        is_word = own_words or name in WORD_COLUMNS
+        pieces = self._columns.get(name) or [np.full(self.size, "" if is_word else math.nan)]
+        if is_word or name in KNOWN or name not in self._columns:
+            return pieces
+        return [_converted(name, self.places[name], np.where(each == "", "nan", each).astype(float)) for each in pieces]
 
     def read(self, block: list[tuple[int, list[str]]], codes: Codes, maximum_cm: float) -> None:
         """Read some rows, each with the number of its line."""
@@ -244,7 +266,8 @@ class _Part:
                 self._columns[name].append(_constant(self._path, name, place, len(rows)))
                 continue
             cells = [row[index].strip() if index < len(row) else "" for _, row in rows]
-            if name in WORD_COLUMNS:
+            if name in WORD_COLUMNS or name not in KNOWN:
+                # Whether a column of one's own holds words is known when all of it is read.
                 self._columns[name].append(word_column(str(self._path), name, cells))
                 continue
             heading = self._header[index] or f"number {index + 1}"
@@ -280,7 +303,7 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
 
 
 def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
-    if name in WORD_COLUMNS:
+    if name in WORD_COLUMNS or name not in KNOWN:
         return np.repeat(word_column(str(path), name, [str(place.value)]), size)
     return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value))))
 
@@ -299,11 +322,15 @@ def _units(name: str) -> dict[str, tuple[float, float]]:
     return _KINDS[endings[-1]] if endings else {}
 
 
-def _number(path: Path, line: int, column: str, cell: str) -> float:
+def _is_number(cell: str) -> bool:
     try:
-        number = float(cell) if cell else math.nan
+        return not cell or not abs(float(cell)) > LARGEST_NUMBER
     except ValueError:
-        number = math.inf
+        return False
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    number = (float(cell) if cell else math.nan) if _is_number(cell) else math.inf
     if abs(number) > LARGEST_NUMBER:
         raise RecordingError(
             f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing"

@@ -23,9 +23,12 @@ from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
+from msp_sim.model.derived import time_in_run_s
 
 PREVIOUS = "previous_reading_cm"
 """Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
+TIME_IN_RUN = "time_in_run_s"
+"""Column that the intake adds where there is no time since power-up: time since the first row of the run [s]."""
 CLOCK_FAULT_CM = 32768.0
 """Readings from here on are a fault of the sensor's clock line and no distance: the highest bit of the answer is set.
 They are left out where a unit is judged by distances."""
@@ -114,6 +117,8 @@ def load_readings(
         sources.append(source)
     tables, renamed = with_runs(tables, paths, run_column)
     columns = dict(_joined(tables).columns)
+    if "uptime_s" not in columns:
+        columns.setdefault(TIME_IN_RUN, time_in_run_s(columns))
     # Many readings are held once, and not twice.
     tables.clear()
     name = ", ".join(str(path) for path in paths)

@@ -85,7 +85,7 @@ class EmulatedSensor:
         self._others[self._name] = (ping_s, ping.true_range_cm)
         self._keep(self._name, ping_s, ping, extra)
         context: dict[str, Any] = ping._asdict() | extra
-        context["sensor"], context["run"] = self._name, RUN
+        context["sensor"], context["run"], context["time_in_run_s"] = self._name, RUN, ping_s
         context["previous_reading_cm"] = self._previous_cm
         if not ping.heard:
             context["true_range_cm"] = None

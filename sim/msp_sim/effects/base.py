@@ -114,14 +114,14 @@ class Scene:
     def known(self, column: str) -> Any:
         """Rows in which a column is known: an array, or True for all rows, or False if the column is absent."""
         if column not in self._known:
-            self._known[column] = column in self._contexts and _is_known(column, self._contexts[column])
+            self._known[column] = column in self._contexts and _is_known(self._contexts[column])
         return self._known[column]
 
 
-def _is_known(column: str, values: Any) -> Any:
+def _is_known(values: Any) -> Any:
     if not isinstance(values, np.ndarray):
-        return bool(values) if column in WORD_COLUMNS else values is not None and abs(values) < np.inf
-    known = values != "" if column in WORD_COLUMNS else np.isfinite(values)
+        return bool(values) if isinstance(values, str) else values is not None and abs(values) < np.inf
+    known = values != "" if values.dtype.kind == "U" else np.isfinite(values)
     return True if known.all() else known
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_sim.effects.base import WORD_COLUMNS, Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 CurveChannel: TypeAlias = Literal["bias", "spread", "short", "missed", "random"]
 CURVE = "curve"
@@ -85,7 +85,7 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -
 
 
 def _hats(variable: str, values: NDArray[Any], places: Sequence[Any]) -> _Array:
-    if variable in WORD_COLUMNS or isinstance(places[0], str):
+    if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
     knots = np.asarray(places, dtype=np.float64)
     values = np.clip(np.where(np.isfinite(values), values, knots[0]), knots[0], knots[-1])

@@ -77,13 +77,13 @@ def _is_empty(columns: _Columns, name: str) -> bool:
     return not (np.isfinite(column) if column.dtype.kind == "f" else column != "").any()
 
 
-def _time_in_run_s(columns: _Columns) -> _Array:
+def time_in_run_s(columns: _Columns) -> _Array:
     """Time since the first row of the run [s]."""
     time_s: _Array = np.asarray(columns["time_s"], dtype=np.float64)
     if "run" not in columns:
         return np.asarray(time_s - time_s.min())
     _, run = np.unique(columns["run"], return_inverse=True)
-    first_s = np.full(int(run.max()) + 1, np.inf)
+    first_s = np.full(int(run.max(initial=0)) + 1, np.inf)
     np.minimum.at(first_s, run, time_s)
     return np.asarray(time_s - first_s[run])
 
@@ -128,7 +128,7 @@ def _neighbour_lag_ms(columns: _Columns) -> _Array:
 
 
 _DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], _Array]]] = {
-    "time_in_run_s": (("time_s",), "time_s since the run's first row", _time_in_run_s),
+    "time_in_run_s": (("time_s",), "time_s since the run's first row", time_in_run_s),
     "range_rate_cm_s": ((TRUE_RANGE, "time_s"), "true_range_cm over time_s", _range_rate_cm_s),
     "incidence_deg": (("roll_deg", "pitch_deg"), "roll_deg and pitch_deg, over level ground", _incidence_deg),
     "neighbour_lag_ms": (("time_s", "sensor"), "time_s of the other sensors' rows", _neighbour_lag_ms),

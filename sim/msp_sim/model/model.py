@@ -390,7 +390,10 @@ def _where(known: Any, contribution: Any) -> Any:
 
 
 def _column(name: str, values: Any) -> NDArray[Any]:
-    column = np.asarray(values, dtype=None if name in WORD_COLUMNS else np.float64)
+    column = np.asarray(values)
+    # Columns of one's own may hold words, too.
+    if column.dtype.kind != "U" and name not in WORD_COLUMNS:
+        column = column.astype(np.float64, copy=False)
     if column.ndim != 1:
         raise ValueError(f"found {name} of shape {column.shape}, expected one dimension")
     return column

@@ -108,6 +108,6 @@ class Sampler:
 
 
 def _column(name: str, value: Any) -> NDArray[Any]:
-    if name in WORD_COLUMNS:
+    if name in WORD_COLUMNS or isinstance(value, str):
         return np.array(["" if value is None else value])
     return np.array([np.nan if value is None else value], dtype=np.float64)
