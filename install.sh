@@ -18,13 +18,14 @@ readonly NEEDED_MB=700               # free disk: an installation has 300 MB, an
 
 usage() {
     cat <<HELP
-usage: sudo ./install.sh [--airframe NAME|FILE] [--upgrade] [--dry-run]
+usage: sudo ./install.sh [--airframe NAME|FILE] [--no-web] [--upgrade] [--dry-run]
        sudo ./install.sh --uninstall [--purge] [--dry-run]
 
 Installs msp-range as a service: programs in $OPT, the airframe file in $ETC, recordings in $STATE.
 
   --airframe NAME|FILE  start from this example of configs/ (such as quad_pallet), or from this file; otherwise it asks.
                         An airframe file that exists is kept
+  --no-web              without the web page (port 8642 of this computer); an upgrade keeps that choice
   --upgrade             replace the programs of an installation; configuration and recordings stay
   --uninstall           remove programs and service; configuration and recordings stay
   --purge               with --uninstall: remove configuration, recordings and the user msp-range too
@@ -44,11 +45,12 @@ run() {
 examples() { (cd "$SOURCE/configs" && printf '%s\n' *.yaml | sed 's/\.yaml$//'); }
 has_systemd() { [ -d /run/systemd/system ]; }
 
-AIRFRAME='' UPGRADE='' UNINSTALL='' PURGE='' DRY_RUN=''
+AIRFRAME='' UPGRADE='' NO_WEB='' UNINSTALL='' PURGE='' DRY_RUN=''
 while [ $# -gt 0 ]; do
     case $1 in
         --airframe) [ $# -ge 2 ] || refuse "--airframe: expected a name or a file" 2; AIRFRAME=$2; shift ;;
         --airframe=*) AIRFRAME=${1#*=} ;;
+        --no-web) NO_WEB=1 ;;
         --upgrade) UPGRADE=1 ;;
         --uninstall) UNINSTALL=1 ;;
         --purge) PURGE=1 ;;
@@ -59,7 +61,7 @@ while [ $# -gt 0 ]; do
     shift
 done
 [ -z "$PURGE" ] || [ "$UNINSTALL" ] || refuse "--purge goes with --uninstall" 2
-[ -z "$UNINSTALL" ] || [ -z "$UPGRADE$AIRFRAME" ] || refuse "--uninstall goes with --purge and --dry-run only" 2
+[ -z "$UNINSTALL" ] || [ -z "$UPGRADE$AIRFRAME$NO_WEB" ] || refuse "--uninstall goes with --purge and --dry-run only" 2
 
 check_computer() {
     [ "$(id -u)" = 0 ] || [ "$DRY_RUN" ] || refuse "needs root: sudo ./install.sh"
@@ -122,11 +124,13 @@ install_programs() {
     run mkdir -p "$OPT" "$ETC"
     [ "$DRY_RUN" ] && { say "would run: python3 -m venv, pip install $SOURCE"; return; }
     trap 'rm -rf "$NEW" "${COPY:-}"' EXIT
+    local extras='[web]'
+    [ -z "$NO_WEB" ] || extras=''
     # A copy: the build leaves no files of root's in the clone, and finds none of an earlier one there.
     COPY=$(mktemp -d)
     (cd "$SOURCE" && cp -a pyproject.toml README.md LICENSE bin configs msp_range sim "$COPY")
     python3 -m venv "$NEW"
-    "$NEW/bin/python" -m pip install --quiet --no-cache-dir --disable-pip-version-check --compile "$COPY"
+    "$NEW/bin/python" -m pip install --quiet --no-cache-dir --disable-pip-version-check --compile "$COPY$extras"
     local airframe=$ETC/airframe.yaml
     [ -e "$airframe" ] || { airframe=$COPY/etc/airframe.yaml; copy_configuration "$COPY/etc"; }
     "$NEW/bin/msp-range" check "$airframe" >/dev/null ||
@@ -147,7 +151,13 @@ put() {
 }
 
 install_files() {
-    put "$SOURCE/systemd/msp-range.service" $UNIT
+    local unit=$SOURCE/systemd/msp-range.service
+    if [ "$NO_WEB" ]; then
+        unit=$(mktemp)
+        sed '/^# The page at port/d; s/ --web [0-9]*$//' "$SOURCE/systemd/msp-range.service" >"$unit"
+    fi
+    put "$unit" $UNIT
+    [ -z "$NO_WEB" ] || rm "$unit"
     put "$SOURCE/systemd/msp-range.rules" $RULES
     put "$SOURCE/systemd/msp-range.modules" $MODULES
     local each
@@ -211,6 +221,7 @@ remove_old() {
 }
 
 install_all() {
+    [ ! -e $UNIT ] || grep -q -- '--web' $UNIT || NO_WEB=1
     [ -z "$UPGRADE" ] || [ -e "$OPT/venv" ] || refuse "nothing is installed in $OPT; leave out --upgrade"
     check_python
     choose_airframe

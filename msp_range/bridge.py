@@ -167,6 +167,8 @@ class Bridge:
 
     Attributes
     ----------
+    started_s
+        When it was made [s].
     completed_s
         When a step last left nothing undone that was due, and every message had been handed to the link or counted as
         dropped [s]; whoever watches over the loop goes by it.
@@ -190,6 +192,7 @@ class Bridge:
         motion: VerticalMotion | None = None,
     ) -> None:
         self._clock = clock
+        self.started_s = clock.now()
         self._recorder = recorder
         self._report = report
         self._report_message = on_message
@@ -236,6 +239,11 @@ class Bridge:
         self._reminder = Reminder()
         self._next_look_s = self._next_silence_s = clock.now()
         self.completed_s = clock.now()
+
+    @property
+    def air(self) -> Air:
+        """The air that sound travels through now."""
+        return self._air
 
     def record_to(self, recorder: Records) -> None:
         """Keep every stage of every reading from here on."""

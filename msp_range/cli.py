@@ -50,6 +50,10 @@ def _options(
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
+SocketOption = Annotated[
+    Path | None,
+    typer.Option(help="socket by which a running bridge is watched; default: the service's, or this user's"),
+]
 DriverOption = Annotated[
     str | None,
     typer.Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
@@ -65,6 +69,13 @@ def run(
     no_record: Annotated[bool, typer.Option("--no-record", help="record nothing")] = False,
     link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
     bus: Annotated[str | None, typer.Option(help="I2C bus instead of the airframe's")] = None,
+    web: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT", help="serve a page that shows what the bridge does; default host: this computer only"
+        ),
+    ] = None,
+    socket: SocketOption = None,
 ) -> None:
     """Fly: read the sensors and send DISTANCE_SENSOR until SIGTERM. SIGHUP reads the airframe file again.
 
@@ -86,6 +97,13 @@ def run(
         from msp_range.bus.smbus import bus_of
         from msp_range.config import Airframe, load_airframe
         from msp_range.log import Log
+        from msp_range.watch.place import own_socket, parse_listen
+
+        if web is not None:
+            from msp_range.extras import require
+
+            parse_listen(web)
+            require("web", "msp-range run --web")
 
         def load() -> Airframe:
             airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
@@ -94,7 +112,8 @@ def run(
         airframe = load()
     finally:
         gc.enable()
-    raise typer.Exit(service.run(airframe, load, Log(log), None if no_record else record))
+    code = service.run(airframe, load, Log(log), None if no_record else record, socket or own_socket(), web)
+    raise typer.Exit(code)
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:
@@ -145,6 +164,24 @@ def doctor(
     from msp_range.doctor.computer import this_computer
 
     raise typer.Exit(show(airframe_file, this_computer(), json_lines))
+
+
+@app.command()
+@report_user_errors
+def status(
+    once: Annotated[
+        bool, typer.Option("--once", help="print once and exit; default where there is no terminal")
+    ] = False,
+    json_lines: Annotated[bool, typer.Option("--json", help="print one JSON object and exit")] = False,
+    socket: SocketOption = None,
+) -> None:
+    """Show what a running bridge does: distances, rejected readings, faults, air, link and recording.
+
+    It reads the bridge's socket; neither the sensors nor the link notice. Exit code 1: no bridge runs.
+    """
+    from msp_range.watch.terminal import show
+
+    raise typer.Exit(show(socket, once, json_lines))
 
 
 @app.command()

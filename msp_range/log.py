@@ -33,6 +33,7 @@ class Log:
     """
 
     def __init__(self, form: str, stream: TextIO | None = None, clock: Clock | None = None) -> None:
+        self.form = form
         self._line = _json_line if form == "json" else _text_line
         self._stream = stream or sys.stderr
         self._clock = clock or SystemClock()

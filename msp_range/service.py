@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
@@ -25,6 +25,9 @@ from msp_range.log import Log
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
+from msp_range.watch.feed import FeedError
+from msp_range.watch.view import FROM_AUTOPILOT
+from msp_range.watch.watch import Watch
 
 if TYPE_CHECKING:
     from msp_range.recording.flight_recorder import FlightRecorder
@@ -114,6 +117,7 @@ def serve(
     transport: Transport,
     stopped: Sequence[int],
     flown: FlownAirframe | None = None,
+    watch: Watch | None = None,
 ) -> None:
     """Step the bridge until ``stopped`` contains a signal or the airframe has changed."""
     notifier = Notifier()
@@ -132,6 +136,8 @@ def serve(
         if bridge.completed_s >= next_feed_s:
             notifier.tell("WATCHDOG=1")
             next_feed_s = now_s + FEED_INTERVAL_S
+        if watch is not None:
+            watch.service(now_s)
         if now_s < next_note_s:
             continue
         next_note_s = now_s + 1.0
@@ -162,7 +168,14 @@ def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
     }
 
 
-def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path | None) -> int:
+def run(
+    airframe: Airframe,
+    load: Callable[[], Airframe],
+    log: Log,
+    record: Path | None,
+    socket_path: Path,
+    web: str | None = None,
+) -> int:
     """Run the service on this computer's bus and link until a signal ends it; return the exit code.
 
     Parameters
@@ -175,6 +188,10 @@ def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path
         Log.
     record
         Folder for the recording instead of the airframe's.
+    socket_path
+        Socket for those who watch, see `msp_range.watch.feed`.
+    web
+        [HOST:]PORT of the web page; None: no page.
 
     Raises
     ------
@@ -193,7 +210,7 @@ def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path
                 transport.close()
                 url = flown.airframe.link.url
                 transport = open_transport(url, clock)
-            _fly(flown, clock, log, transport, record, stopped)
+            _fly(flown, clock, log, transport, record, socket_path, web, stopped)
             if not stopped:  # objects of the previous airframe are no longer needed
                 gc.unfreeze()
                 gc.collect()
@@ -203,34 +220,81 @@ def run(airframe: Airframe, load: Callable[[], Airframe], log: Log, record: Path
 
 
 def _fly(
-    flown: FlownAirframe, clock: Clock, log: Log, transport: Transport, record: Path | None, stopped: Sequence[int]
+    flown: FlownAirframe,
+    clock: Clock,
+    log: Log,
+    transport: Transport,
+    record: Path | None,
+    socket_path: Path,
+    web: str | None,
+    stopped: Sequence[int],
 ) -> None:
     """Fly an airframe until a signal arrives or the airframe changes."""
     airframe = flown.airframe
     log.info("started", vehicle=airframe.vehicle, bus=str(flown.bus.path), link=airframe.link.url, pid=os.getpid())
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
-    bridge = Bridge(airframe, flown.bus, clock, transport, report=reporter(log), thermometer=thermometer)
-    # The first sensor measures while the recording's packages are imported.
-    bridge.step()
-    recorder = flight_recorder(
+    watch: Watch | None = None
+
+    def on_message(now_s: float, message: Any) -> None:
+        if watch is not None:
+            watch.on_message(now_s, message)
+
+    def on_file(path: Path) -> None:
+        log.info("recording", file=str(path))
+        if watch is not None:
+            watch.recording = str(path)
+
+    def on_failure(text: str) -> None:
+        log.warning("recording stopped", error=text)
+        if watch is not None:
+            watch.recording = None
+
+    bridge = Bridge(
         airframe,
-        record,
+        flown.bus,
         clock,
-        on_file=lambda path: log.info("recording", file=str(path)),
-        on_failure=lambda text: log.warning("recording stopped", error=text),
+        transport,
+        report=reporter(log),
+        on_message=on_message,
+        wanted=FROM_AUTOPILOT if web is not None else None,
+        thermometer=thermometer,
     )
+    # The first sensor measures while the packages for recording and watching are imported.
+    bridge.step()
+    recorder = flight_recorder(airframe, record, clock, on_file, on_failure)
     if recorder is not None:
         bridge.record_to(recorder)
+    watch = _watch(airframe, bridge, transport, recorder, socket_path, web, clock, log)
     # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.
     gc.freeze()
     try:
-        serve(bridge, clock, log, transport, stopped, flown)
+        serve(bridge, clock, log, transport, stopped, flown, watch)
         if not stopped and recorder is not None:
             recorder.finish()  # the next airframe must not wait for the disk
     finally:
         thermometer.close()
+        if watch is not None:
+            watch.close()
         if recorder is not None:
             try:
                 recorder.close()
             except RecordingError as error:
                 log.error("recording not finished", error=str(error))
+
+
+def _watch(
+    airframe: Airframe,
+    bridge: Bridge,
+    transport: Transport,
+    recorder: "FlightRecorder | None",
+    socket_path: Path,
+    web: str | None,
+    clock: Clock,
+    log: Log,
+) -> Watch | None:
+    """By which the bridge can be watched; None where there can be no socket, which is no reason not to fly."""
+    try:
+        return Watch(airframe, bridge, transport, recorder, socket_path, web, clock.now(), log)
+    except FeedError as error:
+        log.warning("not watched", error=str(error))
+        return None

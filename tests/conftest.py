@@ -5,6 +5,7 @@ import signal
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -36,6 +37,14 @@ def _group(module: str) -> str:
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> OneModuleOneProcess:
     """Called by xdist where there are several processes."""
     return OneModuleOneProcess(config, log)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _own_runtime_folder() -> Iterator[None]:
+    """Bridges of tests are watched at a place of their own, whose path is short enough for a socket."""
+    with pytest.MonkeyPatch.context() as patch, TemporaryDirectory(prefix="msp-") as folder:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -11,6 +11,7 @@ from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 from msp_range.doctor.i2c import check_interface
 from msp_range.doctor.port import check_port
+from msp_range.doctor.running import check_running
 from msp_range.doctor.sensors import Looked, look
 from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
@@ -64,6 +65,7 @@ def examine(
             in_use = True
             remedy = "sudo systemctl stop msp-range, then again"
             yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
+            yield from check_running()
         else:
             looked = look(airframe, bus, clock)
             yield from looked.findings

@@ -82,6 +82,11 @@ class Health:
         return [name for name, sensor in self._sensors.items() if sensor.fault is not None]
 
     @property
+    def sensor_faults(self) -> dict[str, str | None]:
+        """What is wrong with each sensor; None for a good one."""
+        return {name: sensor.fault for name, sensor in self._sensors.items()}
+
+    @property
     def failing_sensors(self) -> list[str]:
         """Sensors that are out of order, and those whose newest reading was a fault."""
         return [name for name, sensor in self._sensors.items() if sensor.fault is not None or sensor.streak_bad]

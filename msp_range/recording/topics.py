@@ -1,9 +1,9 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
-``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health`` and ``/campaign``. A key
-that is absent is unknown, and a reading without those of `REQUIRED` is none. Every property has one plain type, because
-Foxglove and Lichtblick refuse schemas with unions and with null.
+``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health``, ``/mark`` and
+``/campaign``. A key that is absent is unknown, and a reading without those of `REQUIRED` is none. Every property has
+one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
 """
 
 import json
@@ -29,7 +29,7 @@ LONGEST_TEXT = 10_000
 LARGEST_TIME_S = 1e10
 """Times are not farther from the clock's zero than this [s]: 300 years, at which a float still tells microseconds."""
 
-ATTITUDE_TOPIC, MOTION_TOPIC, FUSED_TOPIC = "/attitude", "/motion", "/fused"
+ATTITUDE_TOPIC, MOTION_TOPIC, FUSED_TOPIC, MARK_TOPIC = "/attitude", "/motion", "/fused", "/mark"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _RANGE: tuple[str, _PropertyTable] = (
@@ -88,6 +88,7 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
         "a change of health",
         {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},
     ),
+    MARK_TOPIC: ("what somebody noted while it flew", {"text": ("string", "the note")}),
     "/campaign": (
         "a step of a campaign at the bench",
         {

@@ -9,6 +9,7 @@ import typer
 from msp_range.extras import DRAWING, require
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.user_errors import report_user_errors
+from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
 SensorModelOption = Annotated[
@@ -48,6 +49,12 @@ def fly(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="replace the flight in --out")] = False,
+    web: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT", help="serve the page of the bridge meanwhile; real time, or as --speed says"
+        ),
+    ] = None,
     effects: OwnEffects = None,
 ) -> None:
     """Fly a scenario with the real bridge, and show the result.
@@ -61,8 +68,12 @@ def fly(
 
     if realtime and speed is not None:
         raise ConfigError("--realtime and --speed: give one of them")
+    if web is not None:
+        parse_listen(web)
+        require("web", "msp-sim fly --web")
+        speed = speed if speed is not None or realtime else 1.0
     add_own_effects(effects or ())
-    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force)
+    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force, web)
 
 
 @app.command()

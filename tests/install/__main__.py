@@ -27,6 +27,10 @@ MAX_EXPOSURE = 2.0
 RESTARTED_S = 10.0
 """A killed service sends distances again within this; docs/flying.md has what it takes on an idle computer."""
 EMPTY_DISK_MB = 24
+MAX_BRIDGE_MB, MAX_PAGE_MB = 170, 60
+"""What bridge and page may hold in memory."""
+OPT_PYTHON = "/opt/msp-range/venv/bin/python"
+PAGE = "http://127.0.0.1:8642/"
 PYTHONS = ("3.11", "3.12", "3.13")
 """Those of Debian 12, Ubuntu 24.04 and Debian 13."""
 
@@ -136,14 +140,31 @@ def install(machine: Machine, receiver: Receiver) -> None:
     expect(nice == "-10", f"nice {nice}")
     expect(bool(recordings(machine)), "it records")
     expect("msp-range " in machine.run("msp-range --version").stdout, "the command msp-range is there")
+    shown = machine.run("runuser -u nobody -- msp-range status").stdout
+    expect("distance down" in shown, "msp-range status shows it to any user")
+    page = machine.run(
+        f"{OPT_PYTHON} -c 'import urllib.request as u; print(u.urlopen(\"{PAGE}\").read().decode())'"
+    ).stdout
+    expect("<!doctype html>" in page, "the page is served")
+    pages = machine.run("pgrep -f msp_range.web").stdout.split()
+    resident_mb = [resident(machine, each) for each in (pid, pages[0])]
+    expect(
+        resident_mb[0] <= MAX_BRIDGE_MB and resident_mb[1] <= MAX_PAGE_MB, f"resident: bridge, page: {resident_mb} MB"
+    )
     done = machine.run("cd msp-range && ./install.sh", check=False)
     expect(done.returncode == 0, "installing once more does no harm")
     receiver.await_distance()
 
 
+def resident(machine: Machine, pid: str) -> int:
+    """Resident memory of a process [MB]."""
+    return int(machine.run(f"awk '/VmRSS/ {{print $2}}' /proc/{pid}/status").stdout) // 1024
+
+
 def has_wheels() -> None:
-    """Every base dependency as a ready package for a 64-bit Raspberry Pi: nothing is compiled there."""
-    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    """Every dependency as a ready package for a 64-bit Raspberry Pi: nothing is compiled there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    dependencies = project["dependencies"] + project["optional-dependencies"]["web"]
     platforms = [f"--platform=manylinux{each}_aarch64" for each in ("2014", "_2_17", "_2_28")]
     for version in PYTHONS:
         options = ["--dry-run", "--ignore-installed", "--only-binary=:all:", "--target=/nowhere", *platforms]

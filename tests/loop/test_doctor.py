@@ -490,4 +490,12 @@ def test_a_running_bridge_is_left_alone(tmp_path: Path) -> None:
     assert "systemctl stop msp-range" in in_use.remedy
     assert {"addresses", "crosstalk", "serial port", "heartbeat"} & findings.keys() == set()
     assert {"thermometer", "disk", "date"} <= findings.keys()
+    # The rest comes from the bridge itself: all sensors read, and nobody is at the other end of the link.
+    assert findings["running bridge"].verdict == "right"
+    assert {name: findings[f"sensor {name}"].verdict for name in ("forward", "down_left")} == {
+        "forward": "right",
+        "down_left": "right",
+    }
+    assert "2.9" in findings["sensor down_left"].text
+    assert findings["autopilot"].verdict == "wrong"
     assert polled == []  # a scan reads one byte of each address

@@ -270,10 +270,10 @@ def test_without_matplotlib_there_are_numbers_and_no_picture(args: list[str], tm
 def test_the_extras_are_those_of_the_packaging() -> None:
     packaging = tomllib.loads((CONFIGS.parent / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for extra, packages in EXTRAS.items():
-        named = {re.split(r"[>\[=]", requirement)[0] for requirement in packaging[extra]}
-        if "msp-range" in named:
+        named = {re.split(r"[>\[=]", requirement)[0].replace("-", "_") for requirement in packaging[extra]}
+        if "msp_range" in named:
             named |= set(EXTRAS["sim"])
-        assert named - {"msp-range"} == set(packages), extra
+        assert named - {"msp_range"} == set(packages), extra
 
 
 def test_a_full_disk_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:

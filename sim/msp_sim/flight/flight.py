@@ -90,6 +90,8 @@ class Simulation:
     ----------
     world, vehicle
         The true world, and the vehicle, which knows its true pose at any time of the flight.
+    bridge, transport
+        The bridge that flies, and its link.
     """
 
     def __init__(
@@ -137,12 +139,12 @@ class Simulation:
             sends_motion=plan.sends_motion if plan else True,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
-        self._transport = _LoggingTransport(transport, clock, tlog)
-        self._bridge = Bridge(
+        self.transport = _LoggingTransport(transport, clock, tlog)
+        self.bridge = Bridge(
             airframe,
             bus,
             clock,
-            self._transport,
+            self.transport,
             recorder=recorder,
             report=lambda severity, text: self._log.record_text(self.now_s(), severity, text),
             thermometer=LoopReader(self._thermometer),
@@ -163,7 +165,7 @@ class Simulation:
     def fly(self) -> Generator[list[Step], None, None]:
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""
         end_s = self._start_s + self._duration_s
-        now, step = self._clock.now, self._bridge.step
+        now, step = self._clock.now, self.bridge.step
         try:
             while now() < end_s:
                 steps = step()
@@ -182,16 +184,16 @@ class Simulation:
         return self.world.air_temperature_c(-self.vehicle.pose(time_s).position_ned_m[2])
 
     def _finish(self) -> None:
-        self._log.finish(self.now_s(), self._bridge)
+        self._log.finish(self.now_s(), self.bridge)
         flight = self.flight
         flight.autopilot_received = dict(self._autopilot.received_counts())
-        flight.frames_sha256 = self._transport.sha256.hexdigest()
-        self._transport.close()
+        flight.frames_sha256 = self.transport.sha256.hexdigest()
+        self.transport.close()
 
     @property
     def link_error(self) -> str | None:
         """Error of the real link; None if it works or there is none."""
-        return self._transport.last_error
+        return self.transport.last_error
 
     @property
     def received(self) -> list[tuple[float, Any]]:

@@ -9,18 +9,22 @@ from typing import Any
 
 from rich.live import Live
 
-from msp_range.clock import SystemClock, VirtualClock
+from msp_range.clock import Clock, SystemClock, VirtualClock
+from msp_range.log import Log
 from msp_range.mavlink.transport import open_transport, parse_url
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
 from msp_range.terminal import console
+from msp_range.watch.feed import FeedError
+from msp_range.watch.place import own_socket
+from msp_range.watch.watch import Watch
 from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.flight import show
 from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.results import RECORDING, SCENARIO, TLOG, make_ready, write_results
-from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 
 REFRESH_S = 0.1
@@ -36,6 +40,7 @@ def fly_scenario(
     realtime: bool,
     speed: float | None,
     force: bool,
+    web: str | None,
 ) -> None:
     """Fly a scenario; the parameters are the options of the command."""
     scenario_file = config_path(scenario_file, "scenarios")
@@ -74,11 +79,16 @@ def fly_scenario(
     with ExitStack() as opened:
         stopped = opened.enter_context(stop_signals())
         opened.enter_context(live)
+        watch = None
+        if web is not None:
+            watch = opened.enter_context(closing(_watch(scenario, simulation, recorder, web, clock)))
         flying = opened.enter_context(closing(simulation.fly()))
         for steps in flying:
             if stopped:
                 break
             shown.update(steps)
+            if watch is not None:
+                watch.service(clock.now())
             if steps and speed is not None:
                 system.sleep_until(started_s + simulation.now_s() / speed)
             if out_to.is_terminal:
@@ -105,3 +115,20 @@ def fly_scenario(
     if recorder is not None:
         recorder.close()
         print(f"recording: {recorder.path}")
+
+
+def _watch(scenario: Scenario, simulation: Simulation, recorder: Recorder | None, web: str, clock: Clock) -> Watch:
+    """The page of a flight."""
+    try:
+        return Watch(
+            scenario.airframe,
+            simulation.bridge,
+            simulation.transport,
+            recorder,
+            own_socket(),
+            web,
+            clock.now(),
+            Log("text"),
+        )
+    except FeedError as error:
+        raise ConfigError(f"--web: {error}") from None

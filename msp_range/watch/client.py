@@ -1,0 +1,55 @@
+"""The watcher's end of the socket: connect to a running bridge, and read its packets."""
+
+import json
+import socket
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+LONGEST_PACKET = 1 << 20
+"""Bytes of a packet; the airframe of 117 sensors, the longest, takes 60 kB."""
+
+ONCE_S = 1.0
+"""Time for which packets are read to know the state once [s]: two turns of four sensors take as long."""
+
+
+class Packet(NamedTuple):
+    """One message of the feed: topic, time on the bridge's clock [s], and its values."""
+
+    topic: str
+    time_s: float
+    message: dict[str, Any]
+
+    @classmethod
+    def parsed(cls, packet: bytes) -> "Packet":
+        """From its bytes."""
+        return cls(**json.loads(packet))
+
+
+def connect(paths: Sequence[Path]) -> socket.socket | None:
+    """A connection to the first bridge that is there; None where none is."""
+    for path in paths:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            connection.connect(str(path))
+        except OSError:
+            connection.close()
+        else:
+            return connection
+    return None
+
+
+def packets(connection: socket.socket) -> Iterator[Packet]:
+    """All packets until the bridge ends."""
+    while packet := connection.recv(LONGEST_PACKET):
+        yield Packet.parsed(packet)
+
+
+def read_once(connection: socket.socket) -> Iterator[Packet]:
+    """Packets until every sensor has had time for a reading, up to the status that follows."""
+    first_s: float | None = None
+    for packet in packets(connection):
+        yield packet
+        first_s = packet.time_s if first_s is None else first_s
+        if packet.topic == "/status" and packet.time_s - first_s >= ONCE_S:
+            return

@@ -1,0 +1,210 @@
+"""The bridge's end of the socket: everything that is recorded goes to the watchers too, and a status twice a second.
+
+One packet is one JSON object ``{"topic", "time_s", "message"}``; topics are those of `msp_range.recording.topics`, and
+besides them ``/airframe`` (once, at the start), ``/status`` and ``/autopilot``. A watcher that does not keep up loses
+packets, never the bridge time. A watcher may send ``{"mark": "text"}``, which goes into the recording; nothing else.
+"""
+
+import json
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from msp_range.health import Severity
+from msp_range.input_file import printable
+
+SERVICE_INTERVAL_S = 0.05
+"""Time between two looks at who came, went or wrote [s]: a mark is at most this late. A look costs 2 us."""
+MOST_WATCHERS = 8
+"""More are refused: a page's process and some terminals. Each costs the bridge a system call a packet."""
+LONGEST_MARK = 100
+"""Characters of a mark; longer ones are cut."""
+MARKS_PER_S = 2.0
+"""Marks are refused above this rate, so that nobody fills the recording with them [1/s]."""
+
+
+class FeedError(Exception):
+    """The socket cannot be made; the message says why."""
+
+
+class Feed:
+    """A Unix socket on which watchers get packets.
+
+    Parameters
+    ----------
+    path
+        Where; the folder is made, for this user alone, where it is not there. A socket that nobody listens on any more
+        is replaced.
+    greeting
+        Gives the message of ``/airframe``, which each watcher gets first.
+    on_mark
+        Called with (time [s], text) for each mark.
+
+    Raises
+    ------
+    FeedError
+        The folder cannot be used, or another bridge listens there.
+    """
+
+    def __init__(
+        self, path: Path, greeting: Callable[[], dict[str, Any]], on_mark: Callable[[float, str], None]
+    ) -> None:
+        self.path = path
+        self._greeting = greeting
+        self._on_mark = on_mark
+        self._watchers: list[socket.socket] = []
+        self._next_service_s = float("-inf")
+        self._next_mark_s = float("-inf")
+        self.dropped = 0
+        self._server = _listening(path)
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody watches; if not, nothing has to be made for them."""
+        return bool(self._watchers)
+
+    def publish(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        """Send one message to all watchers; those that cannot take it now lose it."""
+        if not self._watchers:
+            return
+        packet = _packet(topic, time_s, message)
+        gone = []
+        for watcher in self._watchers:
+            try:
+                watcher.send(packet)
+            except BlockingIOError:
+                self.dropped += 1
+            except OSError:
+                gone.append(watcher)
+        for watcher in gone:
+            self._forget(watcher)
+
+    def service(self, now_s: float) -> None:
+        """Greet who has come, and take marks, where it is time."""
+        if now_s < self._next_service_s:
+            return
+        self._next_service_s = now_s + SERVICE_INTERVAL_S
+        for watcher in list(self._watchers):
+            self._receive(watcher, now_s)
+        # A queue of its length is what `listen` allows to wait.
+        for _ in range(MOST_WATCHERS):
+            try:
+                watcher, _ = self._server.accept()
+            except OSError:
+                return
+            self._greet(watcher, now_s)
+
+    def close(self) -> None:
+        """End all connections and remove the socket."""
+        for watcher in self._watchers:
+            watcher.close()
+        self._watchers.clear()
+        self._server.close()
+        self.path.unlink(missing_ok=True)
+
+    def _greet(self, watcher: socket.socket, now_s: float) -> None:
+        watcher.setblocking(False)
+        try:
+            if len(self._watchers) == MOST_WATCHERS:
+                raise ConnectionRefusedError
+            watcher.send(_packet("/airframe", now_s, self._greeting()))
+        except OSError:  # too many, or it has gone already
+            watcher.close()
+        else:
+            self._watchers.append(watcher)
+
+    def _receive(self, watcher: socket.socket, now_s: float) -> None:
+        try:
+            packet = watcher.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            packet = b""
+        if not packet:
+            self._forget(watcher)
+            return
+        try:
+            text = json.loads(packet)["mark"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return
+        if isinstance(text, str) and text and now_s >= self._next_mark_s:
+            self._next_mark_s = now_s + 1.0 / MARKS_PER_S
+            self._on_mark(now_s, printable(text)[:LONGEST_MARK])
+
+    def _forget(self, watcher: socket.socket) -> None:
+        watcher.close()
+        self._watchers.remove(watcher)
+
+
+class Watched:
+    """A recorder whose records watchers get too; what the bridge writes to (`msp_range.bridge.Records`).
+
+    Parameters
+    ----------
+    feed
+        The socket.
+    recorder
+        Keeps the records; None: nothing is kept.
+    """
+
+    def __init__(self, feed: Feed, recorder: Any | None) -> None:
+        self._feed = feed
+        self._recorder = recorder
+
+    @property
+    def fault(self) -> str | None:
+        """The recorder's."""
+        fault: str | None = None if self._recorder is None else self._recorder.fault
+        return fault
+
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        """Keep one message, and show it."""
+        if self._recorder is not None:
+            self._recorder.write(topic, time_s, message)
+        self._feed.publish(topic, time_s, message)
+
+    def flush_if_due(self, now_s: float) -> None:
+        """The recorder's."""
+        if self._recorder is not None:
+            self._recorder.flush_if_due(now_s)
+
+
+def _packet(topic: str, time_s: float, message: dict[str, Any]) -> bytes:
+    return json.dumps({"topic": topic, "time_s": time_s, "message": message}, separators=(",", ":")).encode()
+
+
+def _listening(path: Path) -> socket.socket:
+    """A server on ``path``, which everybody on this computer may connect to where the folder lets them."""
+    try:
+        path.parent.mkdir(mode=0o700, exist_ok=True)
+        # In a folder such as /tmp somebody else may have made it, and could replace the socket.
+        if path.parent.stat().st_uid not in (0, os.geteuid()):
+            raise FeedError(f"{path.parent}: belongs to another user; nobody can watch this bridge")
+        if path.is_socket():
+            _remove_if_left_behind(path)
+        server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        try:
+            server.bind(str(path))
+            path.chmod(0o666)
+            server.listen(MOST_WATCHERS)
+        except OSError:
+            server.close()
+            raise
+    except OSError as error:
+        raise FeedError(f"{path}: {error.strerror or error}; nobody can watch this bridge") from None
+    return server
+
+
+def _remove_if_left_behind(path: Path) -> None:
+    """Remove the socket of a bridge that was killed."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK) as asking:
+        if asking.connect_ex(str(path)) == 0:
+            raise FeedError(f"{path}: another bridge is watched there; --socket names another place")
+    path.unlink()
+
+
+def faults_of(faults: list[tuple[Severity, str]]) -> list[dict[str, str]]:
+    """What is wrong now, as in ``/status``."""
+    return [{"severity": severity.name.lower(), "text": text} for severity, text in faults]

@@ -1,0 +1,56 @@
+"""The newest state of a watched bridge, from its packets."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX
+from msp_range.watch.client import Packet
+
+TEXTS_KEPT = 50
+"""Reports to the pilot that are remembered."""
+
+
+@dataclass
+class Newest:
+    """What was received last.
+
+    Attributes
+    ----------
+    airframe, status
+        Messages of ``/airframe`` and ``/status``; empty before the first.
+    readings
+        The last record of each sensor.
+    fused
+        The last fused distance, and its time [s].
+    received
+        The last message of ``/autopilot`` of each kind.
+    texts
+        (time [s], message) of the last reports to the pilot, the oldest first.
+    time_s
+        Of the last packet [s].
+    """
+
+    airframe: dict[str, Any] = field(default_factory=dict)
+    status: dict[str, Any] = field(default_factory=dict)
+    readings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    fused: tuple[float, dict[str, Any]] | None = None
+    received: dict[str, dict[str, Any]] = field(default_factory=dict)
+    texts: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TEXTS_KEPT))
+    time_s: float = 0.0
+
+    def update(self, packet: Packet) -> None:
+        """Take one packet."""
+        topic, self.time_s, message = packet
+        if topic.startswith(RANGE_PREFIX):
+            self.readings[topic.removeprefix(RANGE_PREFIX)] = message
+        elif topic == FUSED_TOPIC:
+            self.fused = self.time_s, message
+        elif topic == "/airframe":
+            self.airframe = message
+        elif topic == "/status":
+            self.status = message
+        elif topic == "/autopilot":
+            self.received[message["kind"]] = message
+        elif topic == "/health":
+            self.texts.append((self.time_s, message))

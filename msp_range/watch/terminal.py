@@ -1,0 +1,148 @@
+"""What `msp-range status` prints: the state of a running bridge, once or until Ctrl-C, within 80 columns."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from msp_range.clock import SystemClock
+from msp_range.terminal import PlainConsole
+from msp_range.watch.client import connect, packets, read_once
+from msp_range.watch.newest import Newest
+from msp_range.watch.place import sockets
+
+WIDTH = 80
+"""Columns of a terminal over ssh [characters]."""
+FRESH_S = 2.0
+"""A fused distance that is older is not shown as the present one [s]."""
+REFRESH_S = 0.2
+"""Time between two updates of the display [s]."""
+SHOWN_CLIMB_M_S = 0.1
+"""A slower climb is not shown [m/s]: noise reaches 0.05."""
+EXIT_NOT_RUNNING = 1
+
+
+def show(socket: Path | None, once: bool, as_json: bool) -> int:
+    """Print the state of the bridge; returns the exit code."""
+    paths = [socket] if socket is not None else sockets()
+    connection = connect(paths)
+    if connection is None:
+        places = " or ".join(map(str, paths))
+        print(f"no bridge runs: nobody listens at {places}; sudo systemctl status msp-range says why", file=sys.stderr)
+        return EXIT_NOT_RUNNING
+    newest = Newest()
+    out = PlainConsole(width=min(PlainConsole().width, WIDTH))
+    with connection:
+        if as_json or once or not out.is_terminal:
+            for packet in read_once(connection):
+                newest.update(packet)
+            if as_json:
+                print(json.dumps(as_object(newest)))
+            else:
+                out.print(shown(newest))
+            return 0
+        clock = SystemClock()
+        next_s = clock.now()
+        with Live(console=out, auto_refresh=False) as live:
+            for packet in packets(connection):
+                newest.update(packet)
+                if clock.now() >= next_s:
+                    next_s = clock.now() + REFRESH_S
+                    live.update(shown(newest), refresh=True)
+    print("the bridge has ended")
+    return 0
+
+
+def as_object(newest: Newest) -> dict[str, Any]:
+    """All of it, for a program."""
+    return {
+        "airframe": newest.airframe,
+        "status": newest.status,
+        "readings": newest.readings,
+        "fused": _fused(newest),
+        "autopilot": newest.received,
+        "texts": [{"time_s": time_s, **text} for time_s, text in newest.texts],
+    }
+
+
+def shown(newest: Newest) -> Group:
+    """All of it, for a reader."""
+    return Group(_sensors(newest), *(Text(line, style) for line, style in _lines(newest)))
+
+
+def _sensors(newest: Newest) -> Table:
+    status = newest.status
+    table = Table(title=f"{newest.airframe.get('vehicle', '?')}: {status.get('state', '?')}", width=WIDTH)
+    table.add_column("sensor", no_wrap=True)
+    for heading in ("raw m", "corrected m"):
+        table.add_column(heading, justify="right")
+    table.add_column("used")
+    for heading in ("readings", "rejected"):
+        table.add_column(heading, justify="right")
+    for each in newest.airframe.get("sensors", []):
+        name = each["name"]
+        reading = newest.readings.get(name, {})
+        counts = status.get("sensors", {}).get(name, {"readings": 0, "rejected": {}, "fault": None})
+        table.add_row(
+            name,
+            _metres(reading.get("range_m")),
+            _metres(reading.get("corrected_m")),
+            counts["fault"] or _use(reading),
+            str(counts["readings"]),
+            str(sum(counts["rejected"].values())),
+            style="red" if counts["fault"] else None,
+        )
+    return table
+
+
+def _use(reading: dict[str, Any]) -> str:
+    if not reading:
+        return "no reading yet"
+    if reading["status"] != "ok":
+        return str(reading["status"]).replace("_", " ")
+    return str(reading.get("rejected", "yes")).replace("_", " ")
+
+
+def _lines(newest: Newest) -> Iterator[tuple[str, str]]:
+    """Each line with its style."""
+    fused = _fused(newest)
+    if fused is not None:
+        std_cm = 100 * float(fused["variance_m2"]) ** 0.5
+        climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
+        yield f"distance down {fused['range_m']:.2f} m, deviation {std_cm:.1f} cm{climb}", "bold"
+    elif newest.airframe.get("reference_down_m") is not None:
+        yield "distance down: none", "bold red"
+    status = newest.status
+    if not status:
+        return
+    air, link = status["air"], status["link"]
+    yield f"air {air['temperature_c']:.1f} C, deviation {air['std_c']:.1f} C, from {air['source']}", ""
+    there = f"system {link['autopilot']}" if link["autopilot"] is not None else "none received"
+    armed = {True: ", armed", False: ", disarmed", None: ""}[link["armed"]]
+    down = "" if link["connected"] else f", not connected: {link['error'] or 'waiting'}"
+    yield f"link {link['url']}{down}; autopilot: {there}{armed}", ""
+    yield f"sent {link['sent'].get('DISTANCE_SENSOR', 0)} distances, {link['dropped']} frames dropped", ""
+    for each in newest.received.values():
+        if each["kind"] == "DISTANCE_SENSOR":
+            yield f"the autopilot has {each['distance_m']:.2f} m (orientation {each['orientation']})", ""
+    yield f"recording: {status['recording'] or 'none'}", ""
+    yield f"running for {status['uptime_s']:.0f} s", ""
+    for fault in status["faults"]:
+        yield f"{fault['severity']}: {fault['text']}", "red" if fault["severity"] == "error" else "yellow"
+
+
+def _fused(newest: Newest) -> dict[str, Any] | None:
+    """The present fused distance; None where it is too old."""
+    if newest.fused is None or newest.time_s - newest.fused[0] > FRESH_S:
+        return None
+    return newest.fused[1]
+
+
+def _metres(range_m: float | None) -> str:
+    return "" if range_m is None else f"{range_m:.2f}"

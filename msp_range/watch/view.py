@@ -1,0 +1,109 @@
+"""What watchers get besides the records: how the vehicle is built, its state, and what the autopilot says it received.
+
+Pure functions from the bridge's objects to messages of the feed.
+"""
+
+import math
+from typing import Any
+
+from msp_range import __version__
+from msp_range.bridge import Bridge
+from msp_range.config import Airframe
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.transport import Transport
+from msp_range.watch.feed import faults_of
+
+BEAM_RANGES_M = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0)
+"""Ranges at which the width of a beam is given; between them it is drawn linearly [m]."""
+FROM_AUTOPILOT = {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 1.0}
+"""Messages that are asked for while a page is served, to show what the autopilot received, and their rates [Hz]."""
+_STATES = {
+    dialect.MAV_STATE_BOOT: "starting",
+    dialect.MAV_STATE_ACTIVE: "active",
+    dialect.MAV_STATE_CRITICAL: "critical",
+}
+
+
+def airframe_message(airframe: Airframe) -> dict[str, Any]:
+    """The message of ``/airframe``: name, streams, and each sensor's place, direction and beam."""
+    downward = {sensor.name for sensor in airframe.downward}
+    fused = airframe.send.fused
+    return {
+        "vehicle": airframe.vehicle,
+        "version": __version__,
+        "link": airframe.link.url,
+        "autopilot": airframe.link.autopilot,
+        "reference_down_m": fused.reference_down_m if fused is not None else None,
+        "sensors": [
+            {
+                "name": sensor.name,
+                "model": sensor.sensor_model.name,
+                "address": f"0x{sensor.address:02x}",
+                "position_m": sensor.position_m,
+                "boresight": sensor.boresight,
+                "in_fused": sensor.name in downward,
+                "has_stream": sensor.name in airframe.sent_names,
+                "minimum_m": sensor.sensor_model.minimum_cm / 100,
+                "maximum_m": sensor.sensor_model.maximum_cm / 100,
+                "half_angle_deg": [
+                    [range_m, math.degrees(sensor.sensor_model.beam.half_angle_rad(range_m))]
+                    for range_m in BEAM_RANGES_M
+                ],
+            }
+            for sensor in airframe.sensors
+        ],
+    }
+
+
+def status_message(bridge: Bridge, transport: Transport, recording: str | None, now_s: float) -> dict[str, Any]:
+    """The message of ``/status``: what counts and what is wrong, of sensors, air, link and recording.
+
+    Parameters
+    ----------
+    recording
+        The file that is written; None: none.
+    now_s
+        Now on the bridge's clock [s].
+    """
+    health, link, air = bridge.health, bridge.link, bridge.air
+    faults = health.sensor_faults
+    return {
+        "state": _STATES[link.system_status],
+        "uptime_s": round(now_s - bridge.started_s, 1),
+        "sensors": {
+            name: {"fault": faults[name], "readings": each.readings, "rejected": each.rejected}
+            for name, each in bridge.counts().items()
+        },
+        "faults": faults_of(health.faults()),
+        "air": {"temperature_c": air.temperature_c, "std_c": air.std_c, "source": air.source},
+        "link": {
+            "url": transport.description,
+            "connected": transport.connected,
+            "error": transport.last_error,
+            "autopilot": link.autopilot_system if link.autopilot_is_present else None,
+            "armed": link.autopilot_armed if link.autopilot_is_present else None,
+            "sent": dict(link.sent),
+            "dropped": transport.stats.dropped_frames,
+            "reconnects": transport.stats.reconnects,
+        },
+        "recording": recording,
+    }
+
+
+def autopilot_message(message: Any) -> dict[str, Any] | None:
+    """The message of ``/autopilot``: what a message of the autopilot says of distances; None for other messages."""
+    kind = message.get_type()
+    if kind == "DISTANCE_SENSOR":
+        return {
+            "kind": kind,
+            "orientation": message.orientation,
+            "distance_m": message.current_distance / 100,
+            "minimum_m": message.min_distance / 100,
+            "maximum_m": message.max_distance / 100,
+            "quality": message.signal_quality,
+        }
+    if kind == "SYS_STATUS":
+        bit = dialect.MAV_SYS_STATUS_SENSOR_LASER_POSITION  # of range finders of any kind
+        present, health = message.onboard_control_sensors_present, message.onboard_control_sensors_health
+        return {"kind": kind, "present": bool(present & bit), "healthy": bool(health & bit)}
+    return None

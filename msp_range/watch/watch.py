@@ -1,0 +1,100 @@
+"""Everything by which a running bridge can be watched: the feed, its status, and the page's process."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msp_range.bridge import Bridge, Records
+from msp_range.config import Airframe
+from msp_range.log import Log
+from msp_range.mavlink.transport import Transport
+from msp_range.recording.topics import MARK_TOPIC
+from msp_range.watch.feed import Feed, Watched
+from msp_range.watch.view import airframe_message, autopilot_message, status_message
+
+if TYPE_CHECKING:
+    from msp_range.watch.page import PageProcess
+
+STATUS_INTERVAL_S = 0.5
+"""Time between two messages of ``/status`` [s]: a fault is seen at most this late. One takes 0.1 ms."""
+
+
+class Watch:
+    """What watchers of one bridge get.
+
+    Parameters
+    ----------
+    airframe, bridge, transport
+        What is watched.
+    recorder
+        Keeps the bridge's records; None: nothing is kept.
+    socket
+        Path of the socket.
+    listen
+        [HOST:]PORT of the web page; None: no page.
+    now_s
+        Now [s].
+    log
+        Where the page says that it is there, or not any more.
+
+    Attributes
+    ----------
+    recording : str or None
+        The file that is recorded to, as the status says it.
+
+    Raises
+    ------
+    FeedError
+        The socket cannot be made.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        bridge: Bridge,
+        transport: Transport,
+        recorder: Records | None,
+        socket: Path,
+        listen: str | None,
+        now_s: float,
+        log: Log,
+    ) -> None:
+        self._bridge = bridge
+        self._transport = transport
+        self.recording: str | None = None
+        self._feed = Feed(socket, lambda: airframe_message(airframe), self._mark)
+        self._records = Watched(self._feed, recorder)
+        bridge.record_to(self._records)
+        self._page = None if listen is None else _page(listen, socket, now_s, log)
+        self._next_status_s = now_s
+
+    def on_message(self, now_s: float, message: Any) -> None:
+        """Show what a message of the autopilot says of distances."""
+        if self._feed.is_watched and (shown := autopilot_message(message)) is not None:
+            self._feed.publish("/autopilot", now_s, shown)
+
+    def service(self, now_s: float) -> None:
+        """Do what is due."""
+        self._feed.service(now_s)
+        if now_s < self._next_status_s:
+            return
+        self._next_status_s = now_s + STATUS_INTERVAL_S
+        if self._feed.is_watched:
+            self._feed.publish("/status", now_s, status_message(self._bridge, self._transport, self.recording, now_s))
+        if self._page is not None:
+            self._page.service(now_s)
+
+    def close(self) -> None:
+        """End page and feed."""
+        if self._page is not None:
+            self._page.close()
+        self._feed.close()
+
+    def _mark(self, now_s: float, text: str) -> None:
+        self._records.write(MARK_TOPIC, now_s, {"text": text})
+
+
+def _page(listen: str, socket: Path, now_s: float, log: Log) -> "PageProcess":
+    # Imports subprocess, which a bridge without a page does not need.
+    from msp_range.watch.page import PageProcess
+
+    return PageProcess(listen, socket, now_s, log)

@@ -1,0 +1,44 @@
+"""The page's process: ``python -m msp_range.web [HOST:]PORT --socket PATH``; `msp-range run --web` starts it."""
+
+import argparse
+import asyncio
+import sys
+from pathlib import Path
+
+from msp_range.log import Log
+from msp_range.watch.place import parse_listen
+from msp_range.web.access import access_for
+from msp_range.web.server import Page
+from msp_range.yaml_file import ConfigError
+
+EXIT_PORT = 1
+
+
+def main() -> int:
+    """Serve until standard input ends or a signal arrives."""
+    parser = argparse.ArgumentParser(prog="python -m msp_range.web")
+    parser.add_argument("listen", metavar="[HOST:]PORT")
+    parser.add_argument("--socket", type=Path, required=True)
+    parser.add_argument("--log", choices=["text", "json"], default="text")
+    parser.add_argument("--end-with-stdin", action="store_true")
+    options = parser.parse_args()
+    log = Log(options.log)
+    try:
+        listen = parse_listen(options.listen)
+        access = access_for(listen)
+        page = Page(options.socket, access)
+    except (ConfigError, OSError) as error:
+        log.error("web page", error=str(error))
+        return EXIT_PORT
+    try:
+        asyncio.run(page.serve(listen, options.end_with_stdin, lambda url: log.info("web page", url=url)))
+    except KeyboardInterrupt:
+        pass
+    except OSError as error:
+        log.error("web page", listen=options.listen, error=error.strerror or str(error))
+        return EXIT_PORT
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""Who may see the page: this computer's programs, or whoever has the token where others can reach it.
+
+A request is refused where its ``Host`` is another computer's name (a page of the internet that resolves its own name to
+127.0.0.1), where its ``Origin`` is another site (a page of the internet that opens a connection to here), or where the
+token is needed and is not in the address.
+"""
+
+import hmac
+import os
+import secrets
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from tempfile import gettempdir
+from urllib.parse import parse_qs, urlsplit
+
+from msp_range.watch.place import LOOPBACK, Listen
+
+TOKEN_NAME = "web-token"
+TOKEN_BYTES = 16
+"""128 bits: too many to try."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """What a request must have.
+
+    Attributes
+    ----------
+    token
+        Must be in the address as ``?token=``; None: not needed.
+    """
+
+    token: str | None
+
+    def refusal(self, target: str, host: str | None, origin: str | None) -> tuple[HTTPStatus, str] | None:
+        """Why a request is refused; None where it is not.
+
+        Parameters
+        ----------
+        target
+            Path and query of the request.
+        host, origin
+            Its headers; None where there is none.
+
+        Examples
+        --------
+        >>> Access(None).refusal("/", "127.0.0.1:8080", None) is None
+        True
+        >>> Access(None).refusal("/live", "127.0.0.1:8080", "http://example.org")[0].value
+        403
+        """
+        if host is None or (self.token is None and _name(host) not in LOOPBACK):
+            return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
+        if origin is not None and urlsplit(origin).netloc != host:
+            return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"
+        if self.token is not None:
+            found = parse_qs(urlsplit(target).query).get("token", [""])[0]
+            if not hmac.compare_digest(found.encode(), self.token.encode()):
+                return HTTPStatus.UNAUTHORIZED, "the address needs ?token=...; the bridge's log has it\n"
+        return None
+
+
+def access_for(listen: Listen) -> Access:
+    """What requests to an address need: on another address than this computer's own, the token."""
+    return Access(None if listen.is_loopback else _token(_token_file()))
+
+
+def _name(host: str) -> str:
+    """The name in a Host header, without port and brackets."""
+    return urlsplit(f"//{host}").hostname or ""
+
+
+def _token_file() -> Path:
+    """The token outlives a restart, so that an open page finds the bridge again."""
+    state = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
+    if state:
+        return Path(state) / TOKEN_NAME
+    home = os.environ.get("HOME")
+    return (Path(home) / ".local/state" if home else Path(gettempdir()) / f"msp-range-{os.getuid()}") / TOKEN_NAME
+
+
+def _token(path: Path) -> str:
+    """The token in a file, which is made where there is none."""
+    try:
+        found = path.read_text().strip()
+    except FileNotFoundError:
+        found = ""
+    if found:
+        return found
+    made = secrets.token_urlsafe(TOKEN_BYTES)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+        file.write(made)
+    return made

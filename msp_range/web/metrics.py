@@ -1,0 +1,63 @@
+"""The bridge's state as Prometheus metrics, for ``/metrics``."""
+
+from collections.abc import Iterator
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from msp_range.watch.newest import Newest
+
+
+class BridgeMetrics(Collector):
+    """Metrics of a bridge's newest state; none before its first status.
+
+    Parameters
+    ----------
+    newest
+        The state.
+    """
+
+    def __init__(self, newest: Newest) -> None:
+        self._newest = newest
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics."""
+        newest, status = self._newest, self._newest.status
+        if not status:
+            return
+        readings = CounterMetricFamily("msp_range_readings", "Readings of each sensor.", labels=["sensor"])
+        rejected = CounterMetricFamily(
+            "msp_range_rejected", "Readings that were not used, by reason.", labels=["sensor", "reason"]
+        )
+        good = GaugeMetricFamily("msp_range_sensor_good", "1 if the sensor has no fault.", labels=["sensor"])
+        distance = GaugeMetricFamily("msp_range_range_m", "Last corrected range of each sensor.", labels=["sensor"])
+        for name, each in status["sensors"].items():
+            readings.add_metric([name], each["readings"])
+            good.add_metric([name], each["fault"] is None)
+            for reason, count in each["rejected"].items():
+                rejected.add_metric([name, reason], count)
+            corrected_m = newest.readings.get(name, {}).get("corrected_m")
+            if corrected_m is not None:
+                distance.add_metric([name], corrected_m)
+        yield from (readings, rejected, good, distance)
+        if newest.fused is not None:
+            fused = newest.fused[1]
+            yield _gauge("msp_range_distance_m", "Fused distance along the down axis.", fused["range_m"])
+            yield _gauge("msp_range_distance_variance_m2", "Variance of its error.", fused["variance_m2"])
+        air, link = status["air"], status["link"]
+        yield _gauge("msp_range_air_temperature_c", "Air temperature of the correction.", air["temperature_c"])
+        yield _gauge("msp_range_autopilot_present", "1 if heartbeats arrive.", link["autopilot"] is not None)
+        yield _gauge(
+            "msp_range_critical", "1 if a sensor is bad or no distance goes out.", status["state"] == "critical"
+        )
+        yield _gauge("msp_range_faults", "Faults at present.", len(status["faults"]))
+        sent = CounterMetricFamily("msp_range_messages_sent", "MAVLink messages sent.", labels=["message"])
+        for name, count in link["sent"].items():
+            sent.add_metric([name], count)
+        yield sent
+        yield CounterMetricFamily("msp_range_frames_dropped", "Frames that the link did not take.", link["dropped"])
+        yield _gauge("msp_range_uptime_seconds", "Time since the bridge was started.", status["uptime_s"])
+
+
+def _gauge(name: str, help_text: str, value: float) -> Metric:
+    return GaugeMetricFamily(name, help_text, float(value))

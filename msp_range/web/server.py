@@ -1,0 +1,201 @@
+"""The page's server: packets of the bridge come in from its socket, batches go out to every browser.
+
+A browser that is slow misses batches. If the bridge ends, the server waits for the next one, and browsers stay.
+"""
+
+import asyncio
+import json
+import signal
+import socket
+import sys
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from http import HTTPStatus
+from importlib.resources import files
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from prometheus_client import CollectorRegistry, generate_latest
+from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from msp_range.watch.client import LONGEST_PACKET, Packet
+from msp_range.watch.feed import LONGEST_MARK
+from msp_range.watch.newest import Newest
+from msp_range.watch.place import Listen
+from msp_range.web.access import Access
+from msp_range.web.metrics import BridgeMetrics
+
+BATCH_S = 0.05
+"""Packets of so long go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
+HISTORY_PACKETS = 4000
+"""Packets that a new browser gets at once: a minute of four sensors. Each takes 400 bytes of memory."""
+SLOW_BYTES = 1 << 20
+"""A browser with more unsent data than this gets no more until it has read it: ten seconds of four sensors."""
+RETRY_S = 0.5
+"""Time between two tries to find the bridge [s]."""
+NOT_SHOWN = ('"/mavlink/sent"', '"/motion"')
+"""Topics that the page does not draw."""
+TYPES = {"page.html": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+class Page:
+    """The page of the bridge at a socket.
+
+    Parameters
+    ----------
+    bridge
+        Path of the bridge's socket.
+    access
+        Who may see it.
+    """
+
+    def __init__(self, bridge: Path, access: Access) -> None:
+        self._path = bridge
+        self._access = access
+        self._bridge: socket.socket | None = None
+        self._browsers: set[ServerConnection] = set()
+        self._batch: list[bytes] = []
+        self._history: deque[bytes] = deque(maxlen=HISTORY_PACKETS)
+        self._kept: dict[str, bytes] = {}
+        self._newest = Newest()
+        self._registry = CollectorRegistry()
+        self._registry.register(BridgeMetrics(self._newest))
+        folder = files("msp_range.web") / "static"
+        self._files = {name: (folder / name).read_bytes() for name in TYPES}
+
+    async def serve(self, listen: Listen, ends_with_stdin: bool, on_ready: Callable[[str], None]) -> None:
+        """Serve until SIGTERM, SIGINT or, if wanted, the end of standard input.
+
+        Parameters
+        ----------
+        listen
+            Host and port.
+        ends_with_stdin
+            Whether to end when standard input does.
+        on_ready
+            Called with the page's address.
+
+        Raises
+        ------
+        OSError
+            The port is in use.
+        """
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for signum in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(signum, stop.set)
+        if ends_with_stdin:
+            loop.add_reader(sys.stdin.fileno(), stop.set)
+        async with serve(
+            self._on_browser,
+            listen.host,
+            listen.port,
+            process_request=self._on_request,
+            max_size=4096,
+            compression=None,
+        ):
+            token = "" if self._access.token is None else f"?token={self._access.token}"
+            host = f"[{listen.host}]" if ":" in listen.host else listen.host
+            on_ready(f"http://{host}:{listen.port}/{token}")
+            tasks = [loop.create_task(self._receive()), loop.create_task(self._send())]
+            await stop.wait()
+            for task in tasks:
+                task.cancel()
+
+    def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer what is not the live connection."""
+        refusal = self._access.refusal(request.path, request.headers.get("Host"), request.headers.get("Origin"))
+        if refusal is not None:
+            return connection.respond(*refusal)
+        path = urlsplit(request.path).path
+        if path == "/live":
+            return None
+        if path == "/metrics":
+            return _response("text/plain; version=0.0.4", generate_latest(self._registry))
+        name = "page.html" if path == "/" else path.removeprefix("/")
+        if name not in self._files:
+            return connection.respond(HTTPStatus.NOT_FOUND, f"no page {path}\n")
+        content = self._files[name]
+        if name == "page.html" and self._access.token is not None:
+            content = content.replace(b"page.css", b"page.css?token=" + self._access.token.encode())
+            content = content.replace(b"page.js", b"page.js?token=" + self._access.token.encode())
+        return _response(TYPES[name] + "; charset=utf-8", content)
+
+    async def _on_browser(self, browser: ServerConnection) -> None:
+        """Send what is known, then let `_send` do the rest; take marks."""
+        await browser.send(_joined([*self._kept.values(), *self._history]))
+        self._browsers.add(browser)
+        try:
+            async for message in browser:
+                self._mark(message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._browsers.discard(browser)
+
+    def _mark(self, message: str | bytes) -> None:
+        with suppress(ValueError, KeyError, TypeError, OSError, RecursionError):
+            text = str(json.loads(message)["mark"])[:LONGEST_MARK]
+            if self._bridge is not None:
+                self._bridge.send(json.dumps({"mark": text}).encode())
+
+    async def _receive(self) -> None:
+        """Packets from the bridge, from the next one when it ends."""
+        loop = asyncio.get_running_loop()
+        while True:
+            with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+                connection.setblocking(False)
+                await loop.sock_connect(connection, str(self._path))
+                self._bridge = connection
+                self._history.clear()
+                while packet := await loop.sock_recv(connection, LONGEST_PACKET):
+                    self._take(packet)
+            if self._bridge is not None:
+                self._bridge = None
+                self._take(b'{"topic":"/gone","time_s":0,"message":{}}')
+            await asyncio.sleep(RETRY_S)
+
+    def _take(self, packet: bytes) -> None:
+        # The topic comes first in a packet: what the page does not draw need not be parsed.
+        if any(packet.startswith(b'{"topic":' + topic.encode()) for topic in NOT_SHOWN):
+            return
+        parsed = Packet.parsed(packet)
+        self._newest.update(parsed)
+        if parsed.topic in ("/airframe", "/status", "/gone"):
+            self._kept[parsed.topic] = packet
+            if parsed.topic == "/airframe":
+                self._kept = {parsed.topic: packet}
+        else:
+            self._history.append(packet)
+        self._batch.append(packet)
+
+    async def _send(self) -> None:
+        """A batch to every browser that has taken the earlier ones."""
+        while True:
+            await asyncio.sleep(BATCH_S)
+            if not self._batch:
+                continue
+            batch, self._batch = _joined(self._batch), []
+            ready = [each for each in self._browsers if each.transport.get_write_buffer_size() < SLOW_BYTES]
+            broadcast(ready, batch)
+
+
+def _joined(packets: list[bytes]) -> str:
+    """One JSON array."""
+    return (b"[" + b",".join(packets) + b"]").decode()
+
+
+def _response(kind: str, content: bytes) -> Response:
+    headers = Headers({"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close", **_HEADERS})
+    return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, headers, content)

@@ -1,0 +1,160 @@
+"""The feed of a running bridge: what watchers get, and that none of them can hold it up."""
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+
+from msp_range.watch.client import LONGEST_PACKET, connect
+from msp_range.watch.feed import LONGEST_MARK, MOST_WATCHERS, Feed, FeedError, Watched
+
+MESSAGE = {"time_s": 1.0, "status": "ok", "range_m": 2.5}
+
+
+@pytest.fixture
+def path() -> Iterator[Path]:
+    with TemporaryDirectory(prefix="msp-") as folder:
+        yield Path(folder) / "new" / "status.sock"
+
+
+@pytest.fixture
+def marks() -> list[tuple[float, str]]:
+    return []
+
+
+@pytest.fixture
+def feed(path: Path, marks: list[tuple[float, str]]) -> Iterator[Feed]:
+    made = Feed(path, lambda: {"vehicle": "quad"}, lambda time_s, text: marks.append((time_s, text)))
+    yield made
+    made.close()
+
+
+def watching(feed: Feed, now_s: float = 0.0) -> socket.socket:
+    watcher = connect([feed.path])
+    assert watcher is not None
+    watcher.settimeout(5.0)
+    feed.service(now_s)
+    return watcher
+
+
+def received(watcher: socket.socket) -> dict[str, Any]:
+    packet: dict[str, Any] = json.loads(watcher.recv(LONGEST_PACKET))
+    return packet
+
+
+def test_a_watcher_gets_the_airframe_and_then_what_is_published(feed: Feed) -> None:
+    assert not feed.is_watched
+    feed.publish("/range/a", 1.0, MESSAGE)
+    with watching(feed) as watcher:
+        assert feed.is_watched
+        feed.publish("/range/a", 2.0, MESSAGE)
+        assert received(watcher) == {"topic": "/airframe", "time_s": 0.0, "message": {"vehicle": "quad"}}
+        assert received(watcher) == {"topic": "/range/a", "time_s": 2.0, "message": MESSAGE}
+
+
+def test_a_watcher_that_reads_nothing_loses_packets_and_others_do_not(feed: Feed) -> None:
+    with watching(feed) as lazy, watching(feed, 1.0) as keen:
+        received(keen)
+        for number in range(5000):
+            feed.publish("/range/a", float(number), MESSAGE)
+            assert received(keen)["time_s"] == number
+        assert feed.dropped > 0
+        received(lazy)
+        assert received(lazy)["time_s"] == 0.0  # what it gets is whole, and from before it was full
+
+
+def test_a_watcher_that_goes_is_forgotten(feed: Feed) -> None:
+    watching(feed).close()
+    feed.publish("/range/a", 1.0, MESSAGE)
+    assert not feed.is_watched
+    watching(feed, 1.0).close()
+    feed.service(2.0)
+    assert not feed.is_watched
+
+
+def test_the_number_of_watchers_is_limited(feed: Feed) -> None:
+    watchers = [watching(feed, float(number)) for number in range(MOST_WATCHERS)]
+    with watching(feed, 100.0) as refused:
+        assert refused.recv(LONGEST_PACKET) == b""
+    for each in watchers:
+        assert received(each)["topic"] == "/airframe"
+        each.close()
+
+
+def test_marks_are_passed_on_in_plain_text_and_at_a_limited_rate(feed: Feed, marks: list[tuple[float, str]]) -> None:
+    with watching(feed) as watcher:
+        for number, text in enumerate(["over the box", "too soon", "\x1b[31mred " + 200 * "x"]):
+            watcher.send(json.dumps({"mark": text}).encode())
+            feed.service(1.0 + 0.3 * number)
+    assert marks[0] == (1.0, "over the box")
+    assert len(marks) == 2
+    assert marks[1][0] == 1.6
+    assert "\x1b" not in marks[1][1]
+    assert len(marks[1][1]) == LONGEST_MARK
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [b"{", b"[]", b'{"mark": 5}', b'{"mark": ""}', b'{"other": "x"}', b"[" * 4000, b"\xff\xfe", b'"mark"'],
+)
+def test_anything_else_from_a_watcher_is_ignored(feed: Feed, marks: list[tuple[float, str]], packet: bytes) -> None:
+    with watching(feed) as watcher:
+        watcher.send(packet)
+        feed.service(1.0)
+        assert feed.is_watched
+    assert marks == []
+
+
+def test_a_socket_that_was_left_behind_is_replaced_and_one_in_use_is_not(path: Path) -> None:
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
+        killed.bind(str(path))
+    first = Feed(path, dict, lambda time_s, text: None)
+    with pytest.raises(FeedError, match="another bridge is watched there"):
+        Feed(path, dict, lambda time_s, text: None)
+    with watching(first) as watcher:
+        assert received(watcher)["topic"] == "/airframe"
+    first.close()
+    assert not path.exists()
+    assert connect([path]) is None
+
+
+def test_a_path_that_cannot_be_used_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(FeedError, match="nobody can watch this bridge"):
+        Feed(Path("/proc/none/status.sock"), dict, lambda time_s, text: None)
+    with pytest.raises(FeedError, match="too long"):
+        Feed(tmp_path / (200 * "x") / "status.sock", dict, lambda time_s, text: None)
+
+
+class Kept:
+    """A recorder that remembers."""
+
+    def __init__(self) -> None:
+        self.fault: str | None = None
+        self.topics: list[str] = []
+        self.flushed_s = 0.0
+
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        self.topics.append(topic)
+
+    def flush_if_due(self, now_s: float) -> None:
+        self.flushed_s = now_s
+
+
+def test_records_are_kept_and_shown(feed: Feed) -> None:
+    kept = Kept()
+    records = Watched(feed, kept)
+    with watching(feed) as watcher:
+        records.write("/fused", 3.0, MESSAGE)
+        received(watcher)
+        assert received(watcher)["topic"] == "/fused"
+    assert kept.topics == ["/fused"]
+    records.flush_if_due(4.0)
+    assert kept.flushed_s == 4.0
+    kept.fault = "disk full"
+    assert records.fault == "disk full"
+    assert Watched(feed, None).fault is None
