@@ -82,6 +82,8 @@ def coverage(seeds: Iterable[int]) -> dict[tuple[str, str], Held]:
                     one.tables += 1
                     if name in named:
                         value = named[name].parameters[parameter]
+                        if value.low is None or value.high is None:
+                            continue
                         one.held.append(value.low <= truth <= value.high)
                         one.errors.append(2.0 * 1.96 * (value.value - truth) / (value.high - value.low))
     return found

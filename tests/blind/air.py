@@ -54,7 +54,7 @@ def boxed_slowness_s_m(box_c: ArrayLike, room_c: ArrayLike, range_m: ArrayLike, 
             depth = start + 0.5 * (place + 1.0) * (end - start)
             temperature = room + (box - room) / (1.0 + np.exp(np.clip((depth - box_m) / blur_m, -60.0, 60.0)))
             total = total + 0.5 * weight * (end - start) / speed_m_s(temperature)
-    return total / length
+    return np.asarray(total / length)
 
 
 def absorption_db_m(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, frequency_hz: float = 42_000.0) -> Array:

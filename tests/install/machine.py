@@ -71,6 +71,7 @@ class Machine:
         self.until("systemd has started", self._is_up, START_S)
 
     def _is_up(self) -> bool:
+        assert self._process is not None
         children = Path(f"/proc/{self._process.pid}/task/{self._process.pid}/children").read_text().split()
         self.leader = int(children[0]) if children else 0
         return bool(children) and self.run("systemctl is-system-running", check=False).stdout.strip() in (
@@ -80,6 +81,7 @@ class Machine:
 
     def power_off(self) -> None:
         """Shut it down."""
+        assert self._process is not None
         self.run("systemctl poweroff", check=False)
         self._process.wait(30.0)
 

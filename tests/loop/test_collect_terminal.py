@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +117,7 @@ def outlying(readings_cm: dict[int, int]) -> Callable[[Any], int]:
     """Readings of the true range, but for the pings (counted from 1) that are named."""
     count = 0
 
-    def draw(columns: Any) -> int:
+    def draw(columns: Mapping[str, float]) -> int:
         nonlocal count
         count += 1
         return readings_cm.get(count, round(columns["true_range_cm"]))

@@ -11,6 +11,7 @@ from msp_lab.gap.steps import Steps
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
+from tests.support.known import known
 from tests.support.measured import ROOT
 
 SENSORS = sorted((ROOT / "configs" / "sensors").glob("*.yaml"))
@@ -54,7 +55,7 @@ def test_five_centimetres_off(file: Path, offset_cm: float, tmp_path: Path) -> N
     found = added(tmp_path, file, table(file, offset_cm))
     assert found.gap is not None
     assert found.gap.bias_cm.before == pytest.approx(5.0, abs=1.5)
-    assert found.gap.bias_cm.after < 2.5
+    assert known(found.gap.bias_cm.after) < 2.5
     assert not any("is not written" in each for each in found.messages)
 
 
@@ -62,11 +63,11 @@ def test_five_centimetres_off(file: Path, offset_cm: float, tmp_path: Path) -> N
 def test_three_per_cent_off(scale: float, tmp_path: Path) -> None:
     found = added(tmp_path, ROOT / "configs" / "sensors" / "hcsr04.yaml", table(SENSORS[0], 0.0, scale))
     assert found.gap is not None
-    assert found.gap.bias_cm.after < 2.5
+    assert known(found.gap.bias_cm.after) < 2.5
 
 
 @pytest.mark.parametrize("missed", [0.0, 0.999])
 @pytest.mark.parametrize("file", [each for each in SENSORS if each.stem in ("mb1242", "tof_ranger")], ids=str)
 def test_one_kind_of_reading_only(file: Path, missed: float, tmp_path: Path) -> None:
     found = added(tmp_path, file, table(file, missed=missed))
-    assert np.isfinite(found.gap.nats_per_reading.after)
+    assert np.isfinite(known(known(found.gap).nats_per_reading.after))

@@ -29,6 +29,7 @@ from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
 from msp_sim.sitl.flying import fly_sitl
 from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle
+from tests.support.known import known
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SYSTEM = 7
@@ -188,7 +189,7 @@ class FakeAutopilot(threading.Thread):
     def _send(self, message: Any) -> None:
         frame = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
-        self.socket.sendto(frame, self._peer)
+        self.socket.sendto(frame, known(self._peer))
 
 
 class InFlight(FakeAutopilot):
@@ -328,7 +329,7 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
     assert "Traceback" not in flown.printed
     source = "SIM_STATE" if name == "truth" else "LOCAL_POSITION_NED"
     assert f"poses in {source}" in flown.printed
-    assert re.search(r"DISTANCE_SENSOR +(\d+)", flown.printed)[1] == str(len(flown.autopilot.distances))
+    assert re.findall(r"DISTANCE_SENSOR +(\d+)", flown.printed)[0] == str(len(flown.autopilot.distances))
 
 
 @pytest.mark.real_time

@@ -2,10 +2,12 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.blind_peers import power
 from benchmarks.blind_peers.__main__ import score, show
@@ -28,13 +30,15 @@ N = 1500
 
 
 @pytest.fixture(scope="module")
-def model():
+def model() -> Model:
     """The sensor of the project, without effects."""
     sensor = load_sensor_model("configs/sensors/mb1242.yaml")
     return Model.of(sensor.model_copy(update={"effects": ()}))
 
 
-def table(seed, scale=1.0, at_33=0.0, n=N):
+def table(
+    seed: int, scale: float = 1.0, at_33: float = 0.0, n: int = N
+) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
     """Readings drawn by hand: normal about the range, a few missed, short or anywhere."""
     rng = np.random.default_rng(seed)
     true_cm = rng.uniform(60.0, 350.0, n)
@@ -54,7 +58,7 @@ def table(seed, scale=1.0, at_33=0.0, n=N):
     return contexts, reading
 
 
-def toy(errors, n=4000):
+def toy(errors: list[float], n: int = 4000) -> Library:
     """A library of unrelated scores, each so many standard errors from nothing; 0 to k are their names."""
     rng = np.random.default_rng(3)
     scores = rng.standard_normal((n, 1 + len(errors)))
@@ -65,7 +69,7 @@ def toy(errors, n=4000):
     return Library(scores[:, :1], scores[:, 1:], names, none, none, np.full(n, np.log(0.1)))
 
 
-def test_stepwise_takes_what_its_price_lets_it():
+def test_stepwise_takes_what_its_price_lets_it() -> None:
     found = toy([1.0, 1.7, 3.2, 5.0] + [0.0] * 16)
     # Prices: 1 nat is 1.41 standard errors, half log 4000 is 2.88, log(20 / 0.05) is 3.46.
     assert aic_stepwise(found) == {"1", "2", "3"}
@@ -74,7 +78,7 @@ def test_stepwise_takes_what_its_price_lets_it():
     assert pastis_stepwise(found) == {"3"}
 
 
-def test_stepwise_does_not_name_both_of_two_that_are_alike():
+def test_stepwise_does_not_name_both_of_two_that_are_alike() -> None:
     one = toy([6.0])
     no = np.zeros(2, dtype=bool)
     twice = Library(one.base, np.repeat(one.scores, 2, axis=1), ("0", "1"), no, no, one.log_p)
@@ -82,13 +86,13 @@ def test_stepwise_does_not_name_both_of_two_that_are_alike():
     assert every_two_sigma(twice) == {"0", "1"}
 
 
-def test_what_cannot_be_negative_is_not_named_for_being_so():
+def test_what_cannot_be_negative_is_not_named_for_being_so() -> None:
     one = toy([-6.0])
     assert bic_stepwise(one) == {"0"}
     assert bic_stepwise(replace(one, one_sided=np.array([True]))) == set()
 
 
-def test_what_acts_on_two_readings_gains_no_more_than_they_can():
+def test_what_acts_on_two_readings_gains_no_more_than_they_can() -> None:
     n = 1000
     scores = np.zeros((n, 1))
     scores[:2] = np.sqrt(0.5)
@@ -101,7 +105,7 @@ def test_what_acts_on_two_readings_gains_no_more_than_they_can():
     assert bic_stepwise(replace(few, moves=no, log_p=np.full(n, np.log(0.01)))) == {"few"}
 
 
-def test_one_number_says_what_any_share_of_added_readings_gains(model):
+def test_one_number_says_what_any_share_of_added_readings_gains(model: Model) -> None:
     contexts, reading = table(1, at_33=0.02)
     scores = library(model, contexts, reading)
     # p with a share e of c is p (1 + e (c / p - 1)), so log(1 + S theta) is the likelihood itself.
@@ -118,34 +122,34 @@ def test_one_number_says_what_any_share_of_added_readings_gains(model):
     assert "clutter" in bic_stepwise(scores) & pastis_stepwise(scores)
 
 
-def test_base_is_fitted_before_anything_is_added(model):
+def test_base_is_fitted_before_anything_is_added(model: Model) -> None:
     contexts, reading = table(2)
     base = library(model, contexts, np.where(reading < 700.0, reading + 3.0, reading)).base
     # The rate of the short ones has nothing to be fitted to: by hand they are anywhere.
     assert np.abs(base.sum(axis=0) / np.sqrt((base**2).sum(axis=0)))[:5].max() < 0.2
 
 
-def test_a_scale_is_found_and_nothing_where_there_is_nothing(model):
+def test_a_scale_is_found_and_nothing_where_there_is_nothing(model: Model) -> None:
     contexts, reading = table(3)
     assert pastis_stepwise(library(model, contexts, reading)) == set()
     contexts, reading = table(3, scale=1.004)
     assert pastis_stepwise(library(model, contexts, reading)) & {"range_scale", "bend", "threshold_walk"}
 
 
-def test_reading_that_cannot_be_counts_as_improbable(model):
+def test_reading_that_cannot_be_counts_as_improbable(model: Model) -> None:
     contexts, reading = table(4)
     reading[7] += 32768.0
     assert np.isfinite(library(model, contexts, reading).scores).all()
     assert LEAST > 0.0
 
 
-def test_reading_before_is_of_the_same_sensor_and_run():
+def test_reading_before_is_of_the_same_sensor_and_run() -> None:
     contexts = {"time_s": np.array([0.2, 0.0, 0.1, 0.3]), "sensor": np.array(["a", "a", "b", "a"])}
     before = previous({**contexts, "run": np.array(["1", "1", "1", "2"])}, np.array([20.0, 30.0, 40.0, 50.0]))
     np.testing.assert_array_equal(before, [30.0, np.nan, np.nan, np.nan])
 
 
-def test_swapped_pairs_keep_their_promise_where_contexts_are_shared():
+def test_swapped_pairs_keep_their_promise_where_contexts_are_shared() -> None:
     rng = np.random.default_rng(5)
     p_values = []
     for _ in range(150):
@@ -157,13 +161,13 @@ def test_swapped_pairs_keep_their_promise_where_contexts_are_shared():
     assert 0.4 < np.mean(p_values) < 0.6
 
 
-def test_energy_distance_of_two_points_by_hand():
+def test_energy_distance_of_two_points_by_hand() -> None:
     one, other = np.array([[0.0], [2.0]]), np.array([[1.0], [5.0]])
     # 2 E|x - y| - E|x - x'| - E|y - y'| = 2 (1 + 5 + 1 + 3) / 4 - 1 - 2.
     assert swapped(one, other, np.random.default_rng(1))[0] == pytest.approx(2.0)
 
 
-def test_slices_find_a_shift_that_all_readings_have(model):
+def test_slices_find_a_shift_that_all_readings_have(model: Model) -> None:
     rng = np.random.default_rng(6)
     contexts, reading = table(6)
     data = compare(model, contexts, reading + 2.0, rng)
@@ -171,7 +175,7 @@ def test_slices_find_a_shift_that_all_readings_have(model):
     assert ks_by_slice(data, rng) < 0.001
 
 
-def test_table_of_counts(tmp_path):
+def test_table_of_counts(tmp_path: Path) -> None:
     answers = tmp_path / "answers"
     answers.mkdir()
     hidden = [("slow_clock", 6.0), ("read_late", 10.0), None]
@@ -196,13 +200,13 @@ def test_table_of_counts(tmp_path):
     assert "| BIC stepwise | 1.00 (0.21 to 1.00) | 1 |" in show(counts, seconds)
 
 
-def test_pysindy_takes_what_stands_out():
+def test_pysindy_takes_what_stands_out() -> None:
     pytest.importorskip("pysindy", reason="the extra 'bench' is not installed")
     assert pysindy_stlsq(toy([0.3, -0.5, 8.0, 0.0, -7.0])) == {"2", "4"}
     assert pysindy_stlsq(toy([0.3, -0.5, 1.0])) == set()
 
 
-def test_pted_has_the_statistic_that_is_swapped():
+def test_pted_has_the_statistic_that_is_swapped() -> None:
     pted = pytest.importorskip("pted", reason="the extra 'bench' is not installed").pted
     rng = np.random.default_rng(7)
     ours, theirs = [], []
@@ -219,7 +223,7 @@ def test_pted_has_the_statistic_that_is_swapped():
     assert slopes[0] > 0.0
 
 
-def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model):
+def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model: Model) -> None:
     pytest.importorskip("pted", reason="the extra 'bench' is not installed")
     rng = np.random.default_rng(8)
     contexts, _ = table(8, n=300)
@@ -229,7 +233,7 @@ def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model):
     assert pted_as_it_comes(compare(model, contexts, same, rng), rng) < 0.05
 
 
-def test_classifier_tells_a_shift_that_comes_with_throttle(model):
+def test_classifier_tells_a_shift_that_comes_with_throttle(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     rng = np.random.default_rng(10)
     contexts, _ = table(10)
@@ -237,7 +241,7 @@ def test_classifier_tells_a_shift_that_comes_with_throttle(model):
     assert classifier(compare(model, contexts, shifted, rng), rng) < 0.01
 
 
-def test_classifier_keeps_still_where_nothing_is_missing(model):
+def test_classifier_keeps_still_where_nothing_is_missing(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     p_values = []
     for seed in range(10):
@@ -248,7 +252,7 @@ def test_classifier_keeps_still_where_nothing_is_missing(model):
     assert 0.25 < np.mean(p_values) < 0.75
 
 
-def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path):
+def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path: Path) -> None:
     unit = (0.95 * 2000) ** 0.5
     number = 0
     for size, of, found_by_ks in ((0.0, 40, 2), (0.05, 10, 2), (0.1, 10, 6), (0.14, 10, 10)):
@@ -276,7 +280,7 @@ def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path):
     assert "| gap workflow: names something or calls it unknown | 0.000 (0.000 to 0.088) | 0.00 | 1.00" in told
 
 
-def test_power_draws_each_size_of_each_mechanism():
+def test_power_draws_each_size_of_each_mechanism() -> None:
     drawn = power.cases(10, 1)
     assert len({case.number for case in drawn}) == len(drawn) == 10 * (3 + len(power.SIZES))
     assert len({case.hidden for case in drawn if case.hidden}) == 10 * len(power.SIZES)

@@ -49,7 +49,7 @@ def test_one_ranging_is_one_command_and_plain_reads() -> None:
     reading = ranging.reading
     assert (reading.sensor, reading.status, reading.range_m, reading.raw) == ("at_70", Status.OK, 2.58, 258)
     assert reading.std_m == 0.02
-    assert (ranging.ping_s, ranging.answered_s, ranging.error) == (0.0, pytest.approx(0.036), None)
+    assert (ranging.ping_s, ranging.answered_s, ranging.error) == pytest.approx((0.0, 0.036, None))
     # The echo came after half of the way there and back, 58 us a centimetre; it was read 21 ms after the whole way.
     assert reading.time_s == pytest.approx(258 * 58e-6 / 2)
 
@@ -86,7 +86,7 @@ def test_two_sensors_take_turns_and_no_echo_is_timed_at_the_ping() -> None:
         nothing, near, _ = poll(bus, clock, FRONT, REAR, until_s=0.3)
     assert (nothing.reading.status, nothing.reading.time_s) == (Status.NO_ECHO, 0.0)
     assert nothing.reading.range_m is nothing.reading.std_m is None
-    assert (near.reading.sensor, near.reading.time_s) == ("at_71", pytest.approx(0.1 + 0.0029))
+    assert (near.reading.sensor, near.reading.time_s) == pytest.approx(("at_71", 0.1 + 0.0029))
 
 
 def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:

@@ -13,6 +13,7 @@ import pytest
 from msp_sim.device.device import Fault
 from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, TIMING
 from tests.support.kernel_bus import HWMON_FILE, IIO_FILE, KernelTestbed, Other, Sonar, kernel_bus
+from tests.support.known import known
 
 FRONT, REAR = 0x70, 0x71
 LONG = replace(TIMING, ready_s=60.0)
@@ -190,7 +191,7 @@ def test_a_program_that_polls_ends_on_sigterm() -> None:
         code = PROGRAM_START + "print(flush=True)\nwhile True: attempt(bus.read, 0x70, 2)"
         polling = testbed.popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
         with polling:
-            polling.stdout.readline()
+            known(polling.stdout).readline()
             polling.terminate()
             assert polling.wait(10.0) == -signal.SIGTERM
 

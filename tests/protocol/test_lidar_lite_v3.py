@@ -260,10 +260,10 @@ def test_a_ray_meets_the_spot_that_it_points_at_and_no_edge_beside_it() -> None:
     down, slanting = (0.0, 0.0, 1.0), (-math.sin(1.0), 0.0, math.cos(1.0))
     by_light = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, None))
     by_sound = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, lambda range_m: math.radians(12.0)))
-    assert (by_light.heard, by_light.slant_range_cm) == (True, pytest.approx(500.0))
-    assert (by_sound.heard, by_sound.true_range_cm) == (True, pytest.approx(100 * math.hypot(4.0, 0.2)))
+    assert (by_light.heard, by_light.slant_range_cm) == pytest.approx((True, 500.0))
+    assert (by_sound.heard, by_sound.true_range_cm) == pytest.approx((True, 100 * math.hypot(4.0, 0.2)))
     aslant = world.ping(level, MountedBeam((0.0, 0.0, 0.0), slanting, None))
-    assert (aslant.heard, aslant.slant_range_cm) == (True, pytest.approx(500.0 / math.cos(1.0)))
+    assert (aslant.heard, aslant.slant_range_cm) == pytest.approx((True, 500.0 / math.cos(1.0)))
 
 
 def test_an_emulated_flight_of_light_is_one_of_rays() -> None:

@@ -135,7 +135,7 @@ def test_a_weight_of_nothing_has_an_upper_limit() -> None:
         # None of n: the likelihood drops by 1.92 at about 1.92 / n.
         assert low == 0.0
         assert 1.8 / 5_000 < high < 2.5 / 5_000
-    assert result.interval("hit") == (pytest.approx(1.0 - 1.92 / 5_000, abs=1e-5), 1.0)
+    assert result.interval("hit") == pytest.approx((1.0 - 1.92 / 5_000, 1.0), abs=1e-5)
     assert result.interval("saturated_fraction") == (0.0, 1.0)
     assert math.isnan(result.standard_errors["missed"])
 

@@ -26,7 +26,7 @@ def main() -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     wanted = list(_wanted(options.kinds, options.cases, options.seed))
     todo = [each for each in wanted if not result_file(options.out, *each).exists()]
-    with Progress(disable=None) as progress:
+    with Progress() as progress:
         bar = progress.add_task("cases", total=len(wanted), completed=len(wanted) - len(todo))
         # One core each: the workers inherit it, and read it when numpy starts.
         os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"

@@ -92,8 +92,8 @@ def steps_between(rows: Rows, base: Base, earlier: NDArray[np.int64], position: 
     """Exponent of the correlation between each row and an earlier one: readings, or time in mean spacings."""
     safe = np.maximum(earlier, 0)
     if base.correlation_time == "reading":
-        return np.maximum(position - position[safe], 0).astype(float)
-    return np.maximum((rows.time_s - rows.time_s[safe]) / rows.spacing_s, 0.0)
+        return np.asarray(np.maximum(position - position[safe], 0), dtype=float)
+    return np.asarray(np.maximum((rows.time_s - rows.time_s[safe]) / rows.spacing_s, 0.0))
 
 
 def t_unit(degrees: float) -> float:
@@ -143,7 +143,7 @@ def log_probability(rows: Rows, base: Base, law: Law, drawn: Drawn) -> Floats:
     deviation = np.sqrt(1 - link**2)
 
     def hit_below(edge: Floats) -> Floats:
-        return (normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation
+        return np.asarray((normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation)
 
     def hit_cell(low: Floats, high: Floats) -> Floats:
         return _between(hit_below(low), hit_below(high))

@@ -81,7 +81,7 @@ def _student(scores: Floats, degrees: float) -> Floats:
 def _kinds(law: Law, rng: np.random.Generator) -> np.ndarray:
     weights = np.concatenate([np.ones((1, law.odds.shape[1])), np.exp(law.odds)])
     edges = np.cumsum(weights / weights.sum(axis=0), axis=0)
-    return np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM)
+    return np.asarray(np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM))
 
 
 def _short(true_cm: Floats, base: Base, rng: np.random.Generator) -> Floats:

@@ -36,7 +36,7 @@ def _kind(title: str, channel: str, variable: str, shape: Shape, smooth: bool = 
 
 def _unit(values: Floats) -> Floats:
     """Values with mean 0 and standard deviation 1."""
-    return (values - values.mean()) / max(float(values.std()), 1e-9)
+    return np.asarray((values - values.mean()) / max(float(values.std()), 1e-9))
 
 
 def _linear(column: str) -> Shape:
@@ -44,7 +44,7 @@ def _linear(column: str) -> Shape:
 
 
 def _one_anchor(rng: np.random.Generator, rows: Rows) -> Floats:
-    return (rows.contexts["anchor"] == rng.choice(["a1", "a2", "a3", "a4"])).astype(float)
+    return np.asarray(rows.contexts["anchor"] == rng.choice(["a1", "a2", "a3", "a4"]), dtype=float)
 
 
 def _bump(rng: np.random.Generator, rows: Rows) -> Floats:
@@ -55,7 +55,7 @@ def _bump(rng: np.random.Generator, rows: Rows) -> Floats:
 def _beyond(column: str, low: float, high: float) -> Shape:
     def shape(rng: np.random.Generator, rows: Rows) -> Floats:
         values = rows.contexts[column]
-        return (values > np.quantile(values, rng.uniform(low, high))).astype(float)
+        return np.asarray(values > np.quantile(values, rng.uniform(low, high)), dtype=float)
 
     return shape
 
@@ -69,11 +69,11 @@ def _ripple_over_time(rng: np.random.Generator, rows: Rows) -> Floats:
 
 
 def _drift(rng: np.random.Generator, rows: Rows) -> Floats:
-    return rows.time_s / rows.time_s.max()
+    return np.asarray(rows.time_s / rows.time_s.max())
 
 
 def _speed(rng: np.random.Generator, rows: Rows) -> Floats:
-    return np.abs(rows.contexts["range_rate_cm_s"]) / 50
+    return np.asarray(np.abs(rows.contexts["range_rate_cm_s"]) / 50)
 
 
 def _climbing(rng: np.random.Generator, rows: Rows) -> Floats:

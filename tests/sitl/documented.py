@@ -26,7 +26,7 @@ def sitl_command(section: str, link: str) -> list[str]:
 def home(section: str) -> str:
     """The place in the commands of a section: latitude, longitude, altitude [m], heading [deg]."""
     (place,) = set(re.findall(r"(?:--home|--custom-location)[= ]([-0-9.,]+)", _text(section)))
-    return place
+    return str(place)
 
 
 def restart_s() -> float:
@@ -39,4 +39,4 @@ def restart_s() -> float:
 def _text(section: str) -> str:
     document = (ROOT / "docs" / "sitl.md").read_text(encoding="utf-8")
     (text,) = re.findall(rf"^## {re.escape(section)}\n(.*?)(?=^## |\Z)", document, re.M | re.S)
-    return text
+    return str(text)

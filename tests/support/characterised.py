@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from msp_lab.characterise import findings as found
 from msp_lab.readings.intake import SourceFile
 from msp_range.recording.csv_form import MeasuredData
+from tests.support.known import known
 
 BASELINE_CM = tuple(range(40, 261, 20))
 ANGLES_DEG = tuple(round(1.8 * step, 1) for step in range(-13, 14))
@@ -30,7 +32,7 @@ def measured(seed: int = 1, most: int = 20000) -> MeasuredData:
     return MeasuredData(columns)
 
 
-def _campaign(rng, most) -> Iterator[dict[str, Any]]:
+def _campaign(rng: np.random.Generator, most: int) -> Iterator[dict[str, Any]]:
     setup = {range_cm: rng.normal(0.0, 0.15) for range_cm in BASELINE_CM}
     for range_cm in BASELINE_CM:
         yield _point(rng, "baseline", range_cm, setup[range_cm])
@@ -78,22 +80,22 @@ def _campaign(rng, most) -> Iterator[dict[str, Any]]:
 
 
 def _point(
-    rng,
-    condition,
-    z,
-    bias,
-    n=100,
-    missed=0.002,
-    sigma=0.45,
-    short=0.0,
-    random=0.0,
-    incidence=0.0,
-    target="plywood",
-    air=20.5,
-    far=NAN,
-    vibration=0.0,
-    sensor="left",
-    level=NAN,
+    rng: np.random.Generator,
+    condition: str,
+    z: float,
+    bias: float,
+    n: int = 100,
+    missed: float = 0.002,
+    sigma: float = 0.45,
+    short: float = 0.0,
+    random: float = 0.0,
+    incidence: float = 0.0,
+    target: str = "plywood",
+    air: float = 20.5,
+    far: float = NAN,
+    vibration: float = 0.0,
+    sensor: str = "left",
+    level: float = NAN,
 ) -> dict[str, Any]:
     readings = np.rint(rng.normal(z + bias, sigma, n))
     kind = rng.random(n)
@@ -118,13 +120,13 @@ def _point(
     return columns
 
 
-def _estimate(values, unit="cm", of="readings") -> found.IntervalEstimate:
+def _estimate(values: ArrayLike, unit: str = "cm", of: str = "readings") -> found.IntervalEstimate:
     values = np.asarray(values, float)
     mean, half = float(np.mean(values)), 1.96 * float(np.std(values)) / math.sqrt(values.size)
     return found.IntervalEstimate(mean, mean - half, mean + half, unit, values.size, of)
 
 
-def _about(value, half, unit="") -> found.IntervalEstimate:
+def _about(value: float, half: float, unit: str = "") -> found.IntervalEstimate:
     return found.IntervalEstimate(value, value - half, value + half, unit, 12, "points")
 
 
@@ -149,7 +151,7 @@ def found_in(data: MeasuredData) -> found.Findings:
             1.0,
         ),
         calibration=_calibration(baseline),
-        mixture=_mixture(data),
+        mixture=_mixture(),
         maximum_range=_maximum(data),
         field_of_view=_field_of_view(data),
         sonar=found.SonarFit(
@@ -173,7 +175,7 @@ def found_in(data: MeasuredData) -> found.Findings:
     )
 
 
-def _points(data) -> Iterator[found.PointResult]:
+def _points(data: MeasuredData) -> Iterator[found.PointResult]:
     keys = np.unique(
         np.stack(
             [
@@ -222,7 +224,7 @@ def _points(data) -> Iterator[found.PointResult]:
         )
 
 
-def _calibration(points) -> found.CalibrationFindings:
+def _calibration(points: tuple[found.PointResult, ...]) -> found.CalibrationFindings:
     return found.CalibrationFindings(
         "none",
         (),
@@ -243,12 +245,12 @@ def _calibration(points) -> found.CalibrationFindings:
         ),
         "range",
         tuple(each.true_range_cm for each in points),
-        tuple(each.true_range_cm + each.error.value for each in points),
+        tuple(each.true_range_cm + known(each.error).value for each in points),
         tuple(0.045 for _ in points),
     )
 
 
-def _mixture(data) -> found.Mixture:
+def _mixture() -> found.Mixture:
     parameters = (
         ("weights.hit", 0.963, 0.003, "", 0.96),
         ("weights.short", 0.004, 0.001, "", 0.01),
@@ -272,7 +274,7 @@ def _mixture(data) -> found.Mixture:
     )
 
 
-def _maximum(data) -> found.MaximumRange:
+def _maximum(data: MeasuredData) -> found.MaximumRange:
     readings = data["reading_cm"][data["condition"] == "maximum_range"]
     values, counts = np.unique(readings, return_counts=True)
     pairs = tuple((int(value), int(count)) for value, count in zip(values, counts, strict=True))
@@ -290,7 +292,7 @@ def _maximum(data) -> found.MaximumRange:
     )
 
 
-def _field_of_view(data) -> found.FieldOfView:
+def _field_of_view(data: MeasuredData) -> found.FieldOfView:
     points = []
     chosen = data.select(data["condition"] == "field_of_view")
     for z in BREAKAWAY_DEG:
@@ -325,7 +327,7 @@ def _field_of_view(data) -> found.FieldOfView:
 
 
 def _questions() -> Iterator[found.Question]:
-    def effects(bias, verdict, missed=1.2):
+    def effects(bias: float, verdict: found.Verdict, missed: float = 1.2) -> tuple[found.FactorEffect, ...]:
         return (
             found.FactorEffect("bias", _about(bias, 0.12, "cm"), 0.3, 1.0, 0.5, verdict, 0.25),
             found.FactorEffect(
@@ -389,7 +391,7 @@ def _questions() -> Iterator[found.Question]:
         )
 
 
-def _box(level, box_c) -> found.HotBox:
+def _box(level: str, box_c: float) -> found.HotBox:
     rows = tuple(
         found.HotBoxRow(
             z,
@@ -414,7 +416,7 @@ def _box(level, box_c) -> found.HotBox:
     )
 
 
-def _compensation(data) -> Iterator[found.CompensationRow]:
+def _compensation(data: MeasuredData) -> Iterator[found.CompensationRow]:
     chosen = data.select(data["condition"] == "temperature_compensation")
     for z in (305, 335, 366, 396, 427):
         here = (chosen["true_range_cm"] == z) & (np.abs(chosen["reading_cm"] - z) < 20)

@@ -15,9 +15,10 @@ import sys
 import time
 import traceback
 from collections import deque
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
-from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.bus import Device, EmulatedBus
 from msp_sim.device.device import DeviceTiming, Fault, PlainDevice
 from msp_sim.device.table import emulated_kind
 
@@ -31,43 +32,60 @@ SMBUS_DATA_LENGTH = 34
 SMBUS_COUNTS = {SMBUS_BYTE: 1, SMBUS_BYTE_DATA: 1, SMBUS_WORD_DATA: 2}
 
 
+class IoctlData(Protocol):
+    """A piece of the client's memory, as UMockdev.IoctlData."""
+
+    def retrieve(self) -> Sequence[int]: ...
+    def resolve(self, offset: int, length: int) -> "IoctlData | None": ...
+    def update(self, offset: int, data: list[int]) -> None: ...
+
+
+class IoctlClient(Protocol):
+    """The program that called, as UMockdev.IoctlClient."""
+
+    def get_request(self) -> int: ...
+    def get_arg(self) -> IoctlData: ...
+    def complete(self, result: int, error: int) -> None: ...
+
+
 class TimeSinceOpened:
     """Seconds since a program first opened the bus: the clock of the devices and of their faults."""
 
-    def __init__(self):
-        self.start_s = None
+    def __init__(self) -> None:
+        self.start_s: float | None = None
 
-    def opened(self):
+    def opened(self) -> None:
         if self.start_s is None:
             self.start_s = time.monotonic()
 
-    def __call__(self):
+    def __call__(self) -> float:
+        assert self.start_s is not None
         return time.monotonic() - self.start_s
 
 
 class KernelInterface:
     """Turns the ioctl calls of i2c-dev into transfers of an EmulatedBus."""
 
-    def __init__(self, bus, timeout_s):
+    def __init__(self, bus: EmulatedBus, timeout_s: float) -> None:
         self.bus = bus
         self.timeout_s = timeout_s
-        self.journal: deque[Any] = deque(maxlen=200_000)
-        self.addresses = {}
+        self.journal: deque[tuple[float, str, int, str, int | None]] = deque(maxlen=200_000)
+        self.addresses: dict[int, int] = {}
 
-    def handle(self, _device, client):
+    def handle(self, _device: object, client: IoctlClient) -> bool:
         """Answer one ioctl. Nothing may be raised from here: the client would wait for ever."""
         try:
             # Two objects of the binding may stand for one client; their hash is the client's.
             result, error = self.ioctl(hash(client), client.get_request(), client.get_arg()), 0
         except OSError as failure:
-            result, error = -1, failure.errno
+            result, error = -1, failure.errno or errno.EIO
         except Exception:
             traceback.print_exc()
             result, error = -1, errno.EIO
         client.complete(result, error)
         return True
 
-    def ioctl(self, client, request, argument):
+    def ioctl(self, client: int, request: int, argument: IoctlData) -> int:
         """Return what the system call returns; raises OSError with its errno."""
         if request in (I2C_SLAVE, I2C_SLAVE_FORCE):
             (self.addresses[client],) = struct.unpack("L", bytes(argument.retrieve()))
@@ -75,19 +93,19 @@ class KernelInterface:
         if request in (I2C_RETRIES, I2C_TIMEOUT):
             return 0
         if request == I2C_FUNCS:
-            argument.resolve(0, 8).update(0, list(struct.pack("L", FUNCTIONS)))
+            _piece(argument, 0, 8).update(0, list(struct.pack("L", FUNCTIONS)))
             return 0
         if request == I2C_RDWR:
-            return self.combined(argument.resolve(0, 16))
+            return self.combined(_piece(argument, 0, 16))
         if request == I2C_SMBUS:
-            self.smbus(self.addresses.get(client, 0), argument.resolve(0, 16))
+            self.smbus(self.addresses.get(client, 0), _piece(argument, 0, 16))
             return 0
         raise OSError(errno.ENOTTY, f"ioctl 0x{request:x}")
 
-    def combined(self, argument):
+    def combined(self, argument: IoctlData) -> int:
         """struct i2c_rdwr_ioctl_data: messages with a repeated start between them."""
-        _, count = struct.unpack("PI4x", bytes(argument.retrieve()))
-        messages = argument.resolve(0, 16 * count)
+        count: int = struct.unpack("PI4x", bytes(argument.retrieve()))[1]
+        messages = _piece(argument, 0, 16 * count)
         for index in range(count):
             address, flags, length, _ = struct.unpack_from("HHH2xP", bytes(messages.retrieve()), 16 * index)
             buffer = messages.resolve(16 * index + 8, length)
@@ -99,37 +117,47 @@ class KernelInterface:
                 self.write(address, bytes(buffer.retrieve()) if buffer is not None else b"")
         return count
 
-    def smbus(self, address, argument):
+    def smbus(self, address: int, argument: IoctlData) -> None:
         """struct i2c_smbus_ioctl_data, carried out as the kernel does on an adapter without SMBus hardware."""
         is_read, command, size, _ = struct.unpack("BB2xIP", bytes(argument.retrieve()))
-        data = argument.resolve(8, SMBUS_DATA_LENGTH)
         if size == SMBUS_QUICK:
-            return self.read(address, 0) if is_read else self.write(address, b"")
+            if is_read:
+                self.read(address, 0)
+            else:
+                self.write(address, b"")
+            return
         if size not in (*SMBUS_COUNTS, SMBUS_I2C_BLOCK_DATA):
             raise OSError(errno.EOPNOTSUPP, f"SMBus transfer {size}")
         register = bytes([command])
         if size == SMBUS_BYTE and not is_read:
-            return self.write(address, register)
+            self.write(address, register)
+            return
+        data = _piece(argument, 8, SMBUS_DATA_LENGTH)
         content = bytes(data.retrieve())
         is_block = size == SMBUS_I2C_BLOCK_DATA
         first, count = (1, content[0]) if is_block else (0, SMBUS_COUNTS[size])
         if not is_read:
-            return self.write(address, register + content[first : first + count])
+            self.write(address, register + content[first : first + count])
+            return
         if size != SMBUS_BYTE:
             self.write(address, register)
-        return data.update(first, list(self.read(address, count)))
+        data.update(first, list(self.read(address, count)))
 
-    def write(self, address, data):
-        self.transfer("write", address, lambda: self.bus.write(address, data) or data)
+    def write(self, address: int, data: bytes) -> None:
+        def carry_out() -> bytes:
+            self.bus.write(address, data)
+            return data
 
-    def read(self, address, count):
+        self.transfer("write", address, carry_out)
+
+    def read(self, address: int, count: int) -> bytes:
         return self.transfer("read", address, lambda: self.bus.read(address, count))
 
-    def transfer(self, verb, address, act):
-        """Carry out one message and note it in the journal."""
+    def transfer(self, verb: str, address: int, carry_out: Callable[[], bytes]) -> bytes:
+        """Carry out one message and record it in the journal."""
         time_s = time.monotonic()
         try:
-            data = act()
+            data = carry_out()
         except OSError as failure:
             self.journal.append((time_s, verb, address, "", failure.errno))
             if failure.errno == errno.ETIMEDOUT:
@@ -139,20 +167,28 @@ class KernelInterface:
         return data
 
 
+def _piece(of: IoctlData, offset: int, length: int) -> IoctlData:
+    """The memory that a pointer at this offset points to."""
+    piece = of.resolve(offset, length)
+    if piece is None:
+        raise OSError(errno.EFAULT, "a null pointer")
+    return piece
+
+
 class Echo:
     """What a sonar's pings report: readings one after the other, and then again."""
 
-    def __init__(self, readings_cm):
+    def __init__(self, readings_cm: Sequence[int]) -> None:
         self.set(readings_cm)
 
-    def set(self, readings_cm):
+    def set(self, readings_cm: Sequence[int]) -> None:
         self.readings_cm = itertools.cycle(readings_cm)
 
-    def __call__(self, _ping_time_s):
+    def __call__(self, _ping_time_s: float) -> int:
         return next(self.readings_cm)
 
 
-def make_device(spec, now, chance, echoes):
+def make_device(spec: dict[str, Any], now: Callable[[], float], chance: random.Random, echoes: list[Echo]) -> Device:
     """One device from its specification; what a sonar reports is appended to ``echoes``."""
     faults = [Fault(**fault) for fault in spec["faults"]]
     if "readings_cm" not in spec:
@@ -162,7 +198,7 @@ def make_device(spec, now, chance, echoes):
     return kind(spec["address"], now, echoes[-1], DeviceTiming(**spec["timing"]), faults, chance)
 
 
-def main():
+def main() -> None:
     """Serve until standard input ends."""
     spec = json.loads(sys.stdin.readline())
     try:
@@ -175,11 +211,11 @@ def main():
         return
     now = TimeSinceOpened()
     chance = random.Random(spec["seed"])
-    echoes: list[Any] = []
+    echoes: list[Echo] = []
     devices = [make_device(device, now, chance, echoes) for device in spec["devices"]]
     interface = KernelInterface(EmulatedBus(devices, now, spec["nack_errno"]), spec["timeout_s"])
 
-    def opened(_device, _client):
+    def opened(_device: object, _client: IoctlClient) -> None:
         now.opened()
         interface.bus.reopen()
 
@@ -195,7 +231,7 @@ def main():
 
     loop = GLib.MainLoop()
 
-    def command(_source, _condition):
+    def command(_source: int, _condition: int) -> bool:
         line = sys.stdin.readline()
         if not line:
             loop.quit()

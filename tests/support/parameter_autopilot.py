@@ -117,7 +117,7 @@ class ParameterAutopilot:
 
     def _type_of(self, name: str) -> int:
         whole = self.px4 and name.startswith(INTEGER_NAMES)
-        return mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32
+        return int(mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32)
 
     def _send_value(self, name: str) -> None:
         if name not in self.values:

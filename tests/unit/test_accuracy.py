@@ -8,6 +8,7 @@ import pytest
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range, peaks
 from msp_lab.characterise.points import sort_into_points
 from msp_range.reading_model.sensor_model import load_sensor_model
+from tests.support.known import contains
 from tests.support.plain_bench import point, table
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
@@ -34,7 +35,7 @@ def test_765_and_255_are_masked_to_one_peak() -> None:
         (part["reading_cm"] == 765).sum(),
         (part["reading_cm"] == 255).sum(),
     )
-    assert found.peak.low <= 503.0 <= found.peak.high
+    assert contains(found.peak, 503.0)
     assert sum(count for _, count in found.histogram) == found.readings == 20_000
 
 
@@ -66,11 +67,11 @@ def test_the_baseline_has_its_numbers() -> None:
     parts = [point(rng, 40 + 20 * i, error_cm=setup_cm[i], missed=0.02, n=200) for i in range(12)]
     found = baseline(sort_into_points(table(*parts), SENSOR))
     assert found is not None
-    assert found.bias.low < 0.5 < found.bias.high
+    assert contains(found.bias, 0.5)
     assert found.spread.value == pytest.approx(0.6, abs=0.05)
     assert found.between_points is not None
     assert found.between_points.value == pytest.approx(0.3, abs=0.15)
-    assert found.missed.low < 0.02 < found.missed.high
+    assert contains(found.missed, 0.02)
     assert 1.0 <= abs(found.largest_hit_error_cm) <= 4.0
 
 

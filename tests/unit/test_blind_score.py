@@ -84,12 +84,13 @@ def test_a_pair_is_in_one_class_with_its_experiment() -> None:
     ],
 )
 def test_what_is_closed(before: float, after: float, floor: float, over_floor: float | None, of_all: float) -> None:
-    gap = {"nats_per_reading": {"before": before, "after": after, "noise_floor": floor}}
+    nats: dict[str, float | None] = {"before": before, "after": after, "noise_floor": floor}
+    gap = {"nats_per_reading": nats}
     found = judge(ANSWER, said(NAMED, gap=gap), NAMES).closed
     assert found is not None
     assert found.over_floor == (None if over_floor is None else pytest.approx(over_floor))
     assert found.of_all == pytest.approx(of_all)
-    gap["nats_per_reading"]["after"] = None
+    nats["after"] = None
     assert judge(ANSWER, said(NAMED, gap=gap), NAMES).closed is None
 
 

@@ -2,12 +2,14 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
@@ -112,7 +114,7 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
         (("--out", "{}/m.yaml", "--date", "today"), "expected a day such as 2026-10-05"),
     ],
 )
-def test_what_cannot_be_written_is_told_before_the_work(tmp_path: Path, options, message: str) -> None:
+def test_what_cannot_be_written_is_told_before_the_work(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
     write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(6), 100)))
     result = run(tmp_path / "a.csv", "--sensor", SENSOR, *(each.format(tmp_path) for each in options))
     assert result.exit_code == 3
@@ -161,7 +163,9 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_data_that_say_nothing_are_refused(tmp_path: Path, parts, message: str) -> None:
+def test_data_that_say_nothing_are_refused(
+    tmp_path: Path, parts: Callable[[np.random.Generator], list[dict[str, NDArray[Any]]]], message: str
+) -> None:
     write_csv(tmp_path / "a.csv", table(*parts(np.random.default_rng(4))))
     result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--sensor", SENSOR)
     assert result.exit_code == 3

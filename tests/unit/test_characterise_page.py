@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
 from tests.support.characterised import found_in, measured
+from tests.support.known import known
 
 MODEL = load_sensor_model(Path(__file__).parents[2] / "configs/sensors/mb1242.yaml")
 
@@ -75,38 +76,46 @@ class Page(HTMLParser):
         self.feed(self.html)
         self.text = " ".join(" ".join(self.words).split())
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         for name, value in attrs:
             if name in ("src", "href", "srcset", "data", "action", "poster") or name.startswith("on"):
-                self.references.append(value)
+                self.references.append(known(value))
             if name == "id":
                 assert value not in self.anchors, f"anchor {value} is there twice"
-                self.anchors.add(value)
+                self.anchors.add(known(value))
         if tag == "img":
             self.images += 1
             assert dict(attrs)["alt"], "a picture without words for who cannot see it"
 
-    def handle_data(self, data):
+    def handle_data(self, data: str) -> None:
         self.words.append(data)
 
 
+class Complete(NamedTuple):
+    """A characterisation of all conditions: the folder of its pictures, its page and its findings."""
+
+    folder: Path
+    page: Page
+    findings: Findings
+
+
 @pytest.fixture(scope="module")
-def complete(tmp_path_factory):
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Complete:
     data = measured(most=2000)
     findings = found_in(data)
     folder = tmp_path_factory.mktemp("report")
     path = write_report(findings, data, MODEL, folder)
-    return folder, Page(path), findings
+    return Complete(folder, Page(path), findings)
 
 
 @pytest.fixture(scope="module")
-def compared(complete, tmp_path_factory):
+def compared(complete: Complete, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Page]:
     """The comparison with the report, of data that lack vibration."""
     data = measured(most=2000)
     data = data.select(data["condition"] != "vibration")
     folder = tmp_path_factory.mktemp("comparison")
-    return folder, Page(write_comparison(complete[2], data, MODEL, folder))
+    return folder, Page(write_comparison(complete.findings, data, MODEL, folder))
 
 
 def only(data: MeasuredData, *names: str) -> MeasuredData:
@@ -121,19 +130,19 @@ def nothing_found(data: MeasuredData) -> Findings:
     return Findings("other", "2026-10-05", 22.5, (), (), absent={"mixture": "too few readings"})
 
 
-def test_every_picture_is_there(complete):
+def test_every_picture_is_there(complete: Complete) -> None:
     folder, page, _ = complete
     assert names_of(folder) == PICTURES
     assert page.images == len(PICTURES)
     assert set(PICTURES) <= page.anchors
 
 
-def test_the_page_knows_nothing_of_a_report_that_its_reader_does_not_have(complete):
+def test_the_page_knows_nothing_of_a_report_that_its_reader_does_not_have(complete: Complete) -> None:
     _, page, _ = complete
     assert not re.search(r"[Ff]igure \d|Table \d|[Cc]hapter|[Ee]rrat|\beq \d|the report|\b4\.3\.\d", page.text)
 
 
-def test_page_asks_for_nothing_from_outside(complete):
+def test_page_asks_for_nothing_from_outside(complete: Complete) -> None:
     _, page, _ = complete
     for reference in page.references:
         assert reference.startswith(("#", "data:image/png;base64,")), reference[:80]
@@ -144,7 +153,7 @@ def test_page_asks_for_nothing_from_outside(complete):
     assert not re.search(r"@import|url\(|https?://", page.html)
 
 
-def test_pictures_are_png_of_one_width_and_not_blank(complete):
+def test_pictures_are_png_of_one_width_and_not_blank(complete: Complete) -> None:
     folder, _, _ = complete
     for path in folder.glob("*.png"):
         with Image.open(io.BytesIO(path.read_bytes())) as image:
@@ -158,7 +167,7 @@ def test_pictures_are_png_of_one_width_and_not_blank(complete):
         assert np.mean(edge < 128) < 0.002, f"{path.name} is cut off"
 
 
-def test_the_answer_stands_first_and_then_the_verdicts(complete):
+def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> None:
     _, page, _ = complete
     text = page.text
     assert text.index("Hits of the MB1242 are off by +0.0") < text.index("What was found") < text.index("Methods")
@@ -169,7 +178,7 @@ def test_the_answer_stands_first_and_then_the_verdicts(complete):
         assert words in head, words
 
 
-def test_every_figure_of_the_report_is_there_or_says_why_not(compared):
+def test_every_figure_of_the_report_is_there_or_says_why_not(compared: tuple[Path, Page]) -> None:
     folder, page = compared
     names = names_of(folder)
     missing = [figure for figure in REPORT_FIGURES if not any(name.startswith(figure) for name in names)]
@@ -179,7 +188,7 @@ def test_every_figure_of_the_report_is_there_or_says_why_not(compared):
     assert set(names) <= page.anchors
 
 
-def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared):
+def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared: tuple[Path, Page]) -> None:
     _, page = compared
     head = page.text[page.text.index("Where both agree") : page.text.index("The report's figures from these readings")]
     for words in ("agrees 23.4° or more (no larger angle was tried) 23.4°", "near 503 cm", "4.3.8: inconclusive"):
@@ -187,21 +196,21 @@ def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared):
     assert "The report: at 60 Hz" not in page.text
 
 
-def test_table_5_1_has_both_sides_and_says_that_the_first_row_was_not_compensated(compared):
+def test_table_5_1_has_both_sides_and_says_that_the_first_row_was_not_compensated(compared: tuple[Path, Page]) -> None:
     _, page = compared
     table = page.text[page.text.index("Table 5.1: mean range error") :]
     for cell in ("2.821", "0.067", "4.931", "0.921", "15.2", "it was not compensated"):
         assert cell in table, cell
 
 
-def test_another_sensor_is_not_compared_with_the_report():
+def test_another_sensor_is_not_compared_with_the_report() -> None:
     other = MODEL.model_copy(update={"name": "HC-SR04"})
     with pytest.raises(ConfigError, match="the report is about the MB1242, not the HC-SR04"):
         check_sensor(other)
     check_sensor(MODEL)
 
 
-def test_same_data_make_the_same_bytes(tmp_path):
+def test_same_data_make_the_same_bytes(tmp_path: Path) -> None:
     data = measured(most=300)
     data = data.select(data["condition"] == "vibration")
     for folder in ("one", "two"):
@@ -211,7 +220,7 @@ def test_same_data_make_the_same_bytes(tmp_path):
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
 
 
-def test_without_a_field_of_view_the_rest_is_there_and_the_page_says_why(complete, tmp_path):
+def test_without_a_field_of_view_the_rest_is_there_and_the_page_says_why(complete: Complete, tmp_path: Path) -> None:
     _, _, whole = complete
     data = measured(most=300)
     # The pictures of materials, temperatures and interference do not depend on it: left out to save time.
@@ -225,7 +234,7 @@ def test_without_a_field_of_view_the_rest_is_there_and_the_page_says_why(complet
     assert "not drawn" not in page.text
 
 
-def test_readings_and_ranges_alone_make_a_page(tmp_path):
+def test_readings_and_ranges_alone_make_a_page(tmp_path: Path) -> None:
     data = measured(most=300)
     data = only(
         data.select(np.isin(data["condition"], ("baseline", "material"))),
@@ -240,7 +249,7 @@ def test_readings_and_ranges_alone_make_a_page(tmp_path):
     assert "Does it matter?" not in page.text
 
 
-def test_ranges_that_change_all_the_time_are_drawn_in_bins(tmp_path):
+def test_ranges_that_change_all_the_time_are_drawn_in_bins(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     true_cm = rng.uniform(30, 300, 2000)
     data = MeasuredData(
@@ -256,7 +265,7 @@ def test_ranges_that_change_all_the_time_are_drawn_in_bins(tmp_path):
 
 
 @pytest.mark.parametrize("reading_cm", [765.0, np.nan])
-def test_readings_that_are_all_missed(tmp_path, reading_cm):
+def test_readings_that_are_all_missed(tmp_path: Path, reading_cm: float) -> None:
     data = measured(most=300)
     data = data.select(np.isin(data["condition"], ("baseline", "maximum_range", "field_of_view")))
     columns = dict(data.columns) | {"reading_cm": np.full(len(data), reading_cm)}
@@ -265,7 +274,7 @@ def test_readings_that_are_all_missed(tmp_path, reading_cm):
     assert "range_error" in names_of(tmp_path)
 
 
-def test_no_true_range_at_all(tmp_path):
+def test_no_true_range_at_all(tmp_path: Path) -> None:
     data = MeasuredData(
         {
             "time_s": np.arange(3.0),
@@ -279,7 +288,7 @@ def test_no_true_range_at_all(tmp_path):
     assert "Nothing could be concluded" in page.text
 
 
-def test_names_from_the_data_are_escaped(tmp_path):
+def test_names_from_the_data_are_escaped(tmp_path: Path) -> None:
     data = measured(most=300)
     data = data.select(data["condition"] == "material")
     columns = dict(data.columns)
@@ -289,7 +298,7 @@ def test_names_from_the_data_are_escaped(tmp_path):
     assert "material__b__grit__b_" in names_of(tmp_path)
 
 
-def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path):
+def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     data = measured(most=300)
     data = data.select(data["condition"] == "baseline")
@@ -297,7 +306,7 @@ def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path):
         write_report(nothing_found(data), data, MODEL, tmp_path / "file" / "report")
 
 
-def test_panels_share_an_axis_of_ranges_where_some_lack_one():
+def test_panels_share_an_axis_of_ranges_where_some_lack_one() -> None:
     few = Errors("loud", np.array([200.0] * 5), np.zeros(5), np.zeros(5, dtype=bool))
     many = Errors("quiet", np.repeat([40.0, 200.0, 260.0], 5), np.zeros(15), np.zeros(15, dtype=bool))
     for panels in ([many, few], [few, many]):
@@ -308,7 +317,7 @@ def test_panels_share_an_axis_of_ranges_where_some_lack_one():
         assert high > 260.0
 
 
-def test_a_stray_reading_hides_neither_the_others_nor_their_mean():
+def test_a_stray_reading_hides_neither_the_others_nor_their_mean() -> None:
     errors = np.repeat([0.0, 1.0], [300, 300])
     errors[0] = -80.0
     figure = draw_errors([Errors("one", np.repeat([100.0, 200.0], 300), errors, np.zeros(600, dtype=bool))])

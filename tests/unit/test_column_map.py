@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from msp_lab.readings.column_map import load_map, read_mapped
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
@@ -20,7 +21,7 @@ def written(folder: Path, text: str, name: str = "theirs.csv") -> Path:
     return path
 
 
-def mapped(folder: Path, table: str, column_map: str):
+def mapped(folder: Path, table: str, column_map: str) -> MeasuredData:
     return read_mapped(written(folder, table), load_map([str(written(folder, column_map, "map.yaml"))]), 765.0)
 
 

@@ -30,7 +30,7 @@ for _sensor in QUAD["sensors"]:
 Change = Callable[[dict[str, Any]], object]
 
 
-def named(paths: list[Path]) -> Any:
+def named(paths: list[Path]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("path", paths, ids=lambda path: path.stem)
 
 

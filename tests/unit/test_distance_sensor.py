@@ -24,15 +24,15 @@ def fields(message: Any) -> dict[str, Any]:
 
 
 def current_cm(range_m: float, stream: Stream = DOWNWARD) -> int:
-    return fields(distance_sensor(stream, 0, range_m, 0.0004, 0.4, 80))["current_distance"]
+    return int(fields(distance_sensor(stream, 0, range_m, 0.0004, 0.4, 80))["current_distance"])
 
 
 def covariance(variance_m2: float) -> int:
-    return fields(distance_sensor(DOWNWARD, 0, 3.0, variance_m2, 0.4, 80))["covariance"]
+    return int(fields(distance_sensor(DOWNWARD, 0, 3.0, variance_m2, 0.4, 80))["covariance"])
 
 
 def quality(asked: int) -> int:
-    return fields(distance_sensor(DOWNWARD, 0, 3.0, 0.0004, 0.4, asked))["signal_quality"]
+    return int(fields(distance_sensor(DOWNWARD, 0, 3.0, 0.0004, 0.4, asked))["signal_quality"])
 
 
 def test_every_field_of_a_distance() -> None:

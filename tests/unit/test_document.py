@@ -1,6 +1,7 @@
 """Tables that `make bench` and `make blind` write into docs/figures.md."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -8,7 +9,7 @@ from benchmarks.__main__ import as_markdown
 from benchmarks.document import FIGURES, replace_section
 
 
-def test_a_section_is_replaced_and_the_rest_stays(tmp_path):
+def test_a_section_is_replaced_and_the_rest_stays(tmp_path: Path) -> None:
     path = tmp_path / "figures.md"
     path.write_text("before\n<!-- begin bench -->\nold\n<!-- end bench -->\nafter\n", encoding="utf-8")
     for text in ("| new \\1 |", "| newer |"):
@@ -18,7 +19,7 @@ def test_a_section_is_replaced_and_the_rest_stays(tmp_path):
         )
 
 
-def test_a_missing_section_is_an_error_and_changes_nothing(tmp_path):
+def test_a_missing_section_is_an_error_and_changes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "figures.md"
     path.write_text("no section\n", encoding="utf-8")
     with pytest.raises(ValueError, match="found section 'bench' 0 times"):
@@ -26,12 +27,12 @@ def test_a_missing_section_is_an_error_and_changes_nothing(tmp_path):
     assert path.read_text(encoding="utf-8") == "no section\n"
 
 
-def test_the_document_has_both_sections():
+def test_the_document_has_both_sections() -> None:
     text = FIGURES.read_text(encoding="utf-8")
     assert re.findall(r"<!-- (.*) -->", text) == ["begin bench", "end bench", "begin blind", "end blind"]
 
 
-def test_figures_become_rows():
+def test_figures_become_rows() -> None:
     figures = [
         {"key": "latency_p99", "value": 2.7, "unit": "ms", "goal": "at most 5", "met": True},
         {"key": "start", "value": 0.52, "unit": "s", "goal": "at most 0.5", "met": False},

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from msp_lab.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share
+from tests.support.known import contains, width
 
 
 @pytest.mark.parametrize(("sigma_cm", "n"), [(0.15, 50), (0.35, 100), (0.5, 2000), (2.0, 100)])
@@ -14,8 +15,8 @@ def test_mean_and_spread_hold_the_truth_although_readings_are_whole(sigma_cm: fl
     for _ in range(trials):
         mean_cm = rng.uniform(100.0, 101.0)
         found = mean_and_spread(np.rint(mean_cm + sigma_cm * rng.standard_normal(n)), step=1.0)
-        held_mean += found.mean.low <= mean_cm <= found.mean.high
-        held_spread += found.spread.low <= sigma_cm <= found.spread.high
+        held_mean += contains(found.mean, mean_cm)
+        held_spread += contains(found.spread, sigma_cm)
     # 95 % of 200, less four standard deviations; rounding makes some of them wider.
     assert held_mean >= 178
     assert held_spread >= 178
@@ -24,7 +25,7 @@ def test_mean_and_spread_hold_the_truth_although_readings_are_whole(sigma_cm: fl
 def test_readings_that_are_all_equal_do_not_fix_the_mean() -> None:
     found = mean_and_spread(np.full(100, 250.0), step=1.0)
     assert found.mean.value == pytest.approx(250.0, abs=0.01)
-    assert found.mean.high - found.mean.low > 0.8
+    assert width(found.mean) > 0.8
     assert found.spread.value == 0.0
 
 
@@ -36,7 +37,7 @@ def test_a_half_is_between_two_readings() -> None:
 def test_share_is_wilsons() -> None:
     # Brown, Cai and DasGupta 2001, their formula (4), for 0 of 20: upper end z^2 / (n + z^2).
     found = share(0, 20)
-    assert (found.low, found.high) == (0.0, pytest.approx(3.8415 / 23.8415, rel=1e-4))
+    assert (found.low, found.high) == pytest.approx((0.0, 3.8415 / 23.8415), rel=1e-4)
 
 
 def test_holm_is_the_published_one() -> None:
@@ -66,7 +67,7 @@ def test_a_line_through_points_holds_offset_and_scale_in_95_of_100_cases() -> No
         fit = fit_points(design, y, known**2)
         for i, truth in enumerate((1.5, 1.01)):
             estimate = fit.estimate(i, "")
-            held[i] += estimate.low <= truth <= estimate.high
+            held[i] += contains(estimate, truth)
     assert (held / trials >= 0.92).all()
     assert (held / trials <= 0.98).all()
 

@@ -156,7 +156,7 @@ def test_kalman_needs_a_variance() -> None:
     with pytest.raises(ValueError, match="measurement_variance_cm2"):
         kalman().update(0.0, Estimate(3.0, math.inf))
     estimate = kalman(measurement_variance_cm2=4.0).update(0.0, Estimate(3.0, math.inf))
-    assert estimate == (3.0, pytest.approx(4e-4))
+    assert estimate == pytest.approx((3.0, 4e-4))
 
 
 def reading(time_s: float, range_m: float | None, status: Status = Status.OK, *, suspect: bool = False) -> Reading:
@@ -185,7 +185,7 @@ def test_no_code_passes_the_gate_and_none_touches_a_filter(status: Status) -> No
 
 
 def test_an_empty_chain_gives_the_reading_and_its_variance() -> None:
-    assert started([], 0.0, 3.0).update(reading(0.1, 3.0)).estimate == (3.0, pytest.approx(VARIANCE_M2))
+    assert started([], 0.0, 3.0).update(reading(0.1, 3.0)).estimate == pytest.approx((3.0, VARIANCE_M2))
     at_minimum = Reading(0.1, "a", Status.AT_MINIMUM, 0.2)
     assert started([], 0.0, 0.2).update(at_minimum).estimate == (0.2, math.inf)
 

@@ -125,7 +125,8 @@ def test_files_are_named_by_the_date_and_follow_each_other_after_an_hour(tmp_pat
     assert first + second == tenths(0, 10) + tenths(FILE_LASTS_S, FILE_LASTS_S + 10)
     assert second[0] == pytest.approx(FILE_LASTS_S + 0.3)
     assert not any(Recording(path).cut for path in flight.opened)
-    assert flight.faults == flight.failures == []
+    assert flight.faults == []
+    assert flight.failures == []
 
 
 def test_a_new_file_begins_at_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

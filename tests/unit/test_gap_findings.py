@@ -28,6 +28,7 @@ from msp_lab.gap.findings import (
 from msp_lab.gap.verdict import sentence, verdict
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
+from tests.support.known import known
 from tests.support.measured import MODEL
 
 GIVEN = load_model(MODEL)
@@ -105,7 +106,7 @@ def test_the_keys_are_those_that_were_promised() -> None:
 def test_what_is_not_known_is_null_and_never_nan() -> None:
     text = as_json(replace(FULL, gap=gap(float("nan"))))
     assert "NaN" not in text
-    assert from_json(text).gap.nats_per_reading.after is None
+    assert known(from_json(text).gap).nats_per_reading.after is None
 
 
 @pytest.mark.parametrize(("content", "message"), [(None, "no such file"), ("{", "gap.json"), ("[1]", "not written by")])

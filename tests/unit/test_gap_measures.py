@@ -15,13 +15,13 @@ from tests.support.measured import MODEL, readings
 MODEL_GIVEN = load_model(MODEL)
 
 
-def table_of(columns, units: int = 50) -> HeldOutReadings:
+def table_of(columns: dict[str, Any], units: int = 50) -> HeldOutReadings:
     contexts = {name: columns[name] for name in ("true_range_cm", "throttle")}
     n = columns["reading_cm"].size
     return HeldOutReadings(columns["reading_cm"], contexts, (np.arange(n) * units // n).astype(np.intp))
 
 
-def measured(columns) -> tuple[Measures, dict[str, float]]:
+def measured(columns: dict[str, Any]) -> tuple[Measures, dict[str, float]]:
     table = table_of(columns)
     parts = partitions(table.contexts)
     drawn = replicates(MODEL_GIVEN, table, parts, 5, np.random.default_rng(7))

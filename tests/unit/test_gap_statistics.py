@@ -18,6 +18,7 @@ from msp_lab.gap.validation import gain
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import Model, make_curve_term
+from tests.support.known import contains, known, width
 
 Array = NDArray[np.float64]
 SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
@@ -149,7 +150,7 @@ def test_latency_is_named_with_its_size() -> None:
     assert found.gain.nats_per_reading > 2.0 * found.gain.se
     if found.effects[0].name == "latency":
         value = found.effects[0].parameters["delay_ms"]
-        assert value.low < 12.0 < value.high
+        assert contains(value, 12.0)
 
 
 def test_spread_with_throttle_is_named() -> None:
@@ -157,7 +158,7 @@ def test_spread_with_throttle_is_named() -> None:
     throttle = np.asarray(contexts["throttle"], dtype=float)
     found = explained(contexts, read(contexts, 5, wider=1.0 + 1.5 * throttle))
     assert [each.name for each in found.effects] == ["rotor_noise"]
-    assert "sigma_cm" not in [each.name for each in found.calibration] or found.effects[0].z > 4.0
+    assert "sigma_cm" not in [each.name for each in found.calibration] or known(found.effects[0].z) > 4.0
 
 
 def test_what_is_in_no_catalogue_is_a_curve_and_flies() -> None:
@@ -202,7 +203,7 @@ def test_correlated_noise_is_a_number_of_the_base_and_no_effect() -> None:
     found = explained(contexts, read(contexts, 8, bias_cm=drift))
     assert not found.effects
     (correlation,) = [each for each in found.calibration if each.name == "correlation"]
-    assert correlation.low > 0.2
+    assert known(correlation.low) > 0.2
     assert found.models.held_out_fit.sensor.reading_model.correlation == pytest.approx(correlation.after)
 
 
@@ -253,14 +254,14 @@ def test_values_are_those_of_the_held_out_runs() -> None:
     hits = 0.96 * parts.held_out.sum()
     error_ms = 1000.0 * np.hypot(SENSOR.reading_model.sigma_cm, 0.29) / np.sqrt(hits) / rate.std()
     assert value.value == pytest.approx(12.0, abs=3.5 * error_ms)
-    assert value.high - value.low == pytest.approx(2.0 * 1.96 * error_ms, rel=0.2)
+    assert width(value) == pytest.approx(2.0 * 1.96 * error_ms, rel=0.2)
     held_out, training = (
         each.effects[0].values["delay_ms"] for each in (found.models.held_out_fit, found.models.training_fit)
     )
     assert held_out == pytest.approx(value.value)
     assert training == pytest.approx(18.0, abs=3.5 * error_ms)
     # What could have been seen: 80 % power at the critical value of all entries, on the training runs.
-    smallest_ms = float(re.search(r"latency above ([\d.]+) ms", found.detectable)[1])
+    smallest_ms = float(re.findall(r"latency above ([\d.]+) ms", found.detectable)[0])
     assert 3.4 * error_ms < smallest_ms < 5.5 * error_ms
 
 
@@ -303,10 +304,10 @@ def test_errors_of_correlated_readings_are_wider() -> None:
     found = explained(contexts, read(contexts, 8, bias_cm=drift - 0.06 * rate))
     latency = next(each for each in found.effects if each.name == "latency")
     value = latency.parameters["delay_ms"]
-    assert value.low < 60.0 < value.high
+    assert contains(value, 60.0)
     spread_cm = np.sqrt(SENSOR.reading_model.sigma_cm**2 + drift.var())
     independent_ms = 1000.0 * spread_cm / np.sqrt(0.96 * 1000) / rate.std()
-    assert value.high - value.low > 1.3 * 2.0 * 1.96 * independent_ms
+    assert width(value) > 1.3 * 2.0 * 1.96 * independent_ms
 
 
 def test_a_refit_finds_the_base_and_stays_within_bounds() -> None:

@@ -1,7 +1,9 @@
 """Altitude profiles, tracks and attitude: continuous, bounded, as drawn, and the same for the same seed."""
 
 import math
+from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +34,7 @@ def flat(time_s: float) -> float:
     return 0.0
 
 
-def fly(*segments: Segment, surface_m=flat, seed: int = 0) -> Course:
+def fly(*segments: Segment, surface_m: Callable[[float], float] = flat, seed: int = 0) -> Course:
     return altitude(segments, surface_m, np.random.default_rng(seed))
 
 
@@ -68,18 +70,20 @@ def stepped_slope(time_s: float) -> float:
     ],
     ids=["climb", "short climb", "land", "sinusoid", "terrain", "up and down"],
 )
-def test_what_a_vehicle_flies_is_continuous_and_bounded(segments, fastest_m_s, hardest_m_s2):
+def test_what_a_vehicle_flies_is_continuous_and_bounded(
+    segments: Sequence[Segment], fastest_m_s: float, hardest_m_s2: float
+) -> None:
     _, heights_m, speeds_m_s = sampled(fly(*segments, surface_m=stepped_slope))
     assert np.abs(speeds_m_s).max() <= fastest_m_s * (1 + 1e-4)
     assert np.abs(np.diff(heights_m)).max() <= fastest_m_s * FINE_S * (1 + 1e-4)
     if segments[0].kind != "sinusoid":  # which starts with its full acceleration
         assert np.abs(np.diff(speeds_m_s)).max() <= hardest_m_s2 * FINE_S * (1 + 1e-4)
-    # The speed that is told is the derivative of the height; the mean of two speeds errs by a^2 at most.
+    # The reported speed is the derivative of the height; the mean of two speeds errs by a^2 at most.
     between_m_s = (speeds_m_s[1:] + speeds_m_s[:-1]) / 2
     assert np.diff(heights_m) / FINE_S == pytest.approx(between_m_s, abs=hardest_m_s2 * FINE_S)
 
 
-def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should():
+def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should() -> None:
     course = fly(ClimbSegment(kind="climb", to_m=6.0, speed_m_s=1.2, acceleration_m_s2=0.9))
     # Speeding up and slowing down each take 1.5 v / a, at the mean speed v / 2.
     assert course.end_s == pytest.approx(6.0 / 1.2 + 1.5 * 1.2 / 0.9)
@@ -87,7 +91,7 @@ def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should():
     assert course.at(course.end_s + 100) == (6.0, 0.0, 0.0)
 
 
-def test_acceleration_is_the_derivative_of_speed():
+def test_acceleration_is_the_derivative_of_speed() -> None:
     course = fly(
         ClimbSegment(kind="climb", to_m=6.0), SinusoidSegment(kind="sinusoid", swing_m=-1.0, period_s=4.0, cycles=1)
     )
@@ -96,7 +100,7 @@ def test_acceleration_is_the_derivative_of_speed():
         assert course.at(time_s)[2] == pytest.approx(numeric_m_s2, abs=1e-6)
 
 
-def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle():
+def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle() -> None:
     course = fly(
         StepSegment(kind="step", to_m=2.0), SinusoidSegment(kind="sinusoid", swing_m=1.5, period_s=4.0, cycles=3)
     )
@@ -106,7 +110,7 @@ def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle():
         assert heights_m == pytest.approx([2.0, 2.75, 3.5, 2.75])
 
 
-def test_steps_are_sharp_and_ramps_straight():
+def test_steps_are_sharp_and_ramps_straight() -> None:
     course = fly(
         StepSegment(kind="step", to_m=2.75),
         HoldSegment(kind="hold", duration_s=5),
@@ -120,12 +124,12 @@ def test_steps_are_sharp_and_ramps_straight():
     assert course.at(14.0) == (3.25, 0.0, 0.0)
 
 
-def test_a_landing_ends_on_what_is_below():
+def test_a_landing_ends_on_what_is_below() -> None:
     course = fly(StepSegment(kind="step", to_m=3.0), LandSegment(kind="land"), surface_m=lambda time_s: 0.4)
     assert course.end_m == 0.4
 
 
-def test_terrain_following_keeps_its_height_and_finds_it_again_after_a_step():
+def test_terrain_following_keeps_its_height_and_finds_it_again_after_a_step() -> None:
     course = fly(
         ClimbSegment(kind="climb", to_m=2.0),
         TerrainSegment(kind="terrain", height_m=2.0, duration_s=40),
@@ -154,7 +158,7 @@ def stretches(course: Course) -> list[tuple[int, float, float]]:
     return parts
 
 
-def test_the_random_profile_is_drawn_as_it_says():
+def test_the_random_profile_is_drawn_as_it_says() -> None:
     course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=2400))
     parts = stretches(course)[:-1]  # the last one is cut
     assert len(parts) == pytest.approx(2000, rel=0.05)
@@ -170,7 +174,7 @@ def test_the_random_profile_is_drawn_as_it_says():
     assert stats.kstest(levels_m, stats.uniform(2.3, 1.3).cdf).pvalue > 0.001
 
 
-def test_the_random_profile_stops_in_time_and_stays_within_its_levels():
+def test_the_random_profile_stops_in_time_and_stays_within_its_levels() -> None:
     course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=20, low_m=2.3, high_m=3.6))
     assert course.end_s == pytest.approx(20.0)
     _, heights_m, _ = sampled(course, 0.01)
@@ -179,13 +183,13 @@ def test_the_random_profile_stops_in_time_and_stays_within_its_levels():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one(seed):
+def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one(seed: int) -> None:
     short, long = (fly(RandomSegment(kind="random", duration_s=duration_s), seed=seed) for duration_s in (20.3, 40))
     for time_s in np.arange(0.0, 20.3, 0.05):
         assert short.at(time_s) == pytest.approx(long.at(time_s))
 
 
-def test_the_random_profile_follows_its_seed():
+def test_the_random_profile_follows_its_seed() -> None:
     def heights_m(seed: int) -> list[float]:
         course = fly(RandomSegment(kind="random", duration_s=60), seed=seed)
         return [course.at(0.1 * i)[0] for i in range(600)]
@@ -194,7 +198,7 @@ def test_the_random_profile_follows_its_seed():
     assert heights_m(3) != heights_m(4)
 
 
-def test_a_track_changes_speed_smoothly_and_comes_to_rest():
+def test_a_track_changes_speed_smoothly_and_comes_to_rest() -> None:
     track = TrackSection(
         start_m=(3.0, -2.0),
         acceleration_m_s2=0.8,
@@ -216,20 +220,20 @@ def test_a_track_changes_speed_smoothly_and_comes_to_rest():
     assert easts_m[times_s <= 12][-1] == pytest.approx(-2.0 + 1.0 * (10 - 3.75 / 2), abs=0.002)
 
 
-def test_a_leg_too_short_for_its_speed_reaches_what_it_can():
+def test_a_leg_too_short_for_its_speed_reaches_what_it_can() -> None:
     north, _ = TrackSection(acceleration_m_s2=1.0, legs=(Leg(duration_s=1.5, speed_m_s=3.0),)).courses()
     _, _, speeds_m_s = sampled(north)
     assert speeds_m_s.max() == pytest.approx(1.0)
     assert north.end_s == pytest.approx(1.5 + 1.5)
 
 
-def vehicle(seed: int = 0, altitude_m: float = 3.0, **flight) -> Vehicle:
+def vehicle(seed: int = 0, altitude_m: float = 3.0, **flight: Any) -> Vehicle:
     segments = (StepSegment(kind="step", to_m=altitude_m), HoldSegment(kind="hold", duration_s=600))
     return Vehicle(FlightSection(altitude=segments, **flight), lambda north_m, east_m: 0.0, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 70.0, -150.0])
-def test_thrust_points_where_the_vehicle_accelerates(yaw_deg):
+def test_thrust_points_where_the_vehicle_accelerates(yaw_deg: float) -> None:
     track = TrackSection(acceleration_m_s2=2.0, legs=(Leg(duration_s=20, speed_m_s=8.0, heading_deg=35),))
     flying = vehicle(track=track, attitude=AttitudeSection(yaw_deg=yaw_deg))
     for time_s in (0.5, 2.0, 5.0):
@@ -242,14 +246,14 @@ def test_thrust_points_where_the_vehicle_accelerates(yaw_deg):
         assert pose.yaw_rad == math.radians(yaw_deg)
 
 
-def test_a_vehicle_without_tilt_or_sway_keeps_its_attitude():
+def test_a_vehicle_without_tilt_or_sway_keeps_its_attitude() -> None:
     track = TrackSection(legs=(Leg(duration_s=20, speed_m_s=4.0),))
     attitude = AttitudeSection(roll_deg=3, pitch_deg=-5, yaw_deg=20, tilt_with_acceleration=False)
     pose = vehicle(track=track, attitude=attitude).pose(1.0)
     assert pose[2:5] == pytest.approx((math.radians(3), math.radians(-5), math.radians(20)))
 
 
-def test_sway_has_its_size_and_follows_its_seed():
+def test_sway_has_its_size_and_follows_its_seed() -> None:
     attitude = AttitudeSection(roll_deg=1.0, sway=Sway(roll_rms_deg=1.5, pitch_rms_deg=0.5, period_s=2.0))
     times_s = np.arange(0.0, 600.0, 0.05)
     poses = [vehicle(attitude=attitude).pose(time_s) for time_s in (0.0, 1.0)]
@@ -264,12 +268,12 @@ def test_sway_has_its_size_and_follows_its_seed():
     assert np.abs(rolls_deg - 1.0).max() <= 2.5 * 1.5
 
 
-def test_a_vehicle_that_stands_does_not_sway():
+def test_a_vehicle_that_stands_does_not_sway() -> None:
     standing = vehicle(altitude_m=0.0, attitude=AttitudeSection(sway=Sway()), standing_height_m=0.3)
     assert {standing.pose(time_s)[1:5] for time_s in (0.0, 0.4, 1.3)} == {((0.0, 0.0, -0.3), 0.0, 0.0, 0.0)}
 
 
-def test_a_vehicle_starts_on_the_surface_and_its_velocity_is_that_of_its_position():
+def test_a_vehicle_starts_on_the_surface_and_its_velocity_is_that_of_its_position() -> None:
     flight = FlightSection(
         altitude=(ClimbSegment(kind="climb", to_m=4.0), HoldSegment(kind="hold", duration_s=30)),
         track=TrackSection(start_m=(5.0, 2.0), legs=(Leg(duration_s=30, speed_m_s=1.0, heading_deg=-40),)),

@@ -1,9 +1,12 @@
 """The one intake of readings: several files as one table, their runs, and what is refused before any analysis."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
@@ -14,9 +17,10 @@ from msp_range.recording.error import RecordingError
 from tests.support.plain_bench import point, table
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+Columns = dict[str, NDArray[Any]]
 
 
-def data(seed: int = 1, n: int = 100, **changes) -> MeasuredData:
+def data(seed: int = 1, n: int = 100, **changes: Callable[[Columns], NDArray[Any]]) -> MeasuredData:
     rng = np.random.default_rng(seed)
     columns = dict(table(*(point(rng, z, n=n) for z in (60, 100, 140))).columns)
     return MeasuredData(columns | {name: change(columns) for name, change in changes.items()})
@@ -78,8 +82,8 @@ def test_what_cannot_be_characterised_is_told_in_a_line(tmp_path: Path, content:
 
 
 def test_readings_that_the_sensor_cannot_make_are_no_answer(tmp_path: Path) -> None:
-    def faulty(columns):
-        reading = columns["reading_cm"].copy()
+    def faulty(columns: Columns) -> NDArray[Any]:
+        reading: NDArray[Any] = columns["reading_cm"].copy()
         reading[:3] = 0x8000 + 100
         return reading
 

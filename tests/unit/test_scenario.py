@@ -1,7 +1,9 @@
 """Scenario files: those that come with the project fly and show what they are for, wrong ones say what is wrong."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +14,13 @@ from msp_sim.device.device import FAULT_KINDS
 from msp_sim.flight.scenario import AutopilotSection, PlannedFault, Scenario, Thermometer, load_scenario
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import MountedBeam, Ping
+from tests.support.known import known
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SCENARIOS = sorted((CONFIGS / "scenarios").glob("*.yaml"))
+
+Change = Callable[[dict[str, Any]], object]
+"""Changes the content of a scenario file in place."""
 
 
 def beams(scenario: Scenario) -> dict[str, MountedBeam]:
@@ -34,7 +40,7 @@ def pings(name: str, every_s: float = 0.1, seed: int = 0) -> dict[str, list[Ping
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_every_scenario_flies_above_its_ground(path):
+def test_every_scenario_flies_above_its_ground(path: Path) -> None:
     scenario = load_scenario(path)
     assert scenario.name == path.stem
     for seed in (0, 1):
@@ -45,10 +51,10 @@ def test_every_scenario_flies_above_its_ground(path):
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_the_same_seed_flies_the_same_way(path):
+def test_the_same_seed_flies_the_same_way(path: Path) -> None:
     scenario = load_scenario(path)
 
-    def flown(seed: int):
+    def flown(seed: int) -> list[Pose]:
         vehicle = scenario.vehicle(scenario.world(), np.random.default_rng(seed))
         return [vehicle.pose(time_s) for time_s in np.arange(0.0, scenario.duration_s, 0.5)]
 
@@ -57,7 +63,7 @@ def test_the_same_seed_flies_the_same_way(path):
     assert (flown(7) != flown(8)) == bool(by_chance)
 
 
-def test_the_demo_takes_off_hovers_at_six_metres_over_changing_ground_and_lands():
+def test_the_demo_takes_off_hovers_at_six_metres_over_changing_ground_and_lands() -> None:
     scenario = load_scenario(CONFIGS / "scenarios" / "demo.yaml")
     world = scenario.world()
     vehicle = scenario.vehicle(world, np.random.default_rng(0))
@@ -75,14 +81,14 @@ def test_the_demo_takes_off_hovers_at_six_metres_over_changing_ground_and_lands(
         assert 610 < ranges_cm.max() < 640
 
 
-def test_terrain_following_stays_near_its_height():
+def test_terrain_following_stays_near_its_height() -> None:
     met = pings("terrain.yaml")["front_left"][150:550]
     ranges_cm = np.array([ping.true_range_cm for ping in met])
     assert np.median(ranges_cm) == pytest.approx(265, abs=5)
     assert {ping.target for ping in met} == {"grass", "concrete", "crate"}
 
 
-def test_the_reports_profile_is_within_the_reports_ranges():
+def test_the_reports_profile_is_within_the_reports_ranges() -> None:
     ranges_cm = np.array([ping.true_range_cm for ping in pings("report_random.yaml")["rear_right"]])
     assert ranges_cm[:200] == pytest.approx(300)
     assert [ranges_cm[i] for i in (220, 270, 320, 370)] == pytest.approx([275, 225, 350, 325])
@@ -90,7 +96,7 @@ def test_the_reports_profile_is_within_the_reports_ranges():
     assert ranges_cm[400:].max() <= 360
 
 
-def test_canted_sensors_lose_the_ground_at_the_limit_of_their_beam_only():
+def test_canted_sensors_lose_the_ground_at_the_limit_of_their_beam_only() -> None:
     met = pings("canted.yaml")
     for sensor in met:
         assert 0.5 < np.mean([ping.heard for ping in met[sensor]]) <= 1.0
@@ -99,19 +105,19 @@ def test_canted_sensors_lose_the_ground_at_the_limit_of_their_beam_only():
     assert np.mean([ping.heard for ping in met["left"]]) < np.mean([ping.heard for ping in met["right"]])
 
 
-def test_the_forward_sensor_sees_the_wall_come_near():
+def test_the_forward_sensor_sees_the_wall_come_near() -> None:
     ranges_cm = np.array([ping.true_range_cm for ping in pings("wall.yaml")["forward"] if ping.heard])
     assert 100 < ranges_cm.min() < 300
     assert ranges_cm.max() > 765
 
 
-def test_proximity_sensors_see_their_walls():
+def test_proximity_sensors_see_their_walls() -> None:
     met = pings("proximity.yaml")
     for sensor in met:
         assert np.mean([ping.target == "brick" and ping.heard for ping in met[sensor]]) > 0.95
 
 
-def test_every_kind_of_fault_is_planned_once():
+def test_every_kind_of_fault_is_planned_once() -> None:
     scenario = load_scenario(CONFIGS / "scenarios" / "faults.yaml")
     assert sorted(fault.kind for fault in scenario.faults) == sorted(FAULT_KINDS)
     for fault in scenario.faults:
@@ -119,13 +125,13 @@ def test_every_kind_of_fault_is_planned_once():
         assert (planned.kind, planned.start_s, planned.end_s) == (fault.kind, fault.from_s, fault.to_s)
 
 
-def test_a_planned_fault_keeps_its_size():
+def test_a_planned_fault_keeps_its_size() -> None:
     planned = PlannedFault(sensor="a", kind="noisy", from_s=1.0, to_s=2.0, spread_cm=40.0)
     assert planned.on_device().spread_cm == 40.0
     assert PlannedFault(sensor="a", kind="offset", from_s=1.0, to_s=2.0, offset_cm=-30.0).on_device().offset_cm == -30.0
 
 
-def test_a_thermometer_is_warmer_jumps_and_freezes():
+def test_a_thermometer_is_warmer_jumps_and_freezes() -> None:
     faults = (
         {"kind": "freeze", "from_s": 10.0, "to_s": 20.0},
         {"kind": "jump", "from_s": 15.0, "to_s": 30.0, "by_c": -40.0},
@@ -135,7 +141,7 @@ def test_a_thermometer_is_warmer_jumps_and_freezes():
     assert read_c == pytest.approx([2.9, 3.0, -37.0, -35.5, 5.0])
 
 
-def test_attitudes_that_make_no_sense():
+def test_attitudes_that_make_no_sense() -> None:
     faults = [
         {"kind": "roll", "from_s": 1.0, "to_s": 2.0, "roll_deg": 120.0},
         {"kind": "huge", "from_s": 2.0, "to_s": 3.0},
@@ -147,21 +153,21 @@ def test_attitudes_that_make_no_sense():
     assert rolls_rad == pytest.approx([0.1, math.radians(120.0), 1e38, math.nan, 0.1], nan_ok=True)
 
 
-def test_no_autopilot_and_a_late_one():
+def test_no_autopilot_and_a_late_one() -> None:
     assert load_scenario(CONFIGS / "scenarios" / "no_autopilot.yaml").autopilot is None
-    assert load_scenario(CONFIGS / "scenarios" / "hover.yaml").autopilot.first_heartbeat_s == 0.0
-    assert load_scenario(CONFIGS / "scenarios" / "faults.yaml").autopilot.reboots_at_s == (92.0,)
+    assert known(load_scenario(CONFIGS / "scenarios" / "hover.yaml").autopilot).first_heartbeat_s == 0.0
+    assert known(load_scenario(CONFIGS / "scenarios" / "faults.yaml").autopilot).reboots_at_s == (92.0,)
 
 
-def test_a_pallet_that_stands_reads_its_minimum():
+def test_a_pallet_that_stands_reads_its_minimum() -> None:
     for met in pings("hover.yaml").values():
         assert met[0].true_range_cm == pytest.approx(20)
         assert met[300].true_range_cm == pytest.approx(220)
         assert met[300].air_temperature_c == 20.0
-        assert math.isclose(met[30].range_rate_cm_s, 60, abs_tol=60)
+        assert math.isclose(known(met[30].range_rate_cm_s), 60, abs_tol=60)
 
 
-def changed(tmp_path: Path, change) -> Path:
+def changed(tmp_path: Path, change: Change) -> Path:
     """The hover scenario with something changed, in a folder of its own."""
     content = yaml.safe_load((CONFIGS / "scenarios" / "hover.yaml").read_text())
     content["airframe"] = str(CONFIGS / "loopback.yaml")
@@ -174,11 +180,11 @@ def changed(tmp_path: Path, change) -> Path:
 FAULT = {"sensor": "front_left", "kind": "silent", "from_s": 1.0, "to_s": 2.0}
 
 
-def with_fault(**fault):
+def with_fault(**fault: Any) -> Change:
     return lambda content: content.update(faults=[FAULT | fault])
 
 
-def with_segment(**segment):
+def with_segment(**segment: Any) -> Change:
     return lambda content: content["flight"]["altitude"].insert(0, segment)
 
 
@@ -228,7 +234,7 @@ def with_segment(**segment):
         (lambda content: content.update(autopilot={"kind": "ardupilt"}), ["autopilot.kind: found 'ardupilt'", "'px4'"]),
     ],
 )
-def test_a_wrong_scenario_says_what_was_found_and_expected(tmp_path, change, parts):
+def test_a_wrong_scenario_says_what_was_found_and_expected(tmp_path: Path, change: Change, parts: list[str]) -> None:
     path = changed(tmp_path, change)
     with pytest.raises(ConfigError) as raised:
         load_scenario(path)
@@ -236,8 +242,8 @@ def test_a_wrong_scenario_says_what_was_found_and_expected(tmp_path, change, par
         assert part in str(raised.value)
 
 
-def test_flying_into_a_box_is_found_when_the_file_is_read(tmp_path):
-    def change(content):
+def test_flying_into_a_box_is_found_when_the_file_is_read(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
         content["ground"]["boxes"] = [{"centre_m": [10.0, 0.0], "size_m": [2.0, 2.0], "height_m": 2.5}]
         content["flight"]["track"] = {"legs": [{"duration_s": 40, "speed_m_s": 1.0}]}
 
@@ -245,8 +251,8 @@ def test_flying_into_a_box_is_found_when_the_file_is_read(tmp_path):
         load_scenario(changed(tmp_path, change))
 
 
-def test_a_landing_while_moving_over_a_slope_is_found_when_the_file_is_read(tmp_path):
-    def change(content):
+def test_a_landing_while_moving_over_a_slope_is_found_when_the_file_is_read(tmp_path: Path) -> None:
+    def change(content: dict[str, Any]) -> None:
         content["ground"]["slope_deg"] = 5.0
         content["flight"]["track"] = {"legs": [{"duration_s": 70, "speed_m_s": 0.1}]}
         content["duration_s"] = 70

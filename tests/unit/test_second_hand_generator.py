@@ -1,15 +1,17 @@
 """The second generator draws what it says: noise, correlation, outliers, and sizes in its own standard errors."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from tests.second_hand import generator
 from tests.second_hand.base import MAXIMUM_CM, SATURATED_CM, Base, draw_base
 from tests.second_hand.density import base_law, log_probability, normal_score
-from tests.second_hand.effect import law_with
+from tests.second_hand.effect import Effect, Kind, law_with
 from tests.second_hand.flights import Design, draw_bench, draw_flights
 from tests.second_hand.physics import KNOWN
 from tests.second_hand.rows import Rows
@@ -23,19 +25,19 @@ pytestmark = pytest.mark.slow
 BASE = Base(offset_cm=0.4, sigma_cm=1.5, degrees=6.0, correlation=0.6, saturated=0.3)
 
 
-def rows_at(range_cm, count, block_rows=500):
+def rows_at(range_cm: float, count: int, block_rows: int = 500) -> Rows:
     """Rows of a still target in blocks, a ping each 0.1 s."""
     block = np.arange(count) // block_rows
     true = np.full(count, float(range_cm))
-    time = 0.1 * (np.arange(count) % block_rows)
+    time = np.asarray(0.1 * (np.arange(count) % block_rows), dtype=float)
     return Rows(block, np.zeros(count, dtype=int), block, time, true, lambda delay_s: true)
 
 
-def of_title(title):
+def of_title(title: str) -> Kind:
     return next(kind for kind in (*KNOWN, *UNKNOWN) if kind.title == title)
 
 
-def hidden(title, seed, **numbers):
+def hidden(title: str, seed: int, **numbers: Any) -> tuple[Rows, Base, Effect]:
     """Rows, base and effect as the generator draws them."""
     rng = np.random.default_rng(seed)
     kind = of_title(title)
@@ -44,7 +46,7 @@ def hidden(title, seed, **numbers):
     return rows, base, kind.draw(rng, rows)
 
 
-def test_noise_is_student_t_of_its_degrees_of_freedom():
+def test_noise_is_student_t_of_its_degrees_of_freedom() -> None:
     rows = rows_at(300, 40_000)
     drawn = draw(rows, BASE, base_law(rows, BASE), np.random.default_rng(1))
     noise = (drawn.exact_cm - 300.4) / 1.5
@@ -55,7 +57,7 @@ def test_noise_is_student_t_of_its_degrees_of_freedom():
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.5, 0.8])
-def test_successive_hits_are_correlated_as_asked(correlation):
+def test_successive_hits_are_correlated_as_asked(correlation: float) -> None:
     base = replace(BASE, correlation=correlation)
     rows = rows_at(300, 40_000)
     drawn = draw(rows, base, base_law(rows, base), np.random.default_rng(2))
@@ -67,7 +69,7 @@ def test_successive_hits_are_correlated_as_asked(correlation):
     assert abs(np.corrcoef(score[:-1][~inside], score[1:][~inside])[0, 1]) < 0.3
 
 
-def test_correlation_by_elapsed_time_decays_over_a_gap():
+def test_correlation_by_elapsed_time_decays_over_a_gap() -> None:
     base = replace(BASE, correlation_time="elapsed", correlation=0.8)
     rows = rows_at(300, 40_000)
     late = replace(rows, time_s=rows.time_s + 0.4 * (np.arange(40_000) % 500 // 2))
@@ -76,7 +78,7 @@ def test_correlation_by_elapsed_time_decays_over_a_gap():
     assert np.corrcoef(score[1:-1:2], score[2::2])[0, 1] == pytest.approx(0.8**5, abs=0.03)
 
 
-def test_shares_of_outliers_are_those_of_the_base():
+def test_shares_of_outliers_are_those_of_the_base() -> None:
     rows = rows_at(400, 60_000)
     drawn = draw(rows, BASE, base_law(rows, BASE), np.random.default_rng(4))
     share = np.exp(-4) / (1 + 3 * np.exp(-4))
@@ -88,7 +90,7 @@ def test_shares_of_outliers_are_those_of_the_base():
     assert drawn.reading_cm[drawn.kind == SHORT].max() < 400
 
 
-def test_bases_have_one_to_eight_percent_of_outliers():
+def test_bases_have_one_to_eight_percent_of_outliers() -> None:
     for seed in range(200):
         base = draw_base(np.random.default_rng(seed))
         odds = np.exp([base.short, base.missed, base.random]).sum()
@@ -99,7 +101,7 @@ def test_bases_have_one_to_eight_percent_of_outliers():
 
 
 @pytest.mark.parametrize("title", ["stale", "crosstalk", "coarse_rounding", "cycle_slip"])
-def test_probabilities_of_all_readings_sum_to_one(title):
+def test_probabilities_of_all_readings_sum_to_one(title: str) -> None:
     rows, base, effect = hidden(title, 5, correlation=0.5)
     law = law_with(rows, base, [effect], [0.2])
     drawn = draw(rows, base, law, np.random.default_rng(5))
@@ -113,7 +115,7 @@ def test_probabilities_of_all_readings_sum_to_one(title):
 
 
 @pytest.mark.parametrize("title", ["latency", "stale", "crosstalk", "place_missed"])
-def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(title):
+def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(title: str) -> None:
     rng = np.random.default_rng(6)
     kind = of_title(title)
     base = replace(draw_base(rng, 0.5), wander=0.0)
@@ -132,7 +134,7 @@ def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(
     assert 0.75 < np.mean(np.std(totals, axis=0, ddof=1) / scale) < 1.3
 
 
-def test_standard_error_of_an_offset_is_that_of_its_best_estimate():
+def test_standard_error_of_an_offset_is_that_of_its_best_estimate() -> None:
     rows, base, effect = hidden("sensor_offset", 7, growth_per_m=0.0)
     size = 0.5
     error = standard_errors(rows, base, [effect], [size], 1)[0]
@@ -144,27 +146,28 @@ def test_standard_error_of_an_offset_is_that_of_its_best_estimate():
         residual = draw(rows, base, law, np.random.default_rng(seed)).reading_cm - plain.centre_cm
 
         # Student's own weights on what is within 8 sigma: the best estimate of a shift of t noise.
-        def shift(values):
+        def shift(values: NDArray[np.float64]) -> float:
             near = values[np.abs(values) < 8 * base.sigma_cm]
-            return optimize.minimize_scalar(
+            best = optimize.minimize_scalar(
                 lambda place: np.log1p((near - place) ** 2 / ((base.degrees - 2) * base.sigma_cm**2)).sum(),
                 bounds=(-3, 3),
                 method="bounded",
-            ).x
+            )
+            return float(best.x)
 
         estimates.append(sign * (shift(residual[side > 0]) - shift(residual[side < 0])))
     assert np.mean(estimates) == pytest.approx(size, abs=4 * error / np.sqrt(60))
     assert np.std(estimates, ddof=1) == pytest.approx(error, rel=0.3)
 
 
-def test_correlation_costs_information_of_an_offset():
+def test_correlation_costs_information_of_an_offset() -> None:
     rows, base, effect = hidden("sensor_offset", 7)
     free = standard_errors(rows, base, [effect], [0.5], 1)[0]
     correlated = standard_errors(rows, replace(base, correlation=0.8), [effect], [0.5], 1)[0]
     assert 1.5 < correlated / free < 4.0
 
 
-def test_information_knows_each_base_number():
+def test_information_knows_each_base_number() -> None:
     rng = np.random.default_rng(8)
     rows = draw_flights(rng, Design())
     base = draw_base(rng, 0.5)
@@ -174,7 +177,7 @@ def test_information_knows_each_base_number():
 
 
 @pytest.mark.parametrize("kind", ["one:10", "unknown:10", "two:10"])
-def test_a_case_is_the_same_every_time(kind):
+def test_a_case_is_the_same_every_time(kind: str) -> None:
     made = generator.case(kind, 5)
     again = generator.case(kind, 5)
     assert made.truth == again.truth
@@ -183,17 +186,18 @@ def test_a_case_is_the_same_every_time(kind):
     assert len(made.truth["effects"]) == generator.COUNTS[kind.partition(":")[0]]
 
 
-def test_an_effect_has_the_standard_errors_that_were_asked():
+def test_an_effect_has_the_standard_errors_that_were_asked() -> None:
     rng = np.random.default_rng(11)
     kind = of_title("slant_axis")
     base, rows = draw_base(rng, 0.5), draw_flights(rng, kind.design)
     effect = kind.draw(rng, rows)
     sizes = sizes_of(rows, draw_bench(rng, rows), base, [effect], 10.0, 1)
+    assert sizes is not None
     # Averaged over other tables than those of the search.
     assert sizes[0] / standard_errors(rows, base, [effect], sizes, 2)[0] == pytest.approx(10.0, rel=0.05)
 
 
-def test_tables_have_the_form_that_was_asked():
+def test_tables_have_the_form_that_was_asked() -> None:
     for seed in range(12):
         made = generator.case("null:0.5", seed)
         runs, counts = np.unique(made.runs["run"], return_counts=True)
@@ -206,7 +210,7 @@ def test_tables_have_the_form_that_was_asked():
         assert made.truth["effects"] == []
 
 
-def test_effects_between_runs_come_with_many_runs():
+def test_effects_between_runs_come_with_many_runs() -> None:
     for kind in KNOWN:
         rng = np.random.default_rng(9)
         rows = draw_flights(rng, kind.design)
@@ -214,7 +218,7 @@ def test_effects_between_runs_come_with_many_runs():
             assert rows.run.max() + 1 >= 12, kind.title
 
 
-def test_a_scale_is_known_from_the_bench_only():
+def test_a_scale_is_known_from_the_bench_only() -> None:
     rng = np.random.default_rng(10)
     kind = of_title("scale")
     base, rows = draw_base(rng, 0.0), draw_flights(rng, kind.design)
@@ -226,7 +230,7 @@ def test_a_scale_is_known_from_the_bench_only():
     assert bench_error_pct < standard_errors(rows, base, [effect], [0.5], 1, known=known)[0] < 2 * bench_error_pct
 
 
-def test_last_seeds_are_kept_for_a_final_run():
+def test_last_seeds_are_kept_for_a_final_run() -> None:
     with pytest.raises(generator.SeedError, match="--final"):
         generator.case("null:0", generator.FINAL_SEED)
     assert generator.case("null:0", generator.FINAL_SEED, final=True).truth["seed"] == generator.FINAL_SEED

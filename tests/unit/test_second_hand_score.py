@@ -1,6 +1,9 @@
 """The second generator's scoring, and a case through both commands."""
 
 import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,17 +13,26 @@ from tests.second_hand.score import failures, outcome, table, wilson
 pytestmark = pytest.mark.slow
 """Tests of the tests' own tools."""
 
-LATE = {"title": "latency", "names": ["latency"], "channel": "bias", "variable": "", "size": 0.1, "between_runs": False}
+LATE: dict[str, Any] = {
+    "title": "latency",
+    "names": ["latency"],
+    "channel": "bias",
+    "variable": "",
+    "size": 0.1,
+    "between_runs": False,
+}
 COLD = {**LATE, "title": "air_not_corrected", "names": ["air_temperature"], "between_runs": True}
 GROWS = {**LATE, "title": "spread_with_range", "names": ["spread_with_range"], "channel": "spread"}
 RIPPLE = {**LATE, "title": "ripple", "names": [], "variable": "time_s"}
 
 
-def truth(kind, *effects):
+def truth(kind: str, *effects: dict[str, Any]) -> dict[str, Any]:
     return {"kind": kind, "seed": 1, "effects": list(effects), "base": {"correlation": 0.5}, "runs": 8}
 
 
-def found(*names, curves=(), calibration=(), crash=""):
+def found(
+    *names: str, curves: Sequence[tuple[str, str]] = (), calibration: Sequence[str] = (), crash: str = ""
+) -> dict[str, Any]:
     """Each name is one named effect; words after the first are its alternatives."""
     effects = [{"name": each.split()[0], "alternatives": each.split()[1:], "parameters": {}} for each in names]
     return {
@@ -33,7 +45,7 @@ def found(*names, curves=(), calibration=(), crash=""):
 
 
 @pytest.mark.parametrize(
-    ("hidden", "said", "expected"),
+    ("hidden", "reported", "expected"),
     [
         (truth("null:0"), found(), "clean"),
         (truth("null:0"), found("stale"), "wrong name"),
@@ -54,17 +66,17 @@ def found(*names, curves=(), calibration=(), crash=""):
         (truth("unknown:10", RIPPLE), found("stale", curves=[("bias", "time_s")]), "wrong name"),
     ],
 )
-def test_outcomes(hidden, said, expected):
-    assert outcome(hidden, said) == expected
+def test_outcomes(hidden: dict[str, Any], reported: dict[str, Any], expected: str) -> None:
+    assert outcome(hidden, reported) == expected
 
 
-def test_wilson_interval_is_that_of_the_textbook():
+def test_wilson_interval_is_that_of_the_textbook() -> None:
     # Newcombe 1998, Stat. Med. 17, 857, table I: 81 of 263 is 0.2553 to 0.3662, 0 of 20 is 0 to 0.1611.
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
     assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
 
 
-def test_effects_between_runs_have_a_row_of_their_own():
+def test_effects_between_runs_have_a_row_of_their_own() -> None:
     results = [
         {"truth": truth("one:10", LATE), "found": found("latency")},
         {"truth": truth("one:10", COLD), "found": found("stale")},
@@ -76,7 +88,7 @@ def test_effects_between_runs_have_a_row_of_their_own():
     assert "latency" not in failures(results)
 
 
-def test_a_case_goes_through_both_commands(tmp_path):
+def test_a_case_goes_through_both_commands(tmp_path: Path) -> None:
     # 20 standard errors of a thermometer that shows too much: the class is known, and so is its size.
     make_result(tmp_path, "one:20", 22)
     result = json.loads(result_file(tmp_path, "one:20", 22).read_text())

@@ -51,10 +51,10 @@ def test_a_long_turn_is_followed_in_a_climb(sensors: int, interval_s: float) -> 
 
 def test_windows_are_of_the_turn_and_of_the_gap_between_downward_readings() -> None:
     four = windows_of(load_airframe(CONFIGS / "quad_pallet.yaml"))
-    assert (four.turn_s, four.gap_s) == (pytest.approx(0.4), pytest.approx(0.1))
+    assert (four.turn_s, four.gap_s) == pytest.approx((0.4, 0.1))
     # One looks ahead: behind its slot the next reading of the ground comes after two.
     mixed = windows_of(airframe([*FOUR_DOWN[:3], sensor("ahead", 4, 0.0)]))
-    assert (mixed.turn_s, mixed.gap_s) == (pytest.approx(0.4), pytest.approx(0.2))
+    assert (mixed.turn_s, mixed.gap_s) == pytest.approx((0.4, 0.2))
     # Pings cannot follow faster than the sensor ranges, 80 ms at most.
     fast = windows_of(airframe(polling={"ping_interval_s": 0.05}))
     assert fast.turn_s == pytest.approx(0.32)
@@ -78,4 +78,4 @@ def test_windows_are_so_many_turns_and_gaps_and_at_least_those_of_four_sensors()
     least_s = pytest.approx([0.64, 1.24, 1.5, 0.25, 0.35])
     assert lengths_s(Windows()) == lengths_s(Windows(0.1, 0.05)) == least_s
     assert Windows(0.45, 0.11).fresh_s == pytest.approx(0.72)
-    assert (Windows().silence_s, Windows(2.0, 1.0).silence_s) == (pytest.approx(0.95), pytest.approx(3.8))
+    assert (Windows().silence_s, Windows(2.0, 1.0).silence_s) == pytest.approx((0.95, 3.8))
