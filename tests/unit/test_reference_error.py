@@ -20,6 +20,7 @@ from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 from msp_sim.model.slopes import log_prob, slopes
+from tests.support.known import known
 
 OWN_CM, NOISE_CM = 1.2, 2.0
 
@@ -53,7 +54,7 @@ def test_characterise_gets_the_sensors_own_sigma_back() -> None:
         points = sort_into_points(MeasuredData({**kept, **words}), sensor_of(1.0))
         found = fit_mixture(points, IDENTITY, sensor_of(1.0), np.random.default_rng(1))
         assert not isinstance(found, str), found
-        sigma_cm[given], p_value[given] = found.parameters.sigma_cm, found.found.pit_p_value
+        sigma_cm[given], p_value[given] = found.parameters.sigma_cm, known(found.found.pit_p_value)
         spreads = [point.found.spread.value for point in points if point.found.spread is not None]
         spread_cm[given] = float(np.median(spreads))
     assert sigma_cm[True] == pytest.approx(OWN_CM, abs=0.06)
