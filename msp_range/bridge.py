@@ -46,6 +46,7 @@ from msp_range.health import (
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
+from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
@@ -164,6 +165,8 @@ class Bridge:
         Knows how the vehicle is turned; None: what the autopilot sends.
     motion
         Knows how the vehicle moves up and down; None: what the autopilot sends.
+    signing
+        Signs and verifies messages; None: they are not signed.
 
     Attributes
     ----------
@@ -190,6 +193,7 @@ class Bridge:
         air: Callable[[float], Air] | None = None,
         attitude: Attitude | None = None,
         motion: VerticalMotion | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._clock = clock
         self.started_s = clock.now()
@@ -220,6 +224,7 @@ class Bridge:
             wanted=asked | dict(wanted or {}),
             autopilot=airframe.link.autopilot,
             system_id=airframe.link.system_id,
+            signing=signing,
         )
         self._schedule = schedule or polling_order(airframe, bus, clock.now())
         self._poller = Poller(bus, clock, self._schedule)

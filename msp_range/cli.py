@@ -236,6 +236,42 @@ def params(
 
 @app.command()
 @report_user_errors
+def sign(
+    airframe_file: AirframeFile,
+    passphrase: Annotated[
+        bool,
+        typer.Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),
+    ] = False,
+    remove: Annotated[bool, typer.Option("--remove", help="make the autopilot accept unsigned messages again")] = False,
+    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+) -> None:
+    """Make a key for MAVLink signing, and give it to the connected autopilot. The key is never printed.
+
+    The key's file is the airframe's link.signing_key; one that exists is used. Only while the vehicle is disarmed. Send
+    keys over a cable, since whoever reads along has the key.
+    """
+    from msp_range.clock import SystemClock
+    from msp_range.config import load_airframe
+    from msp_range.params import keys
+
+    airframe = load_airframe(airframe_file).changed(link=link)
+    key_file = keys.key_file(airframe)
+    if remove:
+        keys.give(airframe, SystemClock(), removes=True)
+        print(f"the autopilot does not sign any more; take link.signing_key out of {airframe_file}")
+        return
+    if not key_file.exists():
+        text = typer.prompt("passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
+        keys.make(key_file, text)
+        print(f"made: {key_file}")
+    elif passphrase:
+        raise ConfigError(f"{key_file}: there is a key already; remove the file to make another one")
+    keys.give(airframe, SystemClock())
+    print("the autopilot signs with this key; restart the bridge to sign too")
+
+
+@app.command()
+@report_user_errors
 def schema(
     kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:

@@ -116,6 +116,9 @@ class LinkSettings(Section):
     system_id: int | None = Field(None, ge=1, le=255)
     """MAVLink system id of the autopilot (ArduPilot MAV_SYSID, SYSID_THISMAV before 4.7; PX4 MAV_SYS_ID), for a link on
     which several autopilots can be received; default: that of the first one"""
+    signing_key: str | None = None
+    """file with the key for MAVLink signing, made by `msp-range sign`, relative to the working folder of the program;
+    default: messages are not signed"""
 
     @field_validator("url")
     @classmethod

@@ -22,6 +22,7 @@ from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
 from msp_range.health import Report, Severity
 from msp_range.log import Log
+from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
@@ -258,6 +259,7 @@ def _fly(
         on_message=on_message,
         wanted=FROM_AUTOPILOT if web is not None else None,
         thermometer=thermometer,
+        signing=signing_of(airframe.link.signing_key, clock),
     )
     # The first sensor measures while the packages for recording and watching are imported.
     bridge.step()

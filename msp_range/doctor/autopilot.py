@@ -13,11 +13,13 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
+from msp_range.mavlink.signing import is_signed, signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.params.client import ParameterClient, same
 from msp_range.params.commands import described, differences
 from msp_range.params.settings import Firmware, downward_stream, settings
+from msp_range.yaml_file import ConfigError
 
 CONNECT_S = 6.0
 """How long to wait for a heartbeat, which comes once a second; a link may have to be opened again [s]."""
@@ -104,7 +106,12 @@ def check_autopilot(
     tap = Tap(transport)
     temperatures = [each for each in airframe.temperature.sources if isinstance(each, MavlinkSource)]
     wanted = {each.message: 1.0 for each in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
-    client = ParameterClient(tap, clock, airframe.link.system_id, wanted)
+    try:
+        signing = signing_of(airframe.link.signing_key, clock)
+    except ConfigError as error:
+        yield wrong("signing", str(error), "msp-range sign AIRFRAME.yaml makes a key and gives it to the autopilot")
+        return
+    client = ParameterClient(tap, clock, airframe.link.system_id, wanted, signing)
     if not client.connect(CONNECT_S):
         yield _silence(airframe, tap)
         return
@@ -134,6 +141,9 @@ def _silence(airframe: Airframe, tap: Tap) -> Finding:
     if tap.last_error and not tap.connected:
         return wrong(step, f"the link cannot be opened: {tap.last_error}", "check link.url, and what else uses it")
     autopilots = {frame.system for frame in tap.frames if frame.is_autopilot_heartbeat}
+    if autopilots and airframe.link.signing_key is not None:
+        text = f"system {sorted(autopilots)} is received, and not signed with the key {airframe.link.signing_key}"
+        return wrong(step, text, "msp-range sign AIRFRAME.yaml gives the autopilot the key")
     if autopilots:
         text = f"link.system_id is {airframe.link.system_id}, and the autopilot received is {sorted(autopilots)}"
         return wrong(step, text, "correct link.system_id, or leave it out")
@@ -172,9 +182,9 @@ def _others(airframe: Airframe, tap: Tap) -> Iterator[Finding]:
     if any(frame.component == bridge and frame.system in autopilots for frame in tap.frames):
         text = f"another program already sends as component {bridge}"
         yield wrong("component id", text, "stop it (is the bridge running?), or change link.component_id")
-    if any(frame.data[0] == 0xFD and frame.data[2] & 1 for frame in tap.frames):
-        text = "the autopilot signs its messages and drops those of the bridge, which cannot sign"
-        yield wrong("signing", text, "connect to the autopilot's USB, or clear the key in the ground station")
+    if airframe.link.signing_key is None and any(map(is_signed, tap.frames)):
+        text = "the autopilot signs its messages and drops those of the bridge, which has no key"
+        yield wrong("signing", text, "give both the same key: msp-range sign; or clear it in the ground station")
 
 
 def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:

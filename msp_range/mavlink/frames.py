@@ -105,6 +105,13 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     return header + payload + checksum.to_bytes(2, "little")
 
 
+def checked_again(frame: bytes) -> bytes:
+    """A MAVLink 2 frame without signature, with the checksum of what it holds now."""
+    message = dialect.mavlink_map[int.from_bytes(frame[7:10], "little")]
+    checksum: int = dialect.x25crc(frame[1:-_CHECKSUM_BYTES] + bytes((message.crc_extra,))).crc
+    return frame[:-_CHECKSUM_BYTES] + checksum.to_bytes(2, "little")
+
+
 @cache
 def _fields(kind: Hashable) -> tuple[Callable[[Any], Any], bool]:
     """What gets the fields of a kind of message in their order on the wire, and whether one of them is an array."""

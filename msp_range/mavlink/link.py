@@ -18,6 +18,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import Frame, FrameReader, pack
 from msp_range.mavlink.participants import Participants
+from msp_range.mavlink.signing import Signing, is_signed
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
@@ -67,6 +68,8 @@ class Link:
         Expected type of the autopilot; None: any.
     system_id
         The autopilot's system id; None: that of the first autopilot that is received.
+    signing
+        Signs what is sent, and decides what may be received; None: nothing is signed.
     """
 
     def __init__(
@@ -79,6 +82,7 @@ class Link:
         wanted: Mapping[str, float] | None = None,
         autopilot: Autopilot | None = None,
         system_id: int | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self.transport = transport
         self._clock = clock
@@ -86,6 +90,7 @@ class Link:
         self.wanted = WantedMessages(wanted or {})
         self._participants = Participants(autopilot)
         self._pinned_system = system_id
+        self._signing = signing
         self._frames = FrameReader()
         self._from_autopilot: deque[tuple[float, Frame]] = deque()
         self._from_others: deque[tuple[float, Frame]] = deque()
@@ -114,6 +119,8 @@ class Link:
     def send(self, message: Any) -> bytes | None:
         """Send a message at once; returns the frame, or None if the transport dropped it."""
         frame = pack(message, self._system, self._component, self._sequence)
+        if self._signing is not None:
+            frame = self._signing.sign(frame)
         self._sequence = (self._sequence + 1) % 256
         self._sent_frames.append(frame)
         if self.transport.send(frame):
@@ -148,7 +155,11 @@ class Link:
 
     def conditions(self) -> list[Condition]:
         """Unwanted participants on the link, for `msp_range.health.Health.set`."""
-        return self._participants.conditions(self._clock.now())
+        found = self._participants.conditions(self._clock.now())
+        if self._signing is not None:
+            text = None if self._signing.fault is None else "Range: signing time is not kept, check the disk"
+            found.append(Condition("signing time", text, "Range: signing time is kept again"))
+        return found
 
     def close(self) -> None:
         """Release the transport."""
@@ -185,15 +196,30 @@ class Link:
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = (self._system, self._component)
         for frame in frames:
-            ids = (frame.system, frame.component)
-            if ids == own_ids:
+            if (frame.system, frame.component) == own_ids:
                 self._from_others.append((now_s, frame))
-            elif frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
-                self._from_autopilot.append((now_s, frame))
+                continue
+            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
+                waiting = self._from_autopilot
             elif frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
-                self._from_others.append((now_s, frame))
+                waiting = self._from_others
+            else:
+                continue
+            if self._is_accepted(now_s, frame):
+                waiting.append((now_s, frame))
         self._from_autopilot = _newest(self._from_autopilot, WAITING_FROM_AUTOPILOT)
         self._from_others = _newest(self._from_others, WAITING_FROM_OTHERS)
+
+    def _is_accepted(self, now_s: float, frame: Frame) -> bool:
+        """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
+        if self._signing is None:
+            if frame.is_autopilot_heartbeat and is_signed(frame):
+                self._participants.on_signed(now_s)
+            return True
+        accepted = self._signing.accepts(frame)
+        if frame.is_autopilot_heartbeat and not accepted:
+            self._participants.on_unsigned(now_s)
+        return accepted
 
     def _take(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)

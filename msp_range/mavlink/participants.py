@@ -1,4 +1,5 @@
-"""Unwanted participants on the link: a second autopilot, one of another type, a program with the bridge's ids.
+"""Unwanted participants on the link: a second autopilot, one of another type, a program with the bridge's ids, a key
+that only one side has.
 
 Each is a condition with a text of at most 50 characters for the pilot. It ends when nothing of it has been received for
 `HOLD_S`, so that one that comes and goes is reported once.
@@ -57,6 +58,7 @@ class Participants:
         self._wrong_type = _Sighting("autopilot type", f"Range: the autopilot is {expected} now")
         self._own_ids = _Sighting("own ids", "Range: no other program uses this bridge's id now")
         self._own_ids_seen: list[float] = []
+        self._signing = _Sighting("signing", "Range: the autopilot's signature is right now")
 
     def on_autopilot(self, now_s: float, autopilot_type: int) -> None:
         """Check a heartbeat of the bridge's own autopilot (MAV_AUTOPILOT)."""
@@ -80,6 +82,14 @@ class Participants:
         if len(seen) >= OWN_IDS_SEEN:
             self._own_ids.seen(now_s, f"Range: another program sends as {system}/{component}")
 
+    def on_unsigned(self, now_s: float) -> None:
+        """Record an autopilot's heartbeat without the right signature, where there is a key."""
+        self._signing.seen(now_s, "Range: autopilot does not sign with this key")
+
+    def on_signed(self, now_s: float) -> None:
+        """Record an autopilot's signed heartbeat, where there is no key: it drops what is not signed."""
+        self._signing.seen(now_s, "Range: autopilot signs, signing_key is missing")
+
     def conditions(self, now_s: float) -> list[Condition]:
         """All conditions, for `msp_range.health.Health.set`."""
-        return [each.condition(now_s) for each in (self._other, self._wrong_type, self._own_ids)]
+        return [each.condition(now_s) for each in (self._other, self._wrong_type, self._own_ids, self._signing)]

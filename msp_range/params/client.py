@@ -12,6 +12,7 @@ from msp_range.clock import Clock
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.link import Link
+from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.transport import Transport
 from msp_range.params.settings import Firmware, Vehicle
 
@@ -62,6 +63,8 @@ class ParameterClient:
         The autopilot's; None: that of the first autopilot that is received.
     wanted
         Other messages to ask the autopilot for: name -> rate [Hz].
+    signing
+        Signs and verifies messages; None: they are not signed.
 
     Attributes
     ----------
@@ -77,6 +80,7 @@ class ParameterClient:
         clock: Clock,
         system_id: int | None = None,
         wanted: Mapping[str, float] | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._clock = clock
         self._values: dict[str, tuple[float, int]] = {}
@@ -84,7 +88,13 @@ class ParameterClient:
         self._heartbeat: Any = None
         self._heartbeat_s = float("-inf")
         self.link = Link(
-            transport, clock, component_id=COMPONENT_ID, on_message=self.on_message, wanted=wanted, system_id=system_id
+            transport,
+            clock,
+            component_id=COMPONENT_ID,
+            on_message=self.on_message,
+            wanted=wanted,
+            system_id=system_id,
+            signing=signing,
         )
 
     def on_message(self, now_s: float, message: Any) -> None:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
+from msp_range.mavlink.signing import Signing, signing_of
 from msp_range.mavlink.transport import open_transport
 from msp_range.params.client import NotSet, ParameterClient, same
 from msp_range.params.parm_file import parm_text, read_parm, text_of
@@ -24,8 +25,13 @@ class Difference(NamedTuple):
     found: float | None
 
 
-def connect(airframe: Airframe, clock: Clock) -> ParameterClient:
+def connect(airframe: Airframe, clock: Clock, signing: Signing | None = None) -> ParameterClient:
     """The autopilot at the airframe's link.
+
+    Parameters
+    ----------
+    signing
+        Instead of that with the airframe's key.
 
     Raises
     ------
@@ -33,7 +39,8 @@ def connect(airframe: Airframe, clock: Clock) -> ParameterClient:
         None is received there.
     """
     transport = open_transport(airframe.link.url, clock)
-    client = ParameterClient(transport, clock, airframe.link.system_id)
+    signing = signing or signing_of(airframe.link.signing_key, clock)
+    client = ParameterClient(transport, clock, airframe.link.system_id, signing=signing)
     if not client.connect(CONNECT_S):
         why = f" ({transport.last_error})" if transport.last_error else ""
         raise ConfigError(

@@ -11,9 +11,9 @@ import secrets
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
-from tempfile import gettempdir
 from urllib.parse import parse_qs, urlsplit
 
+from msp_range.state_folder import state_folder
 from msp_range.watch.place import LOOPBACK, Listen
 
 TOKEN_NAME = "web-token"
@@ -62,22 +62,16 @@ class Access:
 
 
 def access_for(listen: Listen) -> Access:
-    """What requests to an address need: on another address than this computer's own, the token."""
-    return Access(None if listen.is_loopback else _token(_token_file()))
+    """What requests to an address need: on another address than this computer's own, the token.
+
+    The token outlives a restart, so that an open page finds the bridge again.
+    """
+    return Access(None if listen.is_loopback else _token(state_folder() / TOKEN_NAME))
 
 
 def _name(host: str) -> str:
     """The name in a Host header, without port and brackets."""
     return urlsplit(f"//{host}").hostname or ""
-
-
-def _token_file() -> Path:
-    """The token outlives a restart, so that an open page finds the bridge again."""
-    state = os.environ.get("STATE_DIRECTORY") or os.environ.get("XDG_STATE_HOME")
-    if state:
-        return Path(state) / TOKEN_NAME
-    home = os.environ.get("HOME")
-    return (Path(home) / ".local/state" if home else Path(gettempdir()) / f"msp-range-{os.getuid()}") / TOKEN_NAME
 
 
 def _token(path: Path) -> str:

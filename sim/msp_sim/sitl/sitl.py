@@ -29,6 +29,7 @@ from msp_range.geometry import Vector
 from msp_range.health import Report, Severity
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault, NotAcknowledged
@@ -275,6 +276,7 @@ class Sitl:
             on_message=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             thermometer=LoopReader(self._thermometer),
+            signing=signing_of(airframe.link.signing_key, clock),
         )
 
     def now_s(self) -> float:

@@ -1,0 +1,191 @@
+"""MAVLink 2 signing: frames go out signed, and only frames signed with the same key come in.
+
+A signature is the first 48 bits of SHA-256 over key, frame, link id and a timestamp in units of 10 us since 2015, which
+must rise from frame to frame, over restarts too (https://mavlink.io/en/guide/message_signing.html). A computer without
+a battery for its clock starts in the past: so a time that is ahead of every frame sent is kept in a file.
+"""
+
+import hashlib
+import hmac
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from msp_range.clock import Clock
+from msp_range.mavlink.frames import Frame, checked_again
+from msp_range.state_folder import state_folder
+from msp_range.yaml_file import ConfigError
+
+TIME_NAME = "signing-time"
+KEY_BYTES = 32
+SIGNATURE_BYTES = 13
+"""Link id, 6 bytes of timestamp, 6 bytes of signature."""
+SIGNED = 0x01
+"""The flag of a signed frame, MAVLINK_IFLAG_SIGNED."""
+LINK_ID = 0
+EPOCH_S = 1_420_070_400.0
+"""2015-01-01 UTC, where timestamps begin [s since 1970]."""
+UNITS_PER_S = 100_000
+NEW_STREAM_UNITS = 60 * UNITS_PER_S
+"""A sender that was not received before may be this far behind: one minute, as the standard says."""
+RESERVED_UNITS, RENEWED_UNITS = 60 * UNITS_PER_S, 30 * UNITS_PER_S
+"""The kept time is this far ahead when it is written, and is written again when only the second is left. A restart
+begins there: more would put the whole vehicle's time farther ahead of other programs', and at more than a minute they
+would be refused; less writes to the disk more often than twice a minute."""
+
+
+class Signing:
+    """Signs and verifies the frames of one link.
+
+    Parameters
+    ----------
+    key
+        32 bytes.
+    clock
+        Its UTC dates the frames, where it is not behind the kept time.
+    kept
+        The time that an earlier run has kept; 0: none.
+    keep
+        Called with the time to keep; it may wait for the disk, and raise OSError.
+    accepts_unsigned
+        For setting a key up: the other side may not have it yet.
+
+    Attributes
+    ----------
+    fault : str or None
+        Why the time cannot be kept, in a few words for the pilot.
+    verified : int
+        Frames received that were signed with this key.
+    """
+
+    def __init__(
+        self,
+        key: bytes,
+        clock: Clock,
+        kept: int = 0,
+        keep: Callable[[int], None] = lambda timestamp: None,
+        accepts_unsigned: bool = False,
+    ) -> None:
+        self._key = key
+        self._clock = clock
+        self._last = self._reserved = kept
+        self._keep = keep
+        self._accepts_unsigned = accepts_unsigned
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self.fault: str | None = None
+        self.verified = 0
+
+    def timestamp(self) -> int:
+        """A timestamp for the next frame: greater than all before, here and in earlier runs."""
+        by_clock = int((self._clock.utc() - EPOCH_S) * UNITS_PER_S)
+        self._last = max(self._last + 1, by_clock)
+        if self._last > self._reserved - RENEWED_UNITS:
+            self._reserved = self._last + RESERVED_UNITS
+            threading.Thread(target=self._keep_reserved, name="signing", daemon=True).start()
+        return self._last
+
+    def sign(self, frame: bytes) -> bytes:
+        """A MAVLink 2 frame with its signature."""
+        signed = checked_again(frame[:2] + bytes((frame[2] | SIGNED,)) + frame[3:])
+        signed += bytes((LINK_ID,)) + self.timestamp().to_bytes(6, "little")
+        return signed + self._signature(signed)
+
+    def accepts(self, frame: Frame) -> bool:
+        """Whether a received frame may be used: its signature is right, and it is newer than those before."""
+        data = frame.data
+        if data[0] != 0xFD or not data[2] & SIGNED or not hmac.compare_digest(data[-6:], self._signature(data[:-6])):
+            return self._accepts_unsigned
+        stream = (data[-SIGNATURE_BYTES], frame.system, frame.component)
+        timestamp = int.from_bytes(data[-12:-6], "little")
+        before = self._streams.get(stream, self._last - NEW_STREAM_UNITS)
+        if timestamp <= before:
+            return False
+        self._streams[stream] = timestamp
+        self._last = max(self._last, timestamp)
+        self.verified += 1
+        return True
+
+    def _signature(self, data: bytes) -> bytes:
+        return hashlib.sha256(self._key + data).digest()[:6]
+
+    def _keep_reserved(self) -> None:
+        try:
+            self._keep(self._reserved)
+        except OSError as error:
+            self.fault = error.strerror or str(error)
+        else:
+            self.fault = None
+
+
+def is_signed(frame: Frame) -> bool:
+    """Whether a frame has a signature, of whatever key."""
+    return frame.data[0] == 0xFD and bool(frame.data[2] & SIGNED)
+
+
+def read_key(path: Path) -> bytes:
+    """The key in a file of 64 hexadecimal digits, which nobody but its owner may read.
+
+    Raises
+    ------
+    ConfigError
+        It is not there, others may read it, or it holds something else.
+    """
+    try:
+        mode = path.stat().st_mode & 0o777
+        text = path.read_text(encoding="ascii").strip()
+        key = bytes.fromhex(text)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; 'msp-range sign' makes the key") from None
+    except ValueError:
+        key = b""
+    if mode & 0o077:
+        raise ConfigError(f"{path}: found mode {mode:o}; expected 600, since who can read the key can fly the vehicle")
+    if len(key) != KEY_BYTES:
+        raise ConfigError(f"{path}: expected {2 * KEY_BYTES} hexadecimal digits, a signing key")
+    return key
+
+
+def signing_of(key_file: str | None, clock: Clock, accepts_unsigned: bool = False) -> Signing | None:
+    """Signing with the key in a file, and the time that this computer has kept; None without a key.
+
+    Raises
+    ------
+    ConfigError
+        The key cannot be used.
+    """
+    if key_file is None:
+        return None
+    key = read_key(Path(key_file))
+    time_file = state_folder() / TIME_NAME
+    kept = 0
+    # Without the time it signs by the clock, which is right where the clock is.
+    with suppress(OSError, ValueError):
+        kept = int(time_file.read_text(encoding="ascii"))
+
+    def keep(timestamp: int) -> None:
+        time_file.parent.mkdir(parents=True, exist_ok=True)
+        new = time_file.with_name(time_file.name + ".new")
+        with new.open("w", encoding="ascii") as file:
+            file.write(str(timestamp))
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(time_file)
+
+    return Signing(key, clock, kept, keep, accepts_unsigned)
+
+
+def make_key(path: Path, key: bytes) -> None:
+    """Write a new key file that only its owner can read.
+
+    Raises
+    ------
+    ConfigError
+        There is a file already, or none can be made.
+    """
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(key.hex() + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None

@@ -1,0 +1,197 @@
+"""MAVLink signing against pymavlink's own: what the bridge signs it accepts, and what it signs the bridge accepts."""
+
+import hashlib
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega
+
+from msp_range.clock import VirtualClock
+from msp_range.mavlink.frames import FrameReader, pack
+from msp_range.mavlink.link import Link
+from msp_range.mavlink.signing import (
+    EPOCH_S,
+    RESERVED_UNITS,
+    UNITS_PER_S,
+    Signing,
+    is_signed,
+    make_key,
+    read_key,
+    signing_of,
+)
+from msp_range.yaml_file import ConfigError
+from tests.support.mavlink_ends import MemoryTransport
+
+KEY = hashlib.sha256(b"a passphrase").digest()
+NOW_S = EPOCH_S + 3.6e8
+NOW = round(3.6e8 * UNITS_PER_S)
+
+
+def peer(key: bytes = KEY, timestamp: int = NOW) -> Any:
+    """pymavlink as an autopilot that signs, and accepts nothing that is not signed."""
+    mav = ardupilotmega.MAVLink(None, 1, 1)
+    mav.robust_parsing = True
+    mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = key, True, timestamp
+    return mav
+
+
+def heartbeat(mav: Any) -> bytes:
+    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(mav)
+    return frame
+
+
+def our_heartbeat() -> bytes:
+    return pack(ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 1, 191, 7)
+
+
+def received(frame: bytes) -> Any:
+    (found,) = FrameReader().read(frame)
+    return found
+
+
+def test_pymavlink_accepts_what_is_signed() -> None:
+    signing = Signing(KEY, VirtualClock(NOW_S))
+    autopilot = peer()
+    for _ in range(3):
+        (message,) = autopilot.parse_buffer(signing.sign(our_heartbeat()))
+        assert message.get_type() == "HEARTBEAT"
+        assert message.get_signed()
+    (wrong,) = peer(b"x" * 32).parse_buffer(signing.sign(our_heartbeat()))
+    assert wrong.get_type() == "BAD_DATA"
+    (unsigned,) = autopilot.parse_buffer(our_heartbeat())
+    assert unsigned.get_type() == "BAD_DATA"
+
+
+def test_what_pymavlink_signs_is_accepted_once() -> None:
+    signing = Signing(KEY, VirtualClock(NOW_S))
+    frame = received(heartbeat(peer()))
+    assert is_signed(frame)
+    assert signing.accepts(frame)
+    assert not signing.accepts(frame), "the same frame again, as somebody would send it who has recorded it"
+    assert signing.verified == 1
+
+
+def test_what_is_not_signed_with_the_key_is_refused() -> None:
+    signing = Signing(KEY, VirtualClock(NOW_S))
+    good = heartbeat(peer())
+    assert not signing.accepts(received(our_heartbeat()))
+    assert not signing.accepts(received(heartbeat(peer(b"x" * 32))))
+    assert not signing.accepts(received(good[:-1] + bytes((good[-1] ^ 1,))))
+    version_1 = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(
+        ardupilotmega.MAVLink(None, 1, 1), force_mavlink1=True
+    )
+    assert not signing.accepts(received(version_1))
+    assert signing.verified == 0
+
+
+def test_a_sender_that_was_not_received_before_may_be_a_minute_behind() -> None:
+    signing = Signing(KEY, VirtualClock(NOW_S))
+    signing.timestamp()
+    assert not signing.accepts(received(heartbeat(peer(timestamp=NOW - 61 * UNITS_PER_S))))
+    assert signing.accepts(received(heartbeat(peer(timestamp=NOW - 59 * UNITS_PER_S))))
+
+
+def test_timestamps_follow_the_one_that_is_ahead() -> None:
+    signing = Signing(KEY, VirtualClock(NOW_S))
+    assert signing.timestamp() == NOW
+    assert signing.timestamp() == NOW + 1
+    assert signing.accepts(received(heartbeat(peer(timestamp=NOW + 10 * UNITS_PER_S))))
+    assert signing.timestamp() > NOW + 10 * UNITS_PER_S
+
+
+def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each run starts at 1970, as a Raspberry Pi without a network does, and is killed after some time."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    make_key(tmp_path / "key", KEY)
+    last = 0
+    for run_s in (0.0, 5.0, 45.0, 200.0):
+        clock = VirtualClock(0.0)
+        signing = signing_of(str(tmp_path / "key"), clock)
+        assert signing is not None
+        first = signing.timestamp()
+        assert first > last
+        for step in range(1, 101):
+            clock.sleep_until(run_s * step / 100)
+            last = signing.timestamp()
+        until_kept(tmp_path / "signing-time", last)
+    assert last < 4 * 2 * RESERVED_UNITS + 400 * UNITS_PER_S, "no farther ahead than the runs and their reserves"
+
+
+def until_kept(path: Path, timestamp: int) -> None:
+    """Wait for the thread that writes."""
+    end_s = time.monotonic() + 10.0
+    while not path.exists() or int(path.read_text()) <= timestamp:
+        assert time.monotonic() < end_s, "the time was not kept"
+        time.sleep(0.01)
+
+
+def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> None:
+    def keep(timestamp: int) -> None:
+        raise OSError(28, os.strerror(28))
+
+    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
+    link = Link(transport, clock, signing=Signing(KEY, clock, keep=keep))
+    link.service()
+    end_s = time.monotonic() + 10.0
+    while not any(each.text and "signing time" in each.text for each in link.conditions()):
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    assert peer().parse_buffer(transport.frames[0])[0].get_type() == "HEARTBEAT"
+
+
+def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
+    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
+    link = Link(transport, clock, signing=Signing(KEY, clock))
+    transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
+    link.service()
+    assert not link.autopilot_is_present
+    assert "Range: autopilot does not sign with this key" in [each.text for each in link.conditions()]
+    transport.arrived += heartbeat(peer())
+    link.service()
+    assert link.autopilot_is_present
+    assert all(is_signed(received(frame)) for frame in transport.frames)
+
+
+def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:
+    transport = MemoryTransport()
+    link = Link(transport, VirtualClock(NOW_S))
+    transport.arrived += heartbeat(peer())
+    link.service()
+    assert link.autopilot_is_present
+    texts = [each.text for each in link.conditions() if each.text]
+    assert texts == ["Range: autopilot signs, signing_key is missing"]
+    assert len(texts[0]) <= 50
+
+
+def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    make_key(path, KEY)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert read_key(path) == KEY
+    path.chmod(0o640)
+    with pytest.raises(ConfigError, match="found mode 640; expected 600"):
+        read_key(path)
+    path.chmod(0o600)
+    with pytest.raises(ConfigError, match="File exists"):
+        make_key(path, KEY)
+    for wrong in ("", "abc", "zz" * 32, "00" * 31, "ä" * 64):
+        path.write_text(wrong)
+        with pytest.raises(ConfigError, match="expected 64 hexadecimal digits"):
+            read_key(path)
+    with pytest.raises(ConfigError, match="msp-range sign' makes the key"):
+        read_key(tmp_path / "none")
+
+
+def test_the_command_needs_a_place_for_the_key(tmp_path: Path) -> None:
+    airframe = Path(__file__).parents[2] / "configs/loopback.yaml"
+    command = [sys.executable, "-c", "from msp_range.cli import main; main()", "sign", str(airframe)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd=tmp_path)
+    assert done.returncode == 3
+    assert done.stderr.startswith("link.signing_key is missing; add it")
