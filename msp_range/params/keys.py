@@ -74,7 +74,7 @@ def give(airframe: Airframe, clock: Clock, removes: bool = False) -> None:
 
 def _follows(client: ParameterClient, signing: Signing, removes: bool) -> bool:
     """Whether the autopilot's heartbeats are signed with the key, or not signed any more."""
-    verified = signing.verified
+    before = signing.verified
     client.messages.clear()
-    signed = client.wait(lambda: signing.verified > verified, TAKEN_S)
-    return signed is not removes and "HEARTBEAT" in client.messages
+    is_there = client.wait(lambda: "HEARTBEAT" in client.messages and (removes or signing.verified > before), TAKEN_S)
+    return is_there and (signing.verified > before) is not removes
