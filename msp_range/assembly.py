@@ -8,7 +8,7 @@ from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import quaternion
-from msp_range.mavlink.distance_sensor import LASER, ULTRASOUND, Stream, make_stream
+from msp_range.mavlink.distance_sensor import LASER, RADAR, ULTRASOUND, Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 
@@ -153,5 +153,6 @@ def fused_stream(airframe: Airframe) -> Stream | None:
 
 
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:
-    """Sensor type in DISTANCE_SENSOR for a stream: ultrasound if one of its sensors is ultrasonic."""
-    return ULTRASOUND if any(sensor.sensor_model.medium == "sound" for sensor in sensors) else LASER
+    """Sensor type in DISTANCE_SENSOR for a stream: ultrasound if one sensor is ultrasonic, radar if all are radio."""
+    media = {sensor.sensor_model.medium for sensor in sensors}
+    return ULTRASOUND if "sound" in media else RADAR if media == {"radio"} else LASER

@@ -25,6 +25,7 @@ EKF2 requires readings at least this often."""
 
 ULTRASOUND: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
 LASER: int = dialect.MAV_DISTANCE_SENSOR_LASER
+RADAR: int = dialect.MAV_DISTANCE_SENSOR_RADAR
 _Message = dialect.MAVLink_distance_sensor_message
 
 
@@ -43,7 +44,7 @@ class Stream:
     no_echo_cm
         ``current_distance`` for no echo [cm].
     type
-        `ULTRASOUND` or `LASER`.
+        `ULTRASOUND`, `LASER` or `RADAR`.
     """
 
     id: int

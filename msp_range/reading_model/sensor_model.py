@@ -8,7 +8,7 @@ fitted numbers, effects and the evidence for them.
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import yaml
 from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
@@ -34,9 +34,11 @@ _NEW_NAMES = {
 }
 """Keys of ``reading_model`` and its weights that had another name in version 0.1; recordings made with it hold them."""
 
+Medium: TypeAlias = Literal["sound", "light", "radio"]
+"""What a sensor ranges with."""
 UNUSED_TEMPERATURE_C = 20.0
-"""`calibration_temperature_c` of a sensor of light, where the file has none [deg C]. Any value will do: its ranges are
-compensated from this temperature to the same one, which changes nothing."""
+"""`calibration_temperature_c` of a sensor of light or radio, where the file has none [deg C]. Any value will do: its
+ranges are compensated from this temperature to the same one, which changes nothing."""
 
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -163,9 +165,9 @@ class SensorModel(Section):
     driver: str = Field(json_schema_extra=lambda schema: schema.update(enum=[*driver_names()]))
     """The driver that speaks its protocol; none: its readings are characterised, and it does not fly."""
 
-    medium: Literal["sound", "light"] = "sound"
-    """What it ranges with. Light does not change with the air: no correction for temperature, a ray instead of a beam
-    that hears a surface from the side, and `breakaway` is half the beam's divergence."""
+    medium: Medium = "sound"
+    """What it ranges with. Light and radio do not change with the air: no correction for temperature, a ray instead of
+    a beam that hears a surface from the side, and `breakaway` is half the beam's divergence."""
 
     minimum_cm: int = Field(ge=0)
     """Shortest reading; a nearer surface reads this too [cm]."""
@@ -177,7 +179,7 @@ class SensorModel(Section):
     """Step of the readings [cm]: whole centimetres is what the driver and the reading model know."""
 
     calibration_temperature_c: float = Field(ge=-20.0, le=50.0)
-    """Air temperature that the sensor's own conversion to range assumes [deg C]; left out for light."""
+    """Air temperature that the sensor's own conversion to range assumes [deg C]; left out for light and radio."""
 
     oblique_reading: Literal["slant", "nearest", "unknown"]
     """What a canted sensor reads over flat ground: the range along its axis, or to the nearest point of the ground."""
@@ -215,8 +217,8 @@ class SensorModel(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _light_needs_no_temperature(cls, content: Any) -> Any:
-        if isinstance(content, dict) and content.get("medium") == "light":
+    def _only_sound_needs_a_temperature(cls, content: Any) -> Any:
+        if isinstance(content, dict) and content.get("medium") in ("light", "radio"):
             return {"calibration_temperature_c": UNUSED_TEMPERATURE_C} | content
         return content
 
@@ -272,7 +274,7 @@ class SensorModel(Section):
 
         Computed when it is first asked for, which the bridge does before it polls.
         """
-        if self.medium == "light":
+        if self.medium != "sound":
             return replace(_beam(self.breakaway), narrowest_deg=0.0)
         from msp_range.acoustics.sonar import extended_beam
 

@@ -1,5 +1,6 @@
 """The gap workflow as commands run it: readings in, an extended model out that loads and flies."""
 
+import html
 import json
 import re
 from pathlib import Path
@@ -17,7 +18,7 @@ from msp_sim.model.model import load_model
 from tests.support.known import known
 from tests.support.measured import MODEL, ROOT, readings
 
-PICTURES = ("residuals.png", "path.png", "pit.png")
+PICTURES = ("lead.png", "path.png", "pit.png", "autocorrelation.png")
 
 
 def run(*arguments: Any, code: int = 0) -> str:
@@ -44,7 +45,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
     told = (folder / "told.txt").read_text(encoding="utf-8")
     lines = [line for line in told.splitlines() if not re.match(r" *\d+ %", line)]
-    assert lines[0].startswith("The gap is explained: ")
+    assert lines[0].startswith("Ranges read 1")
+    assert "too long" in lines[0]
+    assert "of the disagreement" in " ".join(lines[:3])
     found = read_findings(folder / "out")
     assert found.verdict == "explained"
     names = {each.name for each in found.effects} | {
@@ -76,7 +79,7 @@ def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None
 
 def test_the_page_needs_nothing_but_itself(folder: Path) -> None:
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
-    assert "The gap is explained" in page
+    assert read_findings(folder / "out").sentence in html.unescape(page)
     assert not re.search(r"""(src|href)=["'](?!data:|#)""", page)
     for name in PICTURES:
         assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
@@ -87,14 +90,14 @@ def test_the_steps_alone_end_with_the_same(folder: Path) -> None:
     run("compare", folder / "flights.csv", "--model", MODEL, "--out", out)
     assert read_findings(out).verdict is None
     assert not (out / "model.yaml").exists()
-    assert "Named, not yet added" in run("name", out)
-    assert "The gap is explained" in run("add", out)
+    assert "msp-lab add DIR" in run("name", out)
+    assert "of the disagreement" in run("add", out)
     run("show", out)
     one, other = (json.loads((each / "gap.json").read_text(encoding="utf-8")) for each in (folder / "out", out))
     for each in (one, other):
         del each["seconds"]
     assert one == other
-    for name in ("model.yaml", "residuals.png"):
+    for name in ("model.yaml", "lead.png"):
         assert (out / name).read_bytes() == (folder / "out" / name).read_bytes()
 
 

@@ -25,7 +25,7 @@ from msp_lab.gap.findings import (
     read_findings,
     write_findings,
 )
-from msp_lab.gap.verdict import sentence, verdict
+from msp_lab.gap.verdict import verdict
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
 from tests.support.known import known
@@ -120,7 +120,7 @@ def test_a_file_that_is_none_is_told(tmp_path: Path, content: str | None, messag
 @pytest.mark.parametrize(
     ("effects", "gap_left", "expected"),
     [
-        ((), gap(0.002), "nothing missing"),
+        ((), gap(0.002), "absorbed"),
         ((), gap(0.4), "unexplained"),
         ((EFFECT,), gap(0.002), "explained"),
         ((EFFECT,), gap(0.2), "partly explained"),
@@ -143,10 +143,11 @@ def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
     assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"
 
 
-def test_the_sentence_begins_with_the_verdict_and_names_alternatives() -> None:
-    told = sentence(FULL)
-    assert told.startswith("The gap is explained: range_scale, scale_pct 0.8 % (0.7 to 0.9) (or thermometer_offset")
-    assert "from 0.5 to 0.002 nats" in told
-    assert "an unknown effect: bias depends on throttle like 1.2 throttle^2" in told
-    assert sentence(replace(FULL, verdict=None)).startswith("Named, not yet added")
-    assert sentence(replace(FULL, verdict="nothing missing", effects=(), unknown=())).startswith("Nothing is missing.")
+def test_nothing_is_missing_only_where_nothing_was() -> None:
+    """A gap that the base's own numbers close is absorbed in them; one that was closed before is none."""
+    found = replace(FULL, verdict=None, effects=(), unknown=())
+    assert verdict(found, GIVEN) == "absorbed"
+    closed = replace(gap(0.002), nats_per_reading=Measure(0.002, 0.002, 0.003), bias_cm=Measure(0.05, 0.05, 0.06))
+    assert verdict(replace(found, gap=closed), GIVEN) == "nothing missing"
+    suggested = replace(EFFECT, verdict="suggested", alternatives=())
+    assert verdict(replace(found, gap=closed, effects=(suggested,)), GIVEN) == "nothing missing"

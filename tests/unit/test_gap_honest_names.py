@@ -78,6 +78,18 @@ def test_light_is_not_asked_for_sound() -> None:
     assert {"latency", "range_scale", "bend"} <= asked
 
 
+def test_radio_is_asked_neither_for_sound_nor_for_a_beam() -> None:
+    contexts = flown(1) | {"air_temperature_c": np.random.default_rng(1).uniform(0.0, 30.0, N)}
+    contexts["incidence_deg"] = np.random.default_rng(2).uniform(-20.0, 20.0, N)
+    ranger = load_sensor_model(ROOT / "configs" / "sensors" / "tof_ranger.yaml")
+    light, radio = (
+        {each.effect.name for each in candidates_of(Model.of(ranger.model_copy(update={"medium": each})), contexts)[0]}
+        for each in ("light", "radio")
+    )
+    assert light - radio == {"slant_range", "beyond_field_of_view"}
+    assert {"latency", "range_scale", "multipath"} <= radio
+
+
 def test_what_lacks_one_column_is_a_likely_cause_of_the_curve() -> None:
     contexts = flown(6)
     lag_ms = contexts["neighbour_lag_ms"]

@@ -23,8 +23,9 @@ from msp_lab.gap.findings import (
 )
 from msp_lab.gap.labels import headline
 from msp_lab.gap.measures import HeldOutReadings
-from msp_lab.gap.pictures import _apart
+from msp_lab.gap.pictures import _apart, subjects
 from msp_lab.gap.report import ReportModels, write_report
+from msp_lab.gap.summary import with_words
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
@@ -60,7 +61,7 @@ FOUND = replace(
 
 
 def page_of(findings: GapFindings, folder: Path) -> str:
-    given = load_model(MODEL)
+    given, findings = load_model(MODEL), with_words(findings)
     columns = readings(400, 3)
     contexts = {name: column for name, column in columns.items() if name != "reading_cm"}
     table = HeldOutReadings(columns["reading_cm"], contexts, np.unique(columns["run"], return_inverse=True)[1])
@@ -85,12 +86,36 @@ def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: 
     assert "relative error of the readings 0.8 % 0.7 to 0.9" in told
     assert "bend (0.3 nats better in total, correlation 0.97)" in told
     assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in told
-    assert "To tell range_scale from bend: ranges in steps of 20 cm." in told
+    assert "What to do next: to tell range_scale from bend: ranges in steps of 20 cm." in told
     assert "its numbers refitted 0.4 -2.7000 +0.1000" in told
     assert "bend above 0.3 %" in told
     assert "sigma_cm Standard deviation of a hit" in told
     names = {each.name for each in tmp_path.glob("*.png")}
-    assert names == {"residuals.png", "path.png", "pit.png", "unknown-1.png"}
+    assert names == {"lead.png", "residuals.png", "path.png", "pit.png", "autocorrelation.png", "unknown-1.png"}
+
+
+def test_a_page_begins_with_the_sentence_and_one_picture(tmp_path: Path) -> None:
+    page_of(FOUND, tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    body = page[page.index("<body>") :]
+    first = html.unescape(with_words(FOUND).sentence)
+    assert first.startswith("Ranges read 0.8 % too long (or it is bend or thermometer offset)")
+    assert 0 < html.unescape(body).index(first) < body.index("<img") < body.index("noise floor")
+    assert body.index('id="lead"') < body.index("<h2")
+
+
+def test_a_picture_over_single_readings_comes_first() -> None:
+    """A pilot reads a cloud of readings against its line; a share of outliers has to be explained first."""
+    columns = readings(400, 3)
+    contexts = {name: column for name, column in columns.items() if name != "reading_cm"}
+    contexts["previous_reading_cm"] = np.roll(columns["reading_cm"], 1)
+    table = HeldOutReadings(columns["reading_cm"], contexts, np.zeros(400, dtype=np.intp))
+    wash = FoundEffect("prop_wash", "named", {"log_odds": FittedValue(3.0, 2.0, 4.0, "1")}, 0.5, 9.0)
+    repeats = FoundEffect("stale", "named", {"share": FittedValue(0.5, 0.4, 0.6, "1")}, 0.5, 9.0)
+    scale = replace(FOUND.effects[0], gain_nats=0.1)
+    found = subjects(replace(FOUND, effects=(wash, repeats, scale), unknown=()), table)
+    assert [each.column for each in found] == ["true_range_cm", "throttle", "true_range_cm"]
+    assert [each.of_outliers for each in found] == [False, True, True]
 
 
 def test_the_headline_is_short_and_leaves_no_name_out() -> None:

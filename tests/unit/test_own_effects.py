@@ -43,6 +43,8 @@ def test_an_effect_that_keeps_the_contract_passes() -> None:
     ("before", "after", "title", "found"),
     [
         ('"supply_sag"', '"Supply sag"', "it is described", "the name is 'Supply sag'"),
+        ("{sag_pct:too short|too long}", "{sag}", "it is described", "cannot be filled in: 'sag'"),
+        ("{sag_pct:too short|too long}", "{sag_pct:loud}", "it is described", "no such format: 'loud'"),
         ("-20.0, 20.0)", "1.0, 20.0)", "it is described", "sag_pct: 0 is outside its bounds 1 to 20"),
         ('channels=("bias",)', 'channels=("spread",)', "it runs", "it changes bias, but says spread"),
         ('values["sag_pct"]', 'values["sag"]', "it runs", "it raises KeyError: 'sag'"),

@@ -20,7 +20,7 @@ NUMBERS = "gap.json"
 LARGEST_BYTES = 64 * 2**20
 """A larger file was not written by the gap workflow, whose files have 0.1 to 1 MB."""
 
-Verdict: TypeAlias = Literal["nothing missing", "explained", "improved", "partly explained", "unexplained"]
+Verdict: TypeAlias = Literal["nothing missing", "absorbed", "explained", "improved", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
 
 
@@ -141,6 +141,10 @@ class FoundEffect:
         What would tell them apart, or what would show it alone.
     doubt
         Why it is only suggested.
+    plain
+        What was found, in words for a pilot.
+    next_step
+        What to do next.
     """
 
     name: str
@@ -152,6 +156,8 @@ class FoundEffect:
     experiment: str = ""
     of: str | None = None
     doubt: str = ""
+    plain: str = ""
+    next_step: str = ""
 
 
 @dataclass(frozen=True)
@@ -172,6 +178,10 @@ class UnknownEffect:
         Points of its curve, for drawing: value of the variable, effect, ends of its band.
     likely_causes
         Effects of the catalogue that depend on the same, and the one column that each of them lacks.
+    plain
+        What was found, in words for a pilot.
+    next_step
+        What to do next.
     """
 
     channel: str
@@ -180,6 +190,8 @@ class UnknownEffect:
     gain_nats: float | None
     curve: tuple[tuple[float, float, float, float], ...] = ()
     likely_causes: tuple[tuple[str, str], ...] = ()
+    plain: str = ""
+    next_step: str = ""
 
 
 @dataclass(frozen=True)
@@ -193,6 +205,50 @@ class CalibrationFinding:
     low: float | None = None
     high: float | None = None
     unit: str = ""
+
+
+@dataclass(frozen=True)
+class PossibleCause:
+    """An effect that a number of the base may have absorbed, because a column did not vary.
+
+    Attributes
+    ----------
+    number
+        Of the base, as in `CalibrationFinding.name`.
+    effect, column
+        Effect of the catalogue, and the column that would show it.
+    recorded
+        The column is there and hardly varies; otherwise it is not recorded.
+    experiment
+        That shows the effect alone.
+    """
+
+    number: str
+    effect: str
+    column: str
+    recorded: bool
+    experiment: str
+
+
+@dataclass(frozen=True)
+class ReadingAge:
+    """How old a reading is where it is late and also repeated.
+
+    Attributes
+    ----------
+    latency_s
+        Age of a new value [s].
+    mean_hold_s
+        Mean time since the value was new [s].
+    """
+
+    latency_s: float
+    mean_hold_s: float
+
+    @property
+    def total_s(self) -> float:
+        """Mean age of a reading [s]."""
+        return self.latency_s + self.mean_hold_s
 
 
 @dataclass(frozen=True)
@@ -299,7 +355,13 @@ class GapFindings:
     verdict
         None until it is known.
     sentence
-        The verdict for a person.
+        The findings in one sentence for a pilot.
+    summary
+        At most five lines with numbers, the last of which says what to do next.
+    causes
+        What calibration may have absorbed.
+    age
+        Of a reading that is late and also repeated; None where it is not both.
     rows, runs
         Readings that were compared, and in how many runs.
     gap, effects, unknown, calibration, not_testable, slices
@@ -331,6 +393,9 @@ class GapFindings:
     slices: tuple[Slice, ...] = ()
     seconds: float = 0.0
     sentence: str = ""
+    summary: tuple[str, ...] = ()
+    causes: tuple[PossibleCause, ...] = ()
+    age: ReadingAge | None = None
     detectable: str = ""
     selection_path: tuple[PathStep, ...] = ()
     training_runs: tuple[str, ...] = ()

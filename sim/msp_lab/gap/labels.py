@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings import FittedValue, GapFindings
 
 _UNITS = {
     "_cm_s": "cm/s",
@@ -16,6 +16,18 @@ _UNITS = {
     "_ms": "ms",
     "_s": "s",
     "_db": "dB",
+}
+_NUMBERS = {
+    "offset_cm": "constant offset",
+    "sigma_cm": "scatter (sigma)",
+    "short": "short readings",
+    "missed": "missed echoes",
+    "random": "random readings",
+    "short_rate_per_m": "range of short readings",
+    "saturated_fraction": "readings of 255",
+    "correlation": "correlation of neighbouring errors",
+    "sigma_growth_cm_per_m": "growth of scatter with range",
+    "missed_growth_per_m": "growth of missed echoes with range",
 }
 _SPECIAL = {
     "range_rate_cm_s": "rate of the range",
@@ -96,6 +108,20 @@ def effect_label(name: str, of: str | None) -> str:
     return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
+def parameter_words(name: str, value: FittedValue) -> str:
+    """A parameter with its value, unit and interval.
+
+    Examples
+    --------
+    >>> parameter_words("offset_cm", FittedValue(1.512, 1.06, 1.95, "cm"))
+    'offset_cm 1.51 cm (1.06 to 1.95)'
+    """
+    unit = "" if value.unit in ("1", "") else f" {value.unit}"
+    known = value.low is not None and value.high is not None
+    interval = f" ({value.low:.3g} to {value.high:.3g})" if known else " (at its bound)"
+    return f"{name} {value.value:.3g}{unit}{interval}"
+
+
 def extension_label(findings: GapFindings) -> str:
     """What the extended model has that the given one has not."""
     if findings.effects or findings.unknown:
@@ -130,6 +156,29 @@ def capitalised(sentence: str) -> str:
     'To tell A from b'
     """
     return sentence[:1].upper() + sentence[1:]
+
+
+def and_list(parts: Sequence[str]) -> str:
+    """Parts of a sentence, the last two joined by 'and'.
+
+    Examples
+    --------
+    >>> and_list(["a", "b", "c"]), and_list(["a"])
+    ('a, b and c', 'a')
+    """
+    return " and ".join([*([", ".join(parts[:-1])] if len(parts) > 1 else []), *parts[-1:]])
+
+
+def number_label(name: str) -> str:
+    """A number of the base model, as a pilot calls it.
+
+    Examples
+    --------
+    >>> number_label("sigma_cm"), number_label("reading_model.weights.short"), number_label("tail")
+    ('scatter (sigma)', 'short readings', 'tail')
+    """
+    last = name.rpartition(".")[2]
+    return _NUMBERS.get(last, last.replace("_", " "))
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:

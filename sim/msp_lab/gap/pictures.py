@@ -13,11 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
+from msp_lab.gap.autocorrelation import places
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect
 from msp_lab.gap.labels import axis_label, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
+from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, new_figure, note
@@ -52,7 +54,7 @@ def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) ->
         if effect is None:
             continue
         columns = [each for each in (*effect.requires, *((effect.per,) if effect.per else ())) if each != "run"]
-        special = [name for name in columns if name != "true_range_cm"] or columns or ["true_range_cm"]
+        special = [name for name in columns if name not in ("true_range_cm", PREVIOUS)] or ["true_range_cm"]
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
     found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in findings.unknown]
     for piece in findings.slices:
@@ -63,7 +65,8 @@ def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) ->
     known = [each for each in dict.fromkeys(found) if each.column in readings.contexts]
     usable = [each for each in known if len(partitions(readings.contexts, [each.column], pairs=False)) > 1]
     wanted = max(1, min(most, len(findings.effects) + len(findings.unknown)))
-    return usable[:wanted]
+    # First one with single readings in it: a share of outliers has to be explained before it can be read.
+    return sorted(usable[:wanted], key=lambda each: each.of_outliers)
 
 
 def draw_residuals(
@@ -88,7 +91,7 @@ def draw_residuals(
             for axes, model, colour in ((left, before, BEFORE), (right, after, AFTER))
         ]
         left.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-        left.set_ylabel("readings that are no hit [%]" if subject.of_outliers else "reading − model [cm]")
+        left.set_ylabel("outliers [%]" if subject.of_outliers else "reading − expected [cm]")
         for axes in (left, right):
             axes.set_xlabel(axis_label(subject.column))
     rows[0][0].set_title("before: given model")
@@ -111,18 +114,18 @@ def draw_pit(before: Model, after: Model, readings: HeldOutReadings, rng: np.ran
         (left, before, BEFORE, "before: given model"),
         (right, after, AFTER, f"after: {added}"),
     ):
-        counts, edges = np.histogram(_pit(model, readings, rng), PIT_BINS, (0.0, 1.0))
+        counts, edges = np.histogram(places(model, readings, rng), PIT_BINS, (0.0, 1.0))
         axes.axhspan(
             (expected - deviation) / expected,
             (expected + deviation) / expected,
             color=PALE,
-            label="95 % of random variation",
+            label="random variation (95 %)",
         )
         axes.stairs(counts / expected, edges, fill=True, color=colour, alpha=0.75)
         axes.axhline(1.0, color=INK, linewidth=0.8)
         axes.set_title(title)
-        axes.set_xlabel("share of the model's readings that are smaller")
-    left.set_ylabel("readings, of those expected")
+        axes.set_xlabel("place among the expected: 0 nearest, 1 farthest")
+    left.set_ylabel("readings, relative to expected")
     left.set_ylim(0.0, max(1.6, left.get_ylim()[1]))
     legend_below(figure)
     return figure
@@ -139,7 +142,7 @@ def draw_path(findings: GapFindings) -> Figure:
     figure = new_figure(1.2 + 0.36 * len(steps))
     axes = figure.subplots()
     axes.set_xscale("log")
-    axes.axvspan(least, floor, color=PALE, label="noise floor: 95 % of simulated replicates")
+    axes.axvspan(least, floor, color=PALE, label="noise floor: random variation alone (95 %)")
     colours = [BEFORE, *([AFTER] * (len(steps) - 1))]
     axes.barh(range(len(steps)), widths, left=0.0, height=0.6, color=colours)
     axes.set_xlim(least, max(widths) * 2.2)
@@ -167,8 +170,8 @@ def draw_slices(findings: GapFindings) -> Figure:
     ratios = _ratio_columns(slices)
     many = len(ratios) > 1
     for axes, names, label in (
-        (left, ("bias_cm",), "bias of the hits [cm]"),
-        (right, ratios, "spread and odds, ratio to the model" if many else "spread, ratio to the model"),
+        (left, ("bias_cm",), "bias [cm]"),
+        (right, ratios, "ratio to the model (1 is right)"),
     ):
         for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
             what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
@@ -246,7 +249,7 @@ def _draw_residual(
     jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
     at = _bin_places(part)
-    _draw_expected(axes, part, expected[0], expected[1], expected[2], "two of three readings, by the model")
+    _draw_expected(axes, part, expected[0], expected[1], expected[2], "expected, two of three readings")
     axes.errorbar(
         at,
         middle,
@@ -289,7 +292,7 @@ def _draw_share(
     at = _bin_places(part)
     drawn = np.isfinite(at)
     low, high = np.quantile(shares, [0.025, 0.975], axis=0)
-    _draw_expected(axes, part, 100.0 * low, 100.0 * shares.mean(axis=0), 100.0 * high, "95 % of simulated replicates")
+    _draw_expected(axes, part, 100.0 * low, 100.0 * shares.mean(axis=0), 100.0 * high, "expected share (95 %)")
     axes.errorbar(
         at,
         100.0 * measured,
@@ -308,11 +311,11 @@ def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, hig
     at = _bin_places(part)
     if part.centres is None:
         axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=label)
-        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="model")
+        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="expected")
         return
     order = np.argsort(at)
     axes.fill_between(at[order], low[order], high[order], color=PALE, zorder=0, label=label)
-    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="model")
+    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="expected")
 
 
 def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array, _Array]:
@@ -367,15 +370,6 @@ def _label_words(axes: Axes, part: Partition) -> None:
     if part.centres is None:
         names = [label.split(" ", 1)[-1] for label in part.labels]
         axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
-
-
-def _pit(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> _Array:
-    found = np.empty(len(readings))
-    for part, rows in model.chunks(readings.contexts):
-        reading = readings.reading_cm[part]
-        given, _ = rows.given(reading)
-        found[part] = np.exp(given.log_below(reading)) + rng.random(reading.size) * np.exp(given.log_prob(reading))
-    return np.clip(found, 0.0, 1.0)
 
 
 def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.gap import rules
+from msp_lab.gap.autocorrelation import draw_autocorrelation, residual_autocorrelation
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.labels import capitalised, effect_label, extension_label, headline, listed, name_of
 from msp_lab.gap.measures import HeldOutReadings
@@ -20,6 +21,12 @@ from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model, Term
 from msp_sim.page.page import Omitted, Picture, render, write_page
 from msp_sim.page.style import png, style
+
+RESIDUALS_CAPTION = (
+    "Readings of held-out runs, on which nothing was selected or fitted. Line and grey band are what the model "
+    "expects: where the coloured points lie on the line, it does what the sensor does. Outliers are farther from the "
+    "surface than scatter explains."
+)
 
 
 @dataclass(frozen=True)
@@ -96,26 +103,20 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
     rng = np.random.default_rng([findings.settings.seed, 4])
     wanted, added = subjects(findings, readings), extension_label(findings)
     found: list[Picture | Omitted] = []
-    if wanted:
-        names = ", ".join(name_of(each.column) for each in wanted)
-        found.append(
-            Picture(
-                "residuals",
-                "Residuals, before and after",
-                "Readings of held-out runs, on which nothing was selected or fitted. Line and grey band are what the "
-                "model expects. Where the coloured points lie on the line, the model does what the sensor does.",
-                f"Residuals over {names}: left the given model, right {added}.",
-                png(draw_residuals(wanted, before, after, readings, rng, added)),
-            )
-        )
-    else:
-        found.append(Omitted("residuals", "Residuals, before and after", "No context column varies."))
+    for name, title, some in (("lead", "", wanted[:1]), ("residuals", "Over other contexts", wanted[1:])):
+        if some:
+            names = ", ".join(name_of(each.column) for each in some)
+            figure = draw_residuals(some, before, after, readings, rng, added)
+            alternative = f"Readings against the model over {names}: left the given model, right {added}."
+            found.append(Picture(name, title, RESIDUALS_CAPTION, alternative, png(figure)))
+    if not wanted:
+        found.append(Omitted("lead", "Readings against the model", "No context column varies"))
     found.append(
         Picture(
             "path",
             "The gap after each step",
-            "What a model that is free in each slice of context would gain per reading, after each added term. "
-            "In the grey noise floor no gap is visible: tables that the final model itself draws show as much.",
+            "How much better each reading could still be predicted after each addition (in nats, the natural logarithm "
+            "of a probability). Readings that the final model draws itself show a gap up to the grey band.",
             "Bars of the gap after each step, with the noise floor.",
             png(draw_path(findings)),
         )
@@ -123,21 +124,36 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
     found.append(
         Picture(
             "pit",
-            "The whole distribution, before and after",
-            "For each reading the share of the model's readings that are smaller (randomised probability integral "
-            "transform). Flat where the model is right; a slope is a bias, a U too small a spread, high ends are "
-            "outliers that the model does not have.",
+            "All readings, before and after",
+            "Where each reading lies among those that the model expects there, from the nearest to the farthest. Flat "
+            "where the model is right. A slope: readings are too far or too near. A U: they scatter more than that. "
+            "High ends: outliers that the model does not have.",
             f"Two histograms: left the given model, right {added}.",
             png(draw_pit(before, after, readings, rng, added)),
         )
     )
+    pair = [residual_autocorrelation(model, readings, rng) for model in (before, after)]
+    if all(each.apart.size for each in pair):
+        found.append(
+            Picture(
+                "autocorrelation",
+                "Do errors repeat?",
+                "How alike the errors of two readings of a sensor are, over the time between them: 1 is the same error "
+                "again, 0 is independent. After, the points should lie in the grey band: then nothing is left that one "
+                "reading says about the next.",
+                f"Correlation of errors over the time between readings: left the given model, right {added}.",
+                png(draw_autocorrelation(*pair, added)),
+            )
+        )
+    else:
+        found.append(Omitted("autocorrelation", "Do errors repeat?", "There are too few readings in a row"))
     if len(shown_slices(findings)) > 1:
         found.append(
             Picture(
                 "slices",
                 "Slices of context",
-                "Those that differ most from the given model, most significant first, with 95 % intervals; open marks: "
-                "with what was added. In brackets the number of readings.",
+                "Parts of the readings that differ most from the given model, the most certain ones first, with 95 % "
+                "intervals; open marks: with what was added. In brackets the number of readings.",
                 "Bias and ratios of spread and odds in slices of context, before and after.",
                 png(draw_slices(findings)),
             )

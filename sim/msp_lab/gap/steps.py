@@ -16,7 +16,7 @@ from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
 from msp_lab.gap.named_file import NAMED, read_named, write_named
 from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.verdict import sentence
+from msp_lab.gap.summary import with_words
 from msp_lab.gap.workflow import Comparison
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import sha256
@@ -26,7 +26,10 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
 from msp_sim.terminal import make_folder
 
-DRAWN = ("report.html", "residuals.png", "path.png", "pit.png", "slices.png", "unknown-*.png")
+DRAWN = (
+    "report.html",
+    *(f"{name}.png" for name in ("lead", "residuals", "path", "pit", "autocorrelation", "slices", "unknown-*")),
+)
 """The page and its pictures."""
 
 
@@ -83,7 +86,7 @@ class Steps:
 
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
-        findings = read_findings(self.folder)
+        findings = with_words(read_findings(self.folder))
         self._draw(findings, self._comparison([Path(each.path) for each in findings.sources], findings.settings))
         return findings
 
@@ -132,8 +135,8 @@ class Steps:
         write_report(findings, models, comparison.held_out, self.folder)
 
     def _written(self, findings: GapFindings, started_s: float) -> GapFindings:
-        """The findings with their sentence and how long they took, in ``gap.json`` too."""
-        findings = replace(findings, sentence=sentence(findings), seconds=round(self.clock.now() - started_s, 3))
+        """The findings with their words and how long they took, in ``gap.json`` too."""
+        findings = replace(with_words(findings), seconds=round(self.clock.now() - started_s, 3))
         write_findings(findings, self.folder)
         return findings
 

@@ -4,13 +4,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from rich import box
+from rich.padding import Padding
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from msp_lab.gap.demo import Comparison
 from msp_lab.gap.findings import GapFindings, Measure
-from msp_lab.gap.labels import capitalised, slice_label
+from msp_lab.gap.labels import and_list, effect_label, parameter_words, slice_label
 from msp_lab.gap.model_file import MODEL
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import PlainConsole, console
@@ -18,6 +19,7 @@ from msp_sim.terminal import Bar
 
 COLOURS = {
     "nothing missing": "green",
+    "absorbed": "yellow",
     "explained": "green",
     "improved": "green",
     "partly explained": "yellow",
@@ -64,26 +66,19 @@ def print_comparisons(found: Iterable[Comparison]) -> None:
 
 
 def print_findings(findings: GapFindings, folder: Path) -> None:
-    """The verdict first, then the gap, what was found, and where the rest is."""
+    """The sentence for a pilot, the lines with numbers, the table of what was found, and where the rest is."""
     out = console()
     out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
-    if findings.gap is not None:
+    for line in findings.summary:
+        out.print(Padding(Text(line), (0, 0, 0, 2)), highlight=False)
+    if findings.effects or findings.unknown:
+        out.print(_found_table(findings))
+    elif findings.gap is not None:
         out.print(_gap_table(findings))
-    for each in findings.effects:
-        if each.alternatives and each.experiment:
-            out.print(capitalised(each.experiment), highlight=False)
-        if each.doubt:
-            out.print(f"{each.name} is suggested and no finding: {each.doubt}", highlight=False)
-    for unknown in findings.unknown:
-        for name, column in unknown.likely_causes:
-            text = f"{name} needs {column} and depends on {' and '.join(unknown.variables)} too: a likely cause"
-            out.print(text, highlight=False)
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
             out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}", highlight=False)
-    if findings.detectable and not findings.effects and not findings.unknown:
-        out.print(f"These data would have shown: {findings.detectable}", highlight=False)
     for message in findings.messages:
         out.print(f"note: {message}", style="dim", highlight=False)
     columns = sorted({name for each in findings.not_testable for name in each.columns})
@@ -100,6 +95,23 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _found_table(findings: GapFindings) -> Table:
+    """Each finding with its numbers, and what to do next."""
+    table = Table(show_edge=False, pad_edge=False, show_lines=True)
+    for heading, ratio in (("finding", 3), ("effect, with 95 % intervals", 4), ("next", 4)):
+        table.add_column(heading, ratio=ratio)
+    table.expand = True
+    for each in findings.effects:
+        label = effect_label(each.name, each.of)
+        what = label if each.verdict == "named" else f"{label} ({each.verdict})"
+        values = [parameter_words(name, value) for name, value in each.parameters.items()]
+        table.add_row(each.plain, "\n".join([what, *values]), each.next_step)
+    for one in findings.unknown:
+        what = f"unknown effect on {one.channel} over {and_list(one.variables)}"
+        table.add_row(one.plain, f"{what}\n{one.formula}", one.next_step)
+    return table
 
 
 def _gap_table(findings: GapFindings) -> Table:

@@ -1,16 +1,14 @@
-"""The verdict on a gap, and the sentence that a person reads first.
+"""The verdict on a gap.
 
-Findings enter, words leave. Where 'closed' is decided: `is_closed`, within `bounds`. A gap is closed if it is
+Findings enter, a word leaves. Where 'closed' is decided: `is_closed`, within `bounds`. A gap is closed if it is
 equivalent to none (a bias of a tenth of sigma, a spread within 5 %, 0.005 nats per reading) or near the noise floor.
 To the nats the cost of fitting is added.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect, Verdict
+from msp_lab.gap.findings import GapFindings, Measure, Verdict
 from msp_lab.gap.prepared import BASE
 from msp_sim.model.model import Model
 
@@ -75,75 +73,19 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
     """
     closed = is_closed(findings, model)
     if not findings.effects and not findings.unknown:
-        return "nothing missing" if closed else "unexplained"
+        if not closed:
+            return "unexplained"
+        # What the base's own numbers close was there all the same.
+        return "nothing missing" if _was_closed(findings, model) else "absorbed"
     sure = findings.unknown or any(each.verdict != "suggested" for each in findings.effects)
+    if closed and _was_closed(findings, model):
+        return "improved" if sure else "nothing missing"
     if closed and sure:
-        return "improved" if _was_closed(findings, model) else "explained"
+        return "explained"
     gap = findings.gap
     assert gap is not None
     before, after = gap.nats_per_reading.before or 0.0, gap.nats_per_reading.after or 0.0
     return "partly explained" if after < rules.PARTLY * before else "unexplained"
-
-
-def sentence(findings: GapFindings) -> str:
-    """The verdict for a person, with what was found and how far the gap closes."""
-    text = {
-        "nothing missing": "Nothing is missing",
-        "explained": "The gap is explained",
-        "improved": "The gap was within its bounds and is smaller now",
-        "partly explained": "The gap is partly explained",
-        "unexplained": "There is a gap that no effect explains",
-        None: "Compared, not yet named",
-    }[findings.verdict]
-    if findings.verdict is None and (findings.effects or findings.unknown):
-        text = "Named, not yet added"
-    sure = [each for each in findings.effects if each.verdict != "suggested"]
-    parts = [*(_effect_words(each) for each in sure), *(_unknown_words(each) for each in findings.unknown)]
-    parts += [f"suggested, no finding: {_effect_words(each)}" for each in findings.effects if each not in sure]
-    if parts:
-        text += ": " + "; ".join(parts)
-    gap = findings.gap
-    if gap is not None:
-        text += ". " + "; ".join(_gap_words(gap.nats_per_reading, gap.bias_cm, bool(parts)))
-    numbers = [each for each in findings.calibration if each.name not in ("resolution", "code")]
-    if numbers:
-        text += f". Calibration: {'; '.join(each.finding for each in numbers)}"
-    return text + "."
-
-
-def _effect_words(each: FoundEffect) -> str:
-    text = each.name + (f" of {each.of}" if each.of else "")
-    values = []
-    for key, value in each.parameters.items():
-        unit = "" if value.unit == "1" else f" {value.unit}"
-        interval = "" if value.low is None or value.high is None else f" ({value.low:.3g} to {value.high:.3g})"
-        values.append(f"{key} {value.value:.3g}{unit}{interval}")
-    text += f", {', '.join(values)}" if values else ""
-    if each.verdict == "indistinguishable" and each.alternatives:
-        text += " (or " + " or ".join(other.name for other in each.alternatives) + ", indistinguishable in these data)"
-    return text
-
-
-def _unknown_words(each: UnknownEffect) -> str:
-    return f"an unknown effect: {each.channel} depends on {' and '.join(each.variables)} like {each.formula}"
-
-
-def _gap_words(nats: Measure, bias: Measure, added: bool) -> Iterator[str]:
-    if nats.after is None or bias.after is None or not added:
-        yield f"The gap is {_number(nats.before)} nats per reading (noise floor {_number(nats.noise_floor)})"
-        yield f"bias {_number(bias.before)} cm (noise floor {_number(bias.noise_floor)})"
-        return
-    yield (
-        f"On held-out runs the gap goes from {_number(nats.before)} to {_number(nats.after)} nats per reading "
-        f"(noise floor {_number(nats.noise_floor)})"
-    )
-    yield f"the bias from {_number(bias.before)} to {_number(bias.after)} cm (noise floor {_number(bias.noise_floor)})"
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "?"
-    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
 
 
 def _within(left: float | None, bound: float) -> bool:

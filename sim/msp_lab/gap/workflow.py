@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
+from msp_lab.gap.age import reading_age
+from msp_lab.gap.causes import possible_causes
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, PathStep, Settings
 from msp_lab.gap.intake import Readings
@@ -20,7 +22,7 @@ from msp_lab.gap.naming import ExtendedModels, name_effects
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.runs import Split, split
 from msp_lab.gap.slices import ranked, remeasured
-from msp_lab.gap.verdict import sentence, verdict
+from msp_lab.gap.verdict import verdict
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.model.model import Model
@@ -215,8 +217,13 @@ def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, r
         selection_path=(*findings.selection_path, *later),
         slices=remeasured(findings.slices, model, after.readings, after.partitions, after.measures.fits),
     )
-    findings = replace(findings, verdict=verdict(findings, comparison.model))
-    return replace(findings, sentence=sentence(findings))
+    decided = verdict(findings, comparison.model)
+    return replace(
+        findings,
+        verdict=decided,
+        age=reading_age(findings, model, after.readings),
+        causes=possible_causes(findings.calibration, comparison.model, comparison.data),
+    )
 
 
 def _log_score(model: Model, readings: HeldOutReadings) -> float:

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 AIR_TEMPERATURE = Effect(
     name="air_temperature",
     sentence="Sound is slower in cold air, so the sensor reads too far in cold air and too near in warm air.",
+    finding="readings are not corrected for the air temperature ({share:%} of its effect is left)",
     physics="reading = z c(T_C) / c(T), c = 20.05 sqrt(T); T_C the sensor's calibration temperature, T the air's [K]",
     source="report eq 6 and 7; MB1242 datasheet: the sensor does not compensate",
     parameters=(Parameter("share", "1", "share that is not compensated; 1 for the bare sensor", -1.5, 1.5),),

@@ -8,13 +8,13 @@ effect does not change a reading whose context is unknown (a missing column or a
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.reading_model.sensor_model import Medium, SensorModel
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
 
@@ -192,6 +192,9 @@ class Effect:
         Other causes that change every reading in the same way.
     media
         What the sensors range with that it happens to.
+    finding
+        What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with
+        the formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it.
     """
 
     name: str
@@ -207,7 +210,8 @@ class Effect:
     per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None
     equivalent_causes: tuple[str, ...] = ()
-    media: tuple[Literal["sound", "light"], ...] = ("sound", "light")
+    media: tuple[Medium, ...] = get_args(Medium)
+    finding: str = ""
 
     @property
     def columns(self) -> frozenset[str]:

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 BEND = Effect(
     name="bend",
     sentence="Beyond some range the readings grow faster or slower with range than before.",
+    finding="beyond {from_cm} readings grow {slope_pct:too fast|too slowly}",
     physics="z + slope max(z - from, 0); several of them are a piecewise linear curve",
     source="piecewise linear calibration, as the report's literature proposes",
     parameters=(

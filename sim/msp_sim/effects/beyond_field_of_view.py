@@ -20,6 +20,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 BEYOND_FIELD_OF_VIEW = Effect(
     name="beyond_field_of_view",
     sentence="A surface tilted beyond the beam's breakaway angle reflects the sound away, and no echo comes back.",
+    finding="beyond the breakaway angle, each degree makes missed echoes come {log_odds_per_deg:times}",
     physics="log odds of a missed echo grow linearly with the angle beyond the breakaway angle at that range, up to 10",
     source="report 4.3.3 (figures 4.9-4.12); the breakaway table of the sensor model; the growth is assumed",
     parameters=(
@@ -29,4 +30,5 @@ BEYOND_FIELD_OF_VIEW = Effect(
     channels=("missed",),
     experiment="a wall, turned step by step at a fixed range until its readings become unreliable",
     apply=_apply,
+    media=("sound", "light"),
 )

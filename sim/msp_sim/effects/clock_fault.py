@@ -13,6 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 CLOCK_FAULT = Effect(
     name="clock_fault",
     sentence="The computer samples the bus before the sensor is ready, and 3 m arrives as more than 300 m.",
+    finding="{share:of} readings are fetched too early and arrive as more than 300 m",
     physics="bit 15 reads as one: 32768 + reading",
     source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
     parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),

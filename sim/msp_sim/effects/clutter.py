@@ -18,6 +18,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 CLUTTER = Effect(
     name="clutter",
     sentence="A leg, a cable or the sensor's own ringing gives an echo at a fixed range instead of the ground.",
+    finding="{share:of} readings are of something at {location_cm}",
     physics="readings near a fixed range, if the ground is farther away",
     source="ring-down of the transducer; parts of the airframe in the beam",
     parameters=(

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 COARSE_ROUNDING = Effect(
     name="coarse_rounding",
     sentence="Software between sensor and recording rounds the readings to inches or to steps of several centimetres.",
+    finding="{share:of} readings are rounded to steps of {step_cm}",
     physics="rounded to multiples of a step, then to whole centimetres; the sensor's limits are unchanged",
     source="drivers and loggers that convert units",
     parameters=(

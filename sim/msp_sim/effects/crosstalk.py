@@ -19,6 +19,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 CROSSTALK = Effect(
     name="crosstalk",
     sentence="A sensor receives the echo of its neighbour's earlier ping, mistakes it for its own, and reads short.",
+    finding="{share:of} pings close to a neighbour's give the neighbour's echo",
     physics="false echo at z_n - c lag / 2, if that is nearer than the sensor's own echo and beyond the minimum",
     source="report 4.3.7 (figures 4.20, 4.21): short readings with simultaneous pings, none with sequential ones",
     parameters=(

@@ -15,6 +15,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 CYCLE_SLIP = Effect(
     name="cycle_slip",
     sentence="Now and then the first waves of an echo are missed, and the reading jumps by whole wavelengths.",
+    finding="{share:of} readings miss {cycles:number} waves of their echo",
     physics="hits later by n periods, n lambda / 2 in range: 0.41 cm per period at 42 kHz",
     source="zero-crossing and threshold detectors on tone bursts",
     parameters=(

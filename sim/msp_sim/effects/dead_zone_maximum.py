@@ -16,6 +16,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 DEAD_ZONE_MAXIMUM = Effect(
     name="dead_zone_maximum",
     sentence="Very near the ground the echo is hidden by the sensor's own ringing, and the sensor reports no echo.",
+    finding="nearer than {depth_cm}, {share:of} readings are reported as no echo",
     physics="no echo in place of a hit, for a share of the readings of surfaces within the zone",
     source="range finders that ignore input during their ring-down",
     parameters=(

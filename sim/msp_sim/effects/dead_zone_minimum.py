@@ -16,6 +16,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 DEAD_ZONE_MINIMUM = Effect(
     name="dead_zone_minimum",
     sentence="Very near the ground the sensor still rings from its own ping, and reads its minimum.",
+    finding="nearer than {depth_cm}, {share:of} readings are the sensor's minimum",
     physics="the minimum in place of a hit, for a share of the readings of surfaces within the zone",
     source="report: objects closer than 20 cm read 20",
     parameters=(

@@ -34,6 +34,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 EXTERNAL_SOURCE = Effect(
     name="external_source",
     sentence="Ultrasound of another source arrives at random times and is mistaken for the echo if it comes first.",
+    finding="other ultrasound gives {rate_per_m:number} false echoes for each metre of range",
     physics=(
         "events at a constant rate while the sensor listens; the first one before the own echo counts (exponential, "
         "truncated at the echo). The rate depends on the source's duty and on its level above the threshold"

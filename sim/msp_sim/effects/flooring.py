@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 FLOORING = Effect(
     name="flooring",
     sentence="The sensor truncates to whole centimetres instead of rounding, so it reads half a centimetre too near.",
+    finding="{share:of} readings are truncated instead of rounded",
     physics="floor(x) = round(x - 1/2): an offset of half a step, independent of the noise",
     source="integer arithmetic",
     parameters=(Parameter("share", "1", "1 if every reading is truncated", 0.0, 1.0),),

@@ -13,6 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 HEAVY_TAILS = Effect(
     name="heavy_tails",
     sentence="Most readings scatter little, and some scatter several times as much.",
+    finding="{share:of} readings scatter {wider:number} times as much as the others",
     physics="a share of the hits has a wider normal distribution with the same centre",
     source="contaminated normal of Tukey 1960; air and reference vary from ping to ping",
     parameters=(

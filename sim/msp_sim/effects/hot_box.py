@@ -26,6 +26,8 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 HOT_BOX = Effect(
     name="hot_box",
     sentence="Only the air close to the sensor is hot or cold, but the thermometer there is used for the whole path.",
+    finding="air of another temperature over the {length_cm} next to the sensor shifts readings by {share:%} of "
+    "what the thermometers predict",
     physics=(
         "beyond the box, z - h(z), the air has the target's temperature; h(z) is the length of path in the sensor's "
         "air, min(z, length) with an edge of 3 cm. Acts in addition to air_temperature, which assumes the sensor's "

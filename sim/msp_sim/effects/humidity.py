@@ -21,6 +21,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 HUMIDITY = Effect(
     name="humidity",
     sentence="Sound is a little faster in humid air, so on a hot and humid day ranges read up to 0.7 % short.",
+    finding="readings are not corrected for the humidity ({share:%} of its effect is left)",
     physics="c grows by 0.158 of the mole fraction of water vapour, h p_sat(T) / p at sea level",
     source="Cramer 1993, J. Acoust. Soc. Am. 93, 2510, eq 15; p_sat of Magnus (Alduchov and Eskridge 1996)",
     parameters=(Parameter("share", "1", "share that is not compensated", -0.5, 3.0),),

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 LATENCY = Effect(
     name="latency",
     sentence="A reading is older than its time stamp, so it lags while the vehicle climbs or descends.",
+    finding="readings are late by {delay_ms}",
     physics="reading(t) = z(t - delay), to the first order z - delay dz/dt",
     source="PX4's mb12xx driver stamps the previous cycle's ping with the present time: about 400 ms late",
     parameters=(Parameter("delay_ms", "ms", "age of a reading at its time stamp", -1000.0, 1000.0, physical_low=0.0),),

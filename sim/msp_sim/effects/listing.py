@@ -16,6 +16,7 @@ def as_data(catalogue: Mapping[str, Effect]) -> list[dict[str, Any]]:
         {
             "name": effect.name,
             "sentence": effect.sentence,
+            "finding": effect.finding,
             "physics": effect.physics,
             "source": effect.source,
             "channels": list(effect.channels),

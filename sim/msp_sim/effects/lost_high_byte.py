@@ -13,6 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 LOST_HIGH_BYTE = Effect(
     name="lost_high_byte",
     sentence="Half of a reading is lost on the bus: 300 arrives as 44, and no echo (765) as 253.",
+    finding="{share:of} readings lose a byte on the bus",
     physics="reading modulo 256",
     source="drivers that read one byte of two",
     parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MISSED = Effect(
     name="missed",
     sentence="More (or fewer) pings than usual come back without an echo.",
+    finding="missed echoes come {log_odds:times}",
     physics="log odds of a reading of the maximum against a hit",
     source="report 4.3.2: 765 now and then",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MISSED_BY_TARGET = Effect(
     name="missed_by_target",
     sentence="One kind of ground absorbs the ping, so over it echoes are missed more often.",
+    finding="over {of} missed echoes come {log_odds:times}",
     physics="log odds of a missed echo over one target; reflected energy: msp_range.acoustics.materials",
     source="report eq 4 and 4.3.4: plywood, asphalt and concrete reflect equally; snow and grass reflect far less",
     parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
@@ -19,5 +20,6 @@ MISSED_BY_TARGET = Effect(
     channels=("missed",),
     experiment="this target and a plate side by side at the same range",
     apply=_apply,
+    media=("sound", "light"),
     per="target",
 )

@@ -15,6 +15,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MISSED_WITH_RANGE = Effect(
     name="missed_with_range",
     sentence="The farther the surface, the more often its echo is too weak to be detected.",
+    finding="beyond {from_cm}, each metre makes missed echoes come {log_odds_per_m:times}",
     physics="log odds of a missed echo grow linearly with range beyond a start",
     source="sonar equation: level falls with 20 log z and absorption; the straight line is an assumption",
     parameters=(

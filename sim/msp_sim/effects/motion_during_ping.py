@@ -15,6 +15,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MOTION_DURING_PING = Effect(
     name="motion_during_ping",
     sentence="The vehicle moves while the sound travels, so the reading belongs to a moment after the ping.",
+    finding="readings belong to a moment {share:number} times the sound's one-way travel time before the reflection",
     physics=(
         "the sound meets the surface z / c after the ping: z + z dz/dt / c. Share 1 if the truth is that at the "
         "ping, 0 at the reflection, -1 at the return of the echo"

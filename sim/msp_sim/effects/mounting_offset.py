@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MOUNTING_OFFSET = Effect(
     name="mounting_offset",
     sentence="One sensor is mounted a little higher or lower than stated, so all its readings are off by that.",
+    finding="{of} reads {offset_cm:too far|too near}",
     physics="a constant added to every range of one sensor; the same for all sensors would be calibration",
     source="geometry",
     parameters=(Parameter("offset_cm", "cm", "how much too far this sensor reads", -50.0, 50.0),),

@@ -17,6 +17,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 MULTIPATH = Effect(
     name="multipath",
     sentence="The sound bounces between ground and vehicle, and the second echo is measured: about twice the height.",
+    finding="{share:of} readings are second echoes from about twice the height",
     physics="hits at 2 z instead of z, if that is within the maximum range",
     source="echo sounding over hard ground; the vehicle's underside is the second reflector",
     parameters=(

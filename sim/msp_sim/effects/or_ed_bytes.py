@@ -13,6 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 OR_ED_BYTES = Effect(
     name="or_ed_bytes",
     sentence="A driver ORs the two bytes of a reading into one: no echo (765) arrives as 255, and 300 as 45.",
+    finding="{share:of} readings arrive with their two bytes merged into one",
     physics="high | low instead of 256 high + low: 0x02 | 0xFD = 255",
     source="a missing shift, found in two public drivers of this sensor",
     parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),

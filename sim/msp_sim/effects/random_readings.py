@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 RANDOM_READINGS = Effect(
     name="random_readings",
     sentence="More (or fewer) readings than usual lie anywhere between minimum and maximum.",
+    finding="readings at random ranges come {log_odds:times}",
     physics="log odds of a random reading against a hit",
     source="report eq 12",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),

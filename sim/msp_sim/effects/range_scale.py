@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 RANGE_SCALE = Effect(
     name="range_scale",
     sentence="The sensor's clock runs a little fast or slow, so all ranges are off by the same percentage.",
+    finding="ranges read {scale_pct:too long|too short}",
     physics="reading = z (1 + scale)",
     source="time of flight is counted in ticks of the sensor's own clock",
     parameters=(Parameter("scale_pct", "%", "relative error of the readings", -10.0, 10.0),),

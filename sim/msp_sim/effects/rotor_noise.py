@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 ROTOR_NOISE = Effect(
     name="rotor_noise",
     sentence="With more throttle the rotors are louder, and the readings scatter more.",
+    finding="full throttle makes readings scatter {growth:factor} as none",
     physics="sigma (1 + growth throttle^exponent): noise on the envelope shifts its threshold crossing",
     source="MaxBotix: mount out of the prop wash, away from rotors; the power law is an assumption",
     parameters=(

@@ -13,6 +13,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SATURATED_BYTE = Effect(
     name="saturated_byte",
     sentence="Ranges beyond 255 cm all arrive as 255: they do not fit into the one byte of some driver's variable.",
+    finding="{share:of} readings beyond 255 cm arrive as 255",
     physics="min(reading, 255)",
     source="report 4.3.2: 255 as well as 765; 8-bit variables in drivers and loggers",
     parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SESSION_OFFSET = Effect(
     name="session_offset",
     sentence="On one day everything reads too far or too near by the same amount: something was arranged differently.",
+    finding="everything in {of} reads {offset_cm:too far|too near}",
     physics="a constant added to every range of one run",
     source="geometry; the reference's zero is set again for each session",
     parameters=(Parameter("offset_cm", "cm", "how much too far this session reads", -50.0, 50.0),),

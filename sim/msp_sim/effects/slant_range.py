@@ -16,6 +16,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SLANT_RANGE = Effect(
     name="slant_range",
     sentence="A tilted sensor measures along its axis, which is longer than the perpendicular distance to the surface.",
+    finding="tilt makes readings longer, by {share:%} of what the geometry gives",
     physics=(
         "z / cos(incidence), or slant_range_cm if known, instead of the perpendicular z; share -1 if the truth is "
         "along the axis and the sensor reads the perpendicular"
@@ -26,5 +27,6 @@ SLANT_RANGE = Effect(
     channels=("bias",),
     experiment="tilt the sensor to both sides in front of a wall: the error grows with the square of the angle",
     apply=_apply,
+    media=("sound", "light"),
     optional=("slant_range_cm",),
 )

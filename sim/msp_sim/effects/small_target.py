@@ -18,6 +18,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SMALL_TARGET = Effect(
     name="small_target",
     sentence="A small target returns a weaker echo than a wall, so from far away its echo is missed.",
+    finding="each 10 dB that small targets reflect less makes missed echoes come {log_odds_per_10db:times}",
     physics=(
         "beyond z = 2 A / lambda a square plate of area A gives an echo 20 log(z lambda / 2 A) dB weaker than a wall; "
         "log odds of a missed echo grow linearly with that"
@@ -28,4 +29,5 @@ SMALL_TARGET = Effect(
     channels=("missed",),
     experiment="plates of 20, 10 and 5 cm at increasing range",
     apply=_apply,
+    media=("sound", "light"),
 )

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SPREAD_WITH_INCIDENCE = Effect(
     name="spread_with_incidence",
     sentence="Readings of a tilted surface scatter more.",
+    finding="readings scatter {growth_per_10deg:%} more with each 10 degrees of tilt",
     physics="sigma (1 + growth |incidence| / 10 deg): the beam's footprint on a tilted surface covers a span of ranges",
     source="report 4.3.3: readings become unreliable towards the breakaway angle; the linear form is an assumption",
     parameters=(Parameter("growth_per_10deg", "1", "relative growth of sigma per 10 deg", 0.0, 10.0),),

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SPREAD_WITH_RANGE = Effect(
     name="spread_with_range",
     sentence="Far readings scatter more than near ones.",
+    finding="readings scatter {growth_per_m:%} more with each metre of range",
     physics="sigma (1 + growth z): weak echoes cross the threshold less precisely, and air is turbulent",
     source="usual for time-of-flight sensors; the linear form is an assumption",
     parameters=(Parameter("growth_per_m", "1/m", "relative growth of sigma per metre", 0.0, 5.0),),

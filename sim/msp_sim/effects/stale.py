@@ -18,6 +18,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 STALE = Effect(
     name="stale",
     sentence="Sometimes the sensor's previous reading is reported again instead of a new one.",
+    finding="{share:of} readings are repeats of the one before",
     physics="the sensor's previous reading instead of a new one",
     source="drivers that read before the measurement has ended; register reads that trigger a new ping",
     parameters=(Parameter("share", "1", "share of repeated readings", 0.0, 1.0),),

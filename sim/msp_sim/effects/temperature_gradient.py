@@ -16,6 +16,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 TEMPERATURE_GRADIENT = Effect(
     name="temperature_gradient",
     sentence="Over hot ground the air is warmer further down, but the sensor's thermometer shows one end only.",
+    finding="air of another temperature near the ground shifts readings by {share:%} of what the thermometers predict",
     physics=(
         "temperature linear from sensor to target: the mean of 1 / c is 2 / (c_sensor + c_target), exactly. Acts in "
         "addition to air_temperature, which assumes the sensor's air along the whole path"

@@ -16,6 +16,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 THERMOMETER_OFFSET = Effect(
     name="thermometer_offset",
     sentence="The thermometer shows more than the air temperature, so compensated ranges are too long.",
+    finding="the thermometer shows {offset_c:too much|too little}",
     physics="z sqrt(T / (T - d)) with T the temperature shown [K] and T - d that of the air",
     source="report eq 7; the chips of barometers are often 10 to 30 C above the air",
     parameters=(Parameter("offset_c", "K", "error of the thermometer", -50.0, 50.0),),

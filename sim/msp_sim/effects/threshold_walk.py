@@ -24,6 +24,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 THRESHOLD_WALK = Effect(
     name="threshold_walk",
     sentence="A weak echo rises slowly and is detected late, so far and tilted surfaces read a little too far.",
+    finding="echoes that are 10 dB weaker read {walk_cm_per_10db:too far|too near}",
     physics=(
         "an envelope that rises exponentially crosses a fixed threshold with a delay proportional to the loss in dB; "
         "loss for a wall: 20 log z, absorption, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 UNEXPECTED_OBJECTS = Effect(
     name="unexpected_objects",
     sentence="More (or fewer) objects than usual are in the beam above the ground.",
+    finding="short readings come {log_odds:times}",
     physics="log odds of a short reading against a hit",
     source="report eq 10",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),

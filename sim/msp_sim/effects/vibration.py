@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 VIBRATION = Effect(
     name="vibration",
     sentence="On a vibrating mount the readings scatter more.",
+    finding="a vibrating mount makes readings scatter {growth:factor}",
     physics="sigma (1 + growth) if the mount vibrates, at any frequency",
     source="report 4.3.6 (figure 4.19): no effect at 60 Hz",
     parameters=(Parameter("growth", "1", "relative growth of sigma if the mount vibrates", 0.0, 20.0),),

@@ -14,6 +14,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 WARM_UP = Effect(
     name="warm_up",
     sentence="In the first minutes after power-up the sensor warms up, and its readings drift.",
+    finding="right after power-up readings are {offset_cm:too far|too near}, which fades within {time_constant_s}",
     physics="offset exp(-t / tau), t since the sensor was powered",
     source="heating of a body by a constant power",
     parameters=(

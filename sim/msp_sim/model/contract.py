@@ -16,6 +16,7 @@ from scipy.stats import chisquare, kstest
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
+from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import ModelRows
 from msp_sim.model.sampler import Sampler
@@ -210,6 +211,10 @@ def _description_faults(effect: Effect) -> Iterator[str]:
         yield f"the name is {effect.name!r}"
     if not effect.sentence.endswith("."):
         yield f"the sentence {effect.sentence!r} does not end with a full stop"
+    try:
+        plain_finding(effect, effect.neutral_values(), "front")
+    except (KeyError, ValueError, IndexError) as error:
+        yield f"the finding {effect.finding!r} cannot be filled in: {error}"
     for key in ("physics", "source", "experiment"):
         if not getattr(effect, key):
             yield f"{key} is empty"

@@ -12,6 +12,7 @@ def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
 SUPPLY_SAG = Effect(
     name="supply_sag",
     sentence="With more throttle the supply sags, the sensor's clock runs slow, and ranges read too short.",
+    finding="full throttle makes ranges {sag_pct:too short|too long}",
     physics="z (1 - sag throttle): a slower clock counts fewer ticks in the same time of flight",
     source="an example; RC oscillators change by some percent per volt",
     parameters=(Parameter("sag_pct", "%", "how much slower the clock is at full throttle", -20.0, 20.0),),

@@ -1,0 +1,72 @@
+"""How old a reading is when it is used: the sensor's latency, and the time that a log or a driver holds each value.
+
+Findings, the model with what was added and held-out readings enter, one age leaves. Latency and repeated readings are
+two effects with two numbers, but what flies feels their sum.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap.findings import GapFindings, ReadingAge
+from msp_lab.gap.measures import HeldOutReadings
+from msp_sim.effects.latency import LATENCY
+from msp_sim.effects.stale import STALE
+from msp_sim.model.history import History
+from msp_sim.model.model import Model
+
+_Array = NDArray[np.float64]
+
+
+def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) -> ReadingAge | None:
+    """Add the mean hold to the latency; None where not both were found.
+
+    Parameters
+    ----------
+    findings
+        With the effects.
+    model
+        With what was added.
+    readings
+        With times, on which the hold is measured.
+    """
+    found: Mapping[str, float] = {
+        each.name: next(iter(each.parameters.values())).value
+        for each in findings.effects
+        if each.verdict != "suggested" and each.parameters
+    }
+    if not {LATENCY.name, STALE.name} <= found.keys() or "time_s" not in readings.contexts:
+        return None
+    return ReadingAge(found[LATENCY.name] / 1000.0, mean_hold_s(model, readings))
+
+
+def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
+    """Mean time since a reading's value was new [s].
+
+    A reading is a repeat with the probability p that it has under the model with repeats and without, so that a value
+    that comes twice by itself does not count as held: h_i = p_i (h_before + t_i - t_before).
+
+    Parameters
+    ----------
+    model
+        With `stale`.
+    readings
+        With times.
+    """
+    fresh = replace(model, effects=tuple(each for each in model.effects if each.effect is not STALE))
+    log_share = np.log1p(-_share(model)) + fresh.log_prob(readings.reading_cm, readings.contexts)
+    repeat = -np.expm1(np.minimum(log_share - model.log_prob(readings.reading_cm, readings.contexts), 0.0))
+    n = len(readings)
+    before, elapsed_s = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    hold_s = np.zeros(n)
+    for i in np.argsort(np.asarray(readings.contexts["time_s"], dtype=float), kind="stable").tolist():
+        j = int(before[i])
+        if j >= 0 and readings.reading_cm[i] == readings.reading_cm[j]:
+            hold_s[i] = repeat[i] * (hold_s[j] + elapsed_s[i])
+    return float(hold_s.mean())
+
+
+def _share(model: Model) -> float:
+    return next(each.values["share"] for each in model.effects if each.effect is STALE)

@@ -1,0 +1,102 @@
+"""How much an error repeats in the readings that follow, before and after: the autocorrelation of residuals.
+
+A model and readings enter. The residual of a reading is its place in the model's distribution, given the readings
+before it, as a normal deviate: where the model is right these are independent, its own correlated noise included.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from msp_lab.gap.measures import HeldOutReadings
+from msp_sim.model.history import History
+from msp_sim.model.model import Model
+from msp_sim.page.style import BLUE, INK, PALE, VERMILION, legend_below, new_figure
+
+_Array = NDArray[np.float64]
+
+LAGS = 20
+"""Readings back to which it is drawn: correlated noise and held values have decayed by then in all recordings tried."""
+MIN_PAIRS = 30
+"""A lag with fewer pairs of readings is left out: its band would be wider than 0.35."""
+FARTHEST = 4.0
+"""Residuals are cut there [standard deviations], so that a few impossible readings do not make the picture."""
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """Of residuals, by lag.
+
+    Attributes
+    ----------
+    apart
+        Median time between the two readings of a pair [s], or their distance in readings, (k,).
+    in_seconds
+        Which of both.
+    value
+        Correlation, (k,).
+    band
+        What 95 % of independent residuals stay within, (k,).
+    """
+
+    apart: _Array
+    in_seconds: bool
+    value: _Array
+    band: _Array
+
+
+def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Autocorrelation:
+    """Correlation of each residual with that of the same sensor and run some readings before."""
+    n = len(readings)
+    residual = np.clip(norm.ppf(places(model, readings, rng)), -FARTHEST, FARTHEST)
+    residual -= residual.mean()
+    variance = max(float(np.mean(residual**2)), 1e-12)
+    before, _ = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    time_s = np.asarray(readings.contexts["time_s"], dtype=float) if "time_s" in readings.contexts else None
+    apart, value, pairs = [], [], []
+    back = np.arange(n)
+    for lag in range(1, LAGS + 1):
+        back = np.where(back >= 0, before[back], -1)
+        rows = np.flatnonzero(back >= 0)
+        if rows.size < MIN_PAIRS:
+            break
+        apart.append(float(lag) if time_s is None else float(np.nanmedian(time_s[rows] - time_s[back[rows]])))
+        value.append(float(np.mean(residual[rows] * residual[back[rows]])) / variance)
+        pairs.append(rows.size)
+    return Autocorrelation(np.array(apart), time_s is not None, np.array(value), 1.96 / np.sqrt(np.array(pairs)))
+
+
+def places(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> _Array:
+    """Share of the model's readings that are smaller than each reading (randomised in its step), 0 to 1, (n,)."""
+    found = np.empty(len(readings))
+    for part, rows in model.chunks(readings.contexts):
+        reading = readings.reading_cm[part]
+        given, _ = rows.given(reading)
+        found[part] = np.exp(given.log_below(reading)) + rng.random(reading.size) * np.exp(given.log_prob(reading))
+    return np.clip(found, 0.0, 1.0)
+
+
+def draw_autocorrelation(before: Autocorrelation, after: Autocorrelation, added: str) -> Figure:
+    """Both over the time between two readings."""
+    figure = new_figure(2.9)
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, each, colour, label, title in (
+        (left, before, VERMILION, "measured, before", "before: given model"),
+        (right, after, BLUE, "measured, after", f"after: {added}"),
+    ):
+        axes.fill_between(each.apart, -each.band, each.band, color=PALE, zorder=0, label="independent errors (95 %)")
+        axes.vlines(each.apart, 0.0, each.value, color=colour, linewidth=1.5)
+        axes.plot(each.apart, each.value, "o", color=colour, label=label)
+        axes.axhline(0.0, color=INK, linewidth=0.8)
+        axes.set_xlim(left=0.0)
+        axes.set_title(title)
+        axes.set_xlabel("time between two readings [s]" if each.in_seconds else "readings between")
+    left.set_ylabel("correlation of the errors")
+    low, high = left.get_ylim()
+    left.set_ylim(min(low, -0.2), max(high, 0.5))
+    handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
+    legend_below(figure, list(handles.values()))
+    return figure
