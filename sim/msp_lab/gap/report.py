@@ -132,8 +132,9 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
             png(draw_pit(before, after, readings, rng, added)),
         )
     )
-    pair = [residual_autocorrelation(model, readings, rng) for model in (before, after)]
-    if all(each.apart.size for each in pair):
+    repeated = residual_autocorrelation(before, readings, rng)
+    left = residual_autocorrelation(after, readings, rng)
+    if repeated.apart.size:
         found.append(
             Picture(
                 "autocorrelation",
@@ -142,7 +143,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
                 "again, 0 is independent. After, the points should lie in the grey band: then nothing is left that one "
                 "reading says about the next.",
                 f"Correlation of errors over the time between readings: left the given model, right {added}.",
-                png(draw_autocorrelation(*pair, added)),
+                png(draw_autocorrelation(repeated, left, added)),
             )
         )
     else:
