@@ -124,11 +124,11 @@ def test_offsets_between_runs_are_named_with_their_size(tmp_path: Path) -> None:
     assert deviation.low < offset_cm.std() < deviation.high
 
 
-def test_another_spread_offset_and_share_are_calibration_and_nothing_is_missing(tmp_path: Path) -> None:
+def test_another_spread_offset_and_share_are_calibration_and_absorb_the_gap(tmp_path: Path) -> None:
     columns = readings(3000, seed=7, bias=lambda _: 0.8, sigma_cm=1.2 * SIGMA_CM, hit=0.91, missed=0.07)
     findings = found(tmp_path, columns)
     assert (findings.effects, findings.unknown) == ((), ())
-    assert findings.verdict == "nothing missing"
+    assert findings.verdict == "absorbed"
     numbers = {each.name: each for each in findings.calibration}
     assert set(numbers) == {"offset_cm", "sigma_cm", "weights.missed"}
     for name, truth in (("offset_cm", 0.8), ("sigma_cm", 1.2 * SIGMA_CM), ("weights.missed", 0.07)):

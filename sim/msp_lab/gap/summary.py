@@ -157,6 +157,9 @@ def _refitted(findings: GapFindings) -> Iterator[str]:
 
 def _next(findings: GapFindings) -> str:
     """The one thing to do first."""
+    if findings.verdict is None:
+        named = findings.effects or findings.unknown
+        return "msp-lab add DIR adds it and measures what is left" if named else "msp-lab name DIR names it"
     parts: Sequence[FoundEffect | UnknownEffect] = found_parts(findings)
     for each in parts:
         if isinstance(each, UnknownEffect) or each.verdict == "indistinguishable":
@@ -171,8 +174,6 @@ def _next(findings: GapFindings) -> str:
     suggested = [each for each in findings.effects if each.verdict == "suggested"]
     if suggested:
         return suggested[0].next_step
-    if findings.verdict is None:
-        return "msp-lab name DIR names what is missing" if not findings.effects else "msp-lab add DIR validates it"
     # A column first that shows many effects by itself.
     alone = Counter(each.columns[0] for each in findings.not_testable if len(each.columns) == 1)
     columns = [name for name, _ in alone.most_common(3)]
