@@ -56,11 +56,13 @@ from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
 
 LINK_WAITS_S = 0.02
-"""Transfers that follow each other at once keep the link waiting no longer than this, and for the one that is under way
-[s]. Longer than the pings of a group, so that they go out together (eight take 4 ms at 50 kHz); far shorter than the
-second between two heartbeats."""
+"""Transfers that follow each other at once keep the link and the report of a silence waiting no longer than this, and
+for the one that is under way [s]. Longer than the pings of a group, so that they go out together (eight take 4 ms at
+50 kHz); far shorter than the second between two heartbeats, and than what a report comes before its limit
+(`Windows.silence_s`)."""
 LOOK_INTERVAL_S = 0.25
-"""Between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]."""
+"""Longest time between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]. A silence is due at
+a time of its own, whatever this is."""
 TEMPERATURE_REQUEST_HZ = 1.0
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
@@ -242,7 +244,7 @@ class Bridge:
         self._below = ObservationsBelow(self.notify)
         self._bus_health = BusHealth()
         self._reminder = Reminder()
-        self._next_look_s = self._next_silence_s = clock.now()
+        self._next_look_s = clock.now()
         self.completed_s = clock.now()
 
     @property
@@ -257,15 +259,15 @@ class Bridge:
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
-        clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s))
+        clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s))
         steps = [self._on_ranging(ranging) for ranging in poller.step()]
         now_s = clock.now()
         outbox.send_due(now_s)
-        if poller.next_event_s <= now_s < link.next_event_s + LINK_WAITS_S:
+        if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:
             return steps
         if now_s >= link.next_event_s:
             link.service()
-        if now_s >= self._next_look_s or now_s >= self._next_silence_s:
+        if now_s >= self._next_look_s:
             self._look_after(now_s)
         self.completed_s = now_s
         return steps
@@ -358,14 +360,13 @@ class Bridge:
 
     def _look_after(self, now_s: float) -> None:
         """Update what is not a reading's: air and disk, and the conditions of all that is not a sensor."""
-        self._next_look_s = now_s + LOOK_INTERVAL_S
+        # A usable message only defers the limit of silence: no look is later than one that is reached.
+        self._next_look_s = min(now_s + LOOK_INTERVAL_S, self._output.next_event_s(now_s))
         conditions = [*self._bus_health.conditions(now_s), *self.link.conditions()]
         if self._recorded_air is None:
             self._air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
         conditions += self._output.conditions(now_s, self.health.failing_sensors)
-        silence_s = self._output.next_event_s
-        self._next_silence_s = silence_s if silence_s > now_s else float("inf")
         conditions.append(self._attitude.condition(now_s))
         for condition in conditions:
             self.health.set(*condition)

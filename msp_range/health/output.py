@@ -73,14 +73,15 @@ class OutputWatch:
         self._used.append(used)
         self._fit = fit
 
-    @property
-    def next_event_s(self) -> float:
-        """When a stream will have been silent for too long [s]; in the past while one is."""
-        return min(self._usable_s.values(), default=float("inf")) + self._silence_s
+    def next_event_s(self, now_s: float) -> float:
+        """When the next stream will have been silent for too long [s], if it stays so; infinity: all are by now."""
+        limits_s = [usable_s + self._silence_s for usable_s in self._usable_s.values()]
+        return min([limit_s for limit_s in limits_s if limit_s > now_s], default=float("inf"))
 
     def silent(self, now_s: float) -> list[str]:
-        """Streams that have said nothing usable for too long."""
-        return [name for name, usable_s in self._usable_s.items() if now_s - usable_s >= self._silence_s]
+        """Streams that have sent nothing usable for too long."""
+        # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
+        return [name for name, usable_s in self._usable_s.items() if now_s >= usable_s + self._silence_s]
 
     def conditions(self, now_s: float, failing: Collection[str]) -> list[Condition]:
         """As they are now; silence is not reported of sensors that are ``failing``, whose own faults are."""

@@ -7,9 +7,11 @@ Valid
     A DISTANCE_SENSOR that looks down (orientation 25) with min < current <= max and a quality other than 1. It holds
     until the next one of that orientation, and for 0.5 s at most, ArduPilot's time-out.
 Above the maximum
-    current > max, whatever the quality. It is wrong where every true distance is less than the maximum - 0.5 m.
+    current > max, whatever the quality. It is wrong where every true distance at its receipt is less than the
+    maximum - 0.5 m.
 Wrong distance
-    The held valid distance is over 50 cm off for over 0.5 s without a break. Compared with the truth now.
+    The held distance is over 50 cm off, or a wrong 'above the maximum', for over 0.5 s without a break. A valid one is
+    compared with the truth now.
 Honest, covered
     A valid message's error is within 3, or 1.96, stated deviations: the root of the covariance in cm^2. Compared with
     the truth at the message's own time stamp, since a deviation is that of a measurement and not of its age; where the
@@ -19,8 +21,9 @@ Judged time
     From the silence limit after the start, and after each time the autopilot came back, while it listens. 'In range' is
     the part of it in which the true distance lies where a sensor in this air can measure it.
 Silence
-    The time between two usable messages (valid, or above the maximum and right), or from the start, or to the end,
-    where that is longer than the limit: max(1 s, twice the longest time between two readings of one downward sensor).
+    The time between two messages that an autopilot can use (valid, or above the maximum; where they are wrong, they
+    count as that), or from the start, or to the end, where that is longer than the limit: max(1 s, twice the longest
+    time between two readings of one downward sensor).
 Reported
     A silence: from 1 s before its beginning until the limit + 0.5 s after it a STATUSTEXT of severity WARNING or worse
     has come that is not on an object, a hole or the air's temperature, or the last HEARTBEAT before that deadline says
@@ -83,6 +86,11 @@ class Distance(NamedTuple):
         """Whether it says that nothing is within the maximum."""
         return self.current_m > self.maximum_m
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether an autopilot takes anything from it."""
+        return self.is_valid or self.is_above
+
 
 class Event(NamedTuple):
     """A wrong distance or a silence: when it began and how long it lasted [s], the largest error [m], who reported it.
@@ -113,7 +121,7 @@ class Verdict:
     wrong, silences
         Events.
     longest_gap_s
-        Between two usable messages, whether longer than the limit or not.
+        Between two messages that an autopilot can use, whether longer than the limit or not.
     above_wrong, above_wrong_s
         Wrong messages 'above the maximum', and how long they held.
     false_objects
@@ -224,8 +232,8 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         nearest_error_m(each.current_m, truth.distances_m(each.stamp_s)) if each.is_valid else None
         for each in distances
     ]
-    rights = [_is_right(each, truth) for each in distances]
-    verdict.above_wrong = sum(each.is_above and not right for each, right in zip(distances, rights, strict=True))
+    above_wrong = [_is_above_wrong(each, truth) for each in distances]
+    verdict.above_wrong = sum(above_wrong)
     off: list[tuple[float, float]] = []
     index = -1
     for i in range(round(conditions.duration_s / GRID_S)):
@@ -238,8 +246,9 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
             off_m = nearest_error_m(held.current_m, trues_m)
             if abs(off_m) > WRONG_M:
                 off.append((time_s, off_m))
-        if held is not None and held.is_above and not rights[index]:
+        if held is not None and above_wrong[index]:
             verdict.above_wrong_s += GRID_S
+            off.append((time_s, held.maximum_m - max(trues_m)))
         if not any(start_s + conditions.limit_s <= time_s < end_s for start_s, end_s in conditions.listens_s):
             continue
         error_m = errors_m[index] if held is not None else None
@@ -247,7 +256,7 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         faulty = any(start_s <= time_s < end_s for start_s, end_s in conditions.faulty_s)
         _count(verdict, held, error_m, in_range, faulty)
     verdict.wrong = _wrong(off, received)
-    usable_s = [each.time_s for each, right in zip(distances, rights, strict=True) if right]
+    usable_s = [each.time_s for each in distances if each.is_usable]
     for start_s, end_s in conditions.listens_s:
         _silences(verdict, [each for each in usable_s if start_s <= each < end_s], start_s, end_s, received, conditions)
     verdict.false_objects = [
@@ -259,11 +268,10 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
     return verdict
 
 
-def _is_right(distance: Distance, truth: Truth) -> bool:
-    """Whether a message is usable: valid, or above the maximum with nothing nearer."""
-    if distance.is_above:
-        return max(truth.distances_m(distance.time_s)) >= distance.maximum_m - ABOVE_MARGIN_M
-    return distance.is_valid
+def _is_above_wrong(distance: Distance, truth: Truth) -> bool:
+    """Whether a message is 'above the maximum' while the ground is nearer."""
+    nearest_m = distance.maximum_m - ABOVE_MARGIN_M
+    return distance.is_above and max(truth.distances_m(distance.time_s)) < nearest_m
 
 
 def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_range: bool, faulty: bool) -> None:

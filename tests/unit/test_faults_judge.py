@@ -96,9 +96,7 @@ def test_a_held_distance_becomes_wrong_when_the_vehicle_moves_on_and_ends_at_the
     assert (event.from_s, event.for_s) == pytest.approx((5.0, 0.8), abs=0.03)
 
 
-@pytest.mark.parametrize(
-    ("quality", "orientation", "current_cm"), [(1, DOWN, 400), (90, FORWARD, 400), (90, DOWN, 19), (90, DOWN, 766)]
-)
+@pytest.mark.parametrize(("quality", "orientation", "current_cm"), [(1, DOWN, 400), (90, FORWARD, 400), (90, DOWN, 19)])
 def test_what_is_no_valid_distance_down_is_never_a_wrong_one(quality: int, orientation: int, current_cm: int) -> None:
     verdict = verdict_on(stream(lambda time_s: current_cm, quality=quality, orientation=orientation))
     assert (verdict.wrong, verdict.valid_s) == ([], 0.0)
@@ -113,11 +111,26 @@ def test_either_ground_is_right_where_there_are_two() -> None:
 def test_above_the_maximum_is_wrong_over_a_near_ground_and_usable_over_a_far_one() -> None:
     near, far = StatedTruth(lambda time_s: 7.0), StatedTruth(lambda time_s: 7.3)
     messages = stream(lambda time_s: 766, quality=1)
-    assert (verdict_on(messages, near).above_wrong, len(verdict_on(messages, near).silences)) == (99, 1)
-    assert verdict_on(messages, near).above_wrong_s == pytest.approx(9.9)
+    verdict = verdict_on(messages, near)
+    assert (verdict.above_wrong, verdict.silences) == (99, [])
+    assert verdict.above_wrong_s == pytest.approx(9.9)
+    (event,) = verdict.wrong
+    assert event[:3] == pytest.approx((0.1, 9.9, 0.65), abs=0.03)
     assert (verdict_on(messages, far).above_wrong, verdict_on(messages, far).silences) == (0, [])
     either = StatedTruth(lambda time_s: 7.0, lambda time_s: 9.0)
     assert verdict_on(messages, either).above_wrong == 0
+
+
+def test_above_the_maximum_is_no_silence_although_the_vehicle_has_just_sunk_below() -> None:
+    """One message a little too late is wrong for as long as it holds, but an autopilot has received something."""
+    truth = StatedTruth(lambda time_s: 8.0 if time_s < 5.0 else 7.1)
+    messages = [distance(i / 10, 766, quality=1) for i in range(1, 51)]
+    messages += [distance(time_s, 710) for time_s in np.arange(5.9, 10.0, 0.1)]
+    verdict = verdict_on(messages, truth)
+    assert (verdict.above_wrong, verdict.silences, verdict.wrong) == (1, [], [])
+    assert verdict.longest_gap_s == pytest.approx(0.9)
+    (event,) = verdict_on([*messages, distance(5.1, 766, quality=1)], truth).wrong
+    assert event.for_s == pytest.approx(0.6, abs=0.03)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,14 @@
 """What is reported of the streams as an autopilot gets them."""
 
+import math
 import random
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common
 
+from msp_range.assembly import windows_of
+from msp_range.bridge import LINK_WAITS_S
 from msp_range.health import Health, OutputWatch, Severity
 from msp_range.health.output import FUSED
 from msp_sim.device.device import Fault
@@ -51,6 +54,19 @@ def test_silence_is_reported_after_the_limit_and_its_end_too() -> None:
     assert Watched().go(3.0, usable=False).texts == ["Range: no distance to the ground"], "from the start on"
 
 
+def test_a_stream_is_silent_at_its_limit_whatever_was_rounded_and_whoever_is_silent_already() -> None:
+    draw = random.Random(1)
+    for _ in range(1000):
+        usable_s = draw.uniform(0.0, 1e5)
+        watch = OutputWatch(["a", "b"], 0.95, usable_s - 5.0)
+        watch.on_usable("b", usable_s)
+        limit_s = watch.next_event_s(usable_s)
+        assert limit_s == usable_s + 0.95
+        assert watch.silent(math.nextafter(limit_s, 0.0)) == ["a"]
+        assert watch.silent(limit_s) == ["a", "b"]
+        assert watch.next_event_s(limit_s) == math.inf
+
+
 def test_readings_that_mostly_are_not_used_disagree() -> None:
     assert Watched().go(5.0).go(8.0, used=False).go(15.0).texts == ["Range: readings disagree", "Range: readings agree"]
     assert Watched().go(5.0).go(5.8, used=False).go(15.0).texts == [], "a step of the ground"
@@ -86,6 +102,41 @@ def test_all_sensors_at_255_is_silence_that_is_reported() -> None:
     assert states(bench, 8.0, 20.0) == {common.MAV_STATE_CRITICAL}
     assert bench.said()[-1] == "Range: distance is back"
     assert states(bench, 22.0, 25.0) == {common.MAV_STATE_ACTIVE}
+
+
+@pytest.mark.parametrize("interval_s", [0.1, 0.37, 2.0])
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_silence_is_reported_when_its_limit_is_reached_whatever_the_loop_waits_for(
+    interval_s: float, quiet: bool
+) -> None:
+    """Neither the next ping nor the next message of the autopilot has to wake the loop."""
+    vehicle = airframe(polling={"ping_interval_s": interval_s})
+    from_s = 40.0 * interval_s
+    bench = Bench(vehicle, 500, faults={name: [Fault("saturated", from_s, 1e3)] for name in NAMES})
+    bench.wire.quiet_until_s = math.inf if quiet else -math.inf
+    bench.fly(from_s + 20.0 * interval_s + 2.0)
+    last_s = max(time_s for time_s, message in bench.sent() if message.current_distance == 500)
+    (report_s,) = [time_s for time_s, text in bench.reports if text == "Range: no distance to the ground"]
+    assert report_s - last_s == pytest.approx(windows_of(vehicle).silence_s, abs=1e-3)
+
+
+@pytest.mark.parametrize("transfer_s", [0.004, 0.006, 0.008])
+def test_a_silence_is_reported_in_time_by_a_loop_whose_transfers_follow_each_other_at_once(transfer_s: float) -> None:
+    """On a slow bus sensors that ping together are asked without a break."""
+    vehicle = airframe(polling={"ping_interval_s": 0.075, "groups": [list(NAMES)]})
+    bench = Bench(vehicle, 500, faults={name: [Fault("saturated", 5.0, 1e3)] for name in NAMES})
+    read = bench.bus.read
+
+    def slow_read(address: int, count: int) -> bytes:
+        bench.clock.sleep_until(bench.clock.now() + transfer_s)
+        return read(address, count)
+
+    bench.bus.read = slow_read  # type: ignore[method-assign]
+    bench.wire.quiet_until_s = math.inf
+    bench.fly(8.0)
+    last_s = max(time_s for time_s, message in bench.sent() if message.current_distance == 500)
+    (report_s,) = [time_s for time_s, text in bench.reports if text == "Range: no distance to the ground"]
+    assert report_s - last_s < 0.95 + LINK_WAITS_S + transfer_s
 
 
 @pytest.mark.parametrize("roll", [1.7, 3.1, 1e38, float("nan"), float("inf")])
