@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from msp_range.cli import app as bridge_app
 from msp_range.clock import SystemClock, VirtualClock
+from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
@@ -24,11 +25,12 @@ from msp_sim.cli import app
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.recorded import recorded_flight
-from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
 
-SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
+CONFIGS = Path(__file__).parents[2] / "configs"
+SCENARIOS = CONFIGS / "scenarios"
 
 
 def fly(name: str, seed: int = 1) -> tuple[FlightResult, Simulation]:
@@ -47,6 +49,39 @@ def run(*args: object) -> str:
 @pytest.fixture(scope="module")
 def demo() -> tuple[FlightResult, Simulation]:
     return fly("demo.yaml")
+
+
+def test_no_echo_of_another_kind_of_sensor_is_no_echo_on_the_bus() -> None:
+    """An MB1433 without an echo reads 500 after 100 ms; the emulated MB1242 answers 765, and within its deadline."""
+    content = {
+        "name": "another_kind",
+        "airframe": "quad_pallet.yaml",
+        "duration_s": 17.5,
+        "flight": {
+            "altitude": [
+                {"kind": "climb", "to_m": 6.0, "speed_m_s": 1.0},
+                {"kind": "hold", "duration_s": 10.0},
+            ]
+        },
+    }
+    scenario = Scenario.model_validate(content, context={"folder": CONFIGS})
+    mb1433 = load_sensor_model(CONFIGS / "sensors" / "mb1433.yaml")
+    simulation = Simulation(scenario, VirtualClock(), 1, model=mb1433)
+    for _ in simulation.fly():
+        pass
+    # A few readings are short or random, and ranges therefore.
+    high = [
+        why
+        for track in simulation.flight.tracks.values()
+        for time_s, why in zip(track.time_s, track.why, strict=True)
+        if time_s > 8.0
+    ]
+    assert high.count("no_echo") > 0.9 * len(high) > 60
+    assert not any("no answer" in text for _, _, text in simulation.flight.texts)
+    sent = [(time_s, each) for time_s, each in simulation.received if each.get_type() == "DISTANCE_SENSOR"]
+    valid_s = [time_s for time_s, each in sent if each.current_distance <= each.max_distance]
+    assert len(valid_s) > 30
+    assert max(valid_s) < 8.0
 
 
 def test_every_scenario_flies_to_its_end() -> None:

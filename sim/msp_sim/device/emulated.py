@@ -138,7 +138,9 @@ def emulated_bus(
         emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
         chance = random.Random(int(for_faults.generate_state(1)[0]))
         kind = emulated_kind(sensor.sensor_model.driver)
-        timing = ranging_timing(kind, model)
+        # Readings of another kind of sensor are answered as the device on the bus answers, at its times too.
+        same_kind = model.driver == sensor.sensor_model.driver
+        timing = ranging_timing(kind, model if same_kind else sensor.sensor_model)
         echo = within_limits(emulated.echo, model, kind)
         devices.append(kind(sensor.address, now, echo, timing, faults.get(sensor.name, ()), chance))
     return EmulatedBus(devices, now)
