@@ -65,7 +65,7 @@ class RangeSensor(Protocol):
         ...
 
     def answer(self, since_ping_s: float) -> Decoded:
-        """The measurement's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
+        """The measurement's result, at most ``since_ping_s`` after the ping; raises BusError while there is none."""
         ...
 
 
@@ -172,7 +172,7 @@ class Driver(ABC):
 
     @abstractmethod
     def answer(self, since_ping_s: float) -> Decoded:
-        """The measurement's result, ``since_ping_s`` after the ping; raises BusError while there is none."""
+        """The measurement's result, at most ``since_ping_s`` after the ping; raises BusError while there is none."""
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:

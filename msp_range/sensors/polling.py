@@ -41,13 +41,13 @@ class Ranging(NamedTuple):
 
 
 class _Pending:
-    """A sensor that was pinged and has not answered yet."""
+    """A sensor that was pinged, between ``from_s`` and ``ping_s``, and has not answered yet."""
 
-    __slots__ = ("next_try_s", "ping_s", "sensor")
+    __slots__ = ("from_s", "next_try_s", "ping_s", "sensor")
 
-    def __init__(self, sensor: PolledSensor, ping_s: float) -> None:
+    def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float) -> None:
         self.sensor = sensor
-        self.ping_s = ping_s
+        self.from_s, self.ping_s = from_s, ping_s
         self.next_try_s = ping_s + sensor.timing.first_answer_s
 
 
@@ -122,13 +122,14 @@ class Poller:
 
     def _ping(self, sensor: PolledSensor) -> Ranging | None:
         ranging = None
+        from_s = self._clock.now()
         try:
             sensor.device.ping()
         except BusError as error:
             now_s = self._clock.now()
             ranging = self._no_answer(sensor, now_s, now_s, error)
         else:
-            self._pending.append(_Pending(sensor, self._clock.now()))
+            self._pending.append(_Pending(sensor, from_s, self._clock.now()))
             self._acknowledged = True
         # Taken after the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
         self._last_ping_s = self._clock.now()
@@ -143,7 +144,8 @@ class Poller:
             late = BusError(errno.ETIME, "read", sensor.device.address)
             return self._no_answer(sensor, pending.ping_s, now_s, late)
         try:
-            decoded = sensor.device.answer(now_s - pending.ping_s)
+            # The longest that it can have taken: on a busy computer a write may return long after the sensor had it.
+            decoded = sensor.device.answer(now_s - pending.from_s)
         except BusError as error:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
             deadline_s = pending.ping_s + timing.deadline_s

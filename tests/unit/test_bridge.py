@@ -52,6 +52,26 @@ def test_the_fused_message_goes_out_on_each_turn_while_a_sensor_works(dead: str)
     assert last(bench).signal_quality == round(100 * (4 - len(dead)) / 4)
 
 
+@pytest.mark.parametrize("late_s", [0.005, 0.020, 0.030])
+@pytest.mark.parametrize("reading_cm", [20, 100, 400])
+def test_on_a_busy_computer_a_write_that_returns_late_makes_no_answer_impossible(
+    late_s: float, reading_cm: int
+) -> None:
+    """A sensor has its ping when the write is on the bus, and not when the program runs again."""
+    bench = Bench(airframe(), reading_cm)
+    write = bench.bus.write
+
+    def late_write(address: int, data: bytes) -> None:
+        write(address, data)
+        bench.clock.sleep_until(bench.clock.now() + late_s)
+
+    bench.bus.write = late_write  # type: ignore[method-assign]
+    bench.fly(5.0)
+    assert bench.said() == ["Range: all 4 sensors good"]
+    assert {reason for name in "abcd" for reason in bench.rejected(name)} <= {"unconfirmed"}
+    assert len(bench.distances_cm(from_s=1.0)) == pytest.approx(40, abs=12)
+
+
 def test_without_sensors_nothing_goes_out() -> None:
     bench = Bench(airframe(), 300, absent=NAMES).fly(9.95)
     assert bench.sent() == []
