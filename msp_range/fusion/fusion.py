@@ -176,7 +176,6 @@ class Fusion:
         if self._filter is not None:
             if time_s - self._known_s > self._windows.memory_s:
                 self._filter = None
-                self._support.forget()
                 self._start.clear()
             else:
                 self._filter.predict(time_s - self._time_s, self._motion.acceleration(self._time_s, time_s))

@@ -55,10 +55,6 @@ class GroundSupport:
         self._off_m: dict[str, float] = {}
         self._two_agree = False
 
-    def forget(self) -> None:
-        """No ground is known any more."""
-        self._established = False
-
     def on_new_ground(self, in_doubt: bool) -> None:
         """Another ground is known from now on; in doubt where not all readings agreed on it."""
         self._established = self._proven = False

@@ -243,6 +243,58 @@ def test_one_outlier_that_hits_the_other_pairs_height_moves_nothing() -> None:
     assert all(abs(distance_cm - 300) < 15 for distance_cm in sent_cm)
 
 
+@pytest.mark.parametrize("speed_m_s", [0.05, -0.05, 0.1])
+@pytest.mark.parametrize("stuck", ["ab", "ac"])
+def test_two_stuck_sensors_hold_nothing_back_in_a_slow_climb(stuck: str, speed_m_s: float) -> None:
+    """Near the ground they cannot be distinguished from it, but the two that move on know better."""
+    draw = random.Random(4)
+
+    def height_m(time_s: float) -> float:
+        return 3.0 + speed_m_s * max(time_s - 6.0, 0.0)
+
+    def read(name: str, time_s: float) -> int:
+        return 301 if name in stuck and time_s > 3.0 else round(100 * height_m(time_s) + draw.gauss(0.0, 1.0))
+
+    bench = with_barometer(Bench(airframe(), read), 12.0, height_m)
+    sent = [
+        (message.current_distance - 100 * height_m(time_s - 0.03), message.covariance**0.5)
+        for time_s, message in bench.sent()
+        if time_s > 6.0
+    ]
+    assert max(abs(off_cm) for off_cm, _ in sent) < 7.0
+    assert sum(abs(off_cm) <= 3.0 * std_cm for off_cm, std_cm in sent) > 0.95 * len(sent) > 50
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_a_climb_past_a_fault_code_of_all_sensors_gets_away_from_it(seed: int) -> None:
+    """All sensors saturate at 255; at 2.55 m that is the ground, and above it the vehicle climbs by its barometer."""
+    draw = random.Random(seed)
+
+    def height_m(time_s: float) -> float:
+        return min(2.0 + 0.5 * max(time_s - 4.0, 0.0), 5.0)
+
+    def read(name: str, time_s: float) -> int:
+        return min(round(100 * height_m(time_s) + draw.gauss(0.0, 1.5)), 255)
+
+    bench = with_barometer(Bench(airframe(), read), 12.0, height_m)
+    sent = [(time_s, each.current_distance) for time_s, each in bench.sent() if each.current_distance < ABOVE_CM]
+    assert max(abs(sent_cm - 100 * height_m(time_s - 0.03)) for time_s, sent_cm in sent) < 30
+    assert max(time_s for time_s, _ in sent) > 4.5
+    assert SILENCE in bench.said()
+
+
+@pytest.mark.parametrize("below", ["a", "ab", "ac"])
+def test_holes_below_some_sensors_are_no_noise_of_the_others(below: str) -> None:
+    draw = random.Random(2)
+
+    def read(name: str, time_s: float) -> int:
+        return round(300 + (60 if name in below and time_s > 5.0 else 0) + draw.gauss(0.0, 1.5))
+
+    bench = Bench(airframe(), read).fly(25.0)
+    assert max(message.covariance for time_s, message in bench.sent() if time_s > 8.0) <= 3
+    assert sorted(bench.said(2.0)) == [f"Range {name}: hole below, 0.6 m deep" for name in below]
+
+
 # Three against one that may be right.
 
 
