@@ -123,7 +123,7 @@ def _theta(x: _Array) -> _Array:
     """Parameters of the likelihood from numbers without bounds: weights as a softmax, logits and logarithms."""
     shares = np.exp(x[:2]) / (1.0 + np.exp(x[:2]).sum())
     theta = np.zeros(len(mix.NAMES))
-    theta[[mix.U, mix.R]], theta[mix.C] = shares, 1.0
+    theta[[mix.U, mix.R]] = shares
     theta[[mix.M, mix.T, mix.L, mix.S]] = expit(x[2]), x[3], np.exp(x[4]), expit(x[5])
     return theta
 

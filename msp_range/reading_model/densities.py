@@ -27,11 +27,9 @@ NAMES = (
     "second",  # fraction of no-echo codes that arrive as the second code
     "sigma_growth",  # squared [cm^2/cm^2]
     "missed_growth",  # [1/cm]
-    "offset",  # bias [cm]
-    "scale",
 )
 """Parameters in the order of every vector here."""
-U, R, M, T, L, S, V, G, B, C = range(len(NAMES))
+U, R, M, T, L, S, V, G = range(len(NAMES))
 
 
 class Terms:
@@ -76,8 +74,7 @@ class Terms:
         self.variance: float | _Array = variance
         if theta[V] != 0.0 or V in free:
             self.variance = variance + theta[V] * self.within * self.within
-        centre = self.expected if theta[B] == 0.0 and theta[C] == 1.0 else theta[B] + theta[C] * self.expected
-        self.hit = Hit(first, last, is_code, centre, np.sqrt(self.variance), lowest, step)
+        self.hit = Hit(first, last, is_code, self.expected, np.sqrt(self.variance), lowest, step)
         self.short = Short(first, last, self.expected, theta[L], lowest, highest, step)
         self.random = 0.0 if is_code and not grid.code_on_grid else Random(first, last, lowest, highest, step).p
         self.at_code = Missed(is_code).p
@@ -94,16 +91,11 @@ class Terms:
         """Derivatives of q, by number of the parameter; stores intermediate results for `second`."""
         theta, free = self.theta, self.free
         self.d_v = self.hit.by_log_sigma / (2.0 * self.variance)
-        # Derivatives of the hit's variance and of its centre by their parameters.
+        # Derivatives of the hit's variance by its parameters.
         start = 2.0 * math.exp(2.0 * theta[T])
         self.by_variance: list[tuple[int, float | _Array]] = [(T, start)]
         if V in free:
             self.by_variance.append((V, self.within * self.within))
-        self.by_centre: list[tuple[int, float | _Array]] = []
-        if B in free:
-            self.by_centre.append((B, 1.0))
-        if C in free:
-            self.by_centre.append((C, self.expected))
         self.shape = self.left * self.weight_hit
         self.by_share: list[tuple[int, float | _Array]] = [(M, 1.0)]
         if G in free:
@@ -117,7 +109,6 @@ class Terms:
         self.to_random = self.random - self.hit.p
         self.to_missed = self.at_code - self.rest
         self.hits = [(i, each * self.d_v) for i, each in self.by_variance]
-        self.hits += [(i, each * self.hit.by_centre) for i, each in self.by_centre]
         first: list[tuple[int, _Array]] = [(U, self.left * self.to_short), (R, self.left * self.to_random)]
         first += [(i, each * self.to_missed) for i, each in self.by_share]
         first += [(i, self.shape * each) for i, each in self.hits]
@@ -146,16 +137,11 @@ class Terms:
             add_with(i, -by * self.weight_hit, self.hits)
         if len(self.by_share) > 1 or theta[G] != 0.0:
             self._add_share(add)
-        d_vv, d_mv = self.hit.second(self.variance)
+        d_vv = self.hit.by_variance_twice(self.variance)
         for n, (i, by_i) in enumerate(self.by_variance):
             for j, by_j in self.by_variance[n:]:
                 add(i, j, self.shape * d_vv * by_i * by_j)
-            for j, by_j in self.by_centre:
-                add(i, j, self.shape * d_mv * by_i * by_j)
         add(T, T, self.shape * self.d_v * (2.0 * self.by_variance[0][1]))
-        for n, (i, by_i) in enumerate(self.by_centre):
-            for j, by_j in self.by_centre[n:]:
-                add(i, j, self.shape * (2.0 * self.d_v) * by_i * by_j)
 
     def _add_share(self, add: _Add) -> None:
         """Second derivatives of the share of missed readings, if it depends on range."""

@@ -7,7 +7,6 @@ from the observed information, intervals, and the log-likelihood. The likelihood
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,6 @@ from msp_range.reading_model.fit_result import (
     BOUNDS,
     FitError,
     FitResult,
-    GrowthTrial,
     bounds_of,
     columns,
     result_of,
@@ -46,8 +44,6 @@ def fit_readings(
     expected_cm: ArrayLike,
     grid: ReadingGrid,
     *,
-    offset: bool = False,
-    scale: bool = False,
     growth: bool = False,
     reference_std_cm: ArrayLike | None = None,
 ) -> FitResult:
@@ -62,8 +58,6 @@ def fit_readings(
         echo.
     grid
         The possible readings.
-    offset, scale
-        Also fit offset_cm or scale of the hits' centre. Short readings still end at `expected_cm`.
     growth
         Test whether spread and missed echoes depend on range, and select by BIC. This assumes independent readings;
         otherwise it selects too much.
@@ -99,15 +93,13 @@ def fit_readings(
     moving = [mix.U, mix.R, mix.M, mix.T, mix.L]
     if grid.second_no_echo_cm is not None:
         moving.append(mix.S)
-    moving += [number for number, wanted in ((mix.B, offset), (mix.C, scale)) if wanted]
     try:
         best = _climb(rows, _start(rows, moving), moving)
-        trials: tuple[GrowthTrial, ...] = ()
         if growth:
-            best, moving, trials = _with_growth(rows, best, moving)
+            best, moving = _with_growth(rows, best, moving)
     except NotConvergedError as error:
         raise FitError(f"the fit of {reading.size} readings does not converge: {error}") from None
-    result = result_of(rows, best, moving, trials)
+    result = result_of(rows, best, moving)
     hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
     if hits < FEWEST_HITS or best.theta[mix.T] >= BOUNDS.upper[mix.T]:
         raise FitError(
@@ -175,55 +167,40 @@ def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array, refer
     return Likelihood(grid, keys % kinds + NOWHERE, ranges[keys // kinds], counts.astype(np.float64))
 
 
-def _with_growth(
-    rows: Likelihood, base: Optimum, moving: list[int]
-) -> tuple[Optimum, list[int], tuple[GrowthTrial, ...]]:
-    """Test each dependence on range alone, then combine those selected by BIC."""
-    threshold = 0.5 * math.log(rows.readings)
-    trials, kept = [], []
+def _with_growth(rows: Likelihood, base: Optimum, moving: list[int]) -> tuple[Optimum, list[int]]:
+    """Add each dependence on range that by itself gains what BIC requires."""
     nearest_cm, farthest_cm = rows.ranges_cm
-    for name, number, start in (("sigma_growth_cm_per_m", mix.V, 1e-6), ("missed_growth_per_m", mix.G, 0.0)):
-        if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
-            why = f"not tried: ranges of {nearest_cm:.0f} to {farthest_cm:.0f} cm are too similar to show it"
-            trials.append(GrowthTrial(name, 0.0, False, why))
-            continue
+    if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
+        return base, moving
+    kept = []
+    for number, start in ((mix.V, 1e-6), (mix.G, 0.0)):
         if number == mix.G and mix.M not in base.inside:
-            trials.append(GrowthTrial(name, 0.0, False, "not tried: no missed echo was fitted"))
             continue
         theta = np.array(base.theta)
         theta[number] = start
         try:
             gain = _climb_from(rows, theta, [*moving, number]).value - base.value
-        except NotConvergedError as error:
-            trials.append(GrowthTrial(name, 0.0, False, f"left out: its fit does not converge, {error}"))
+        except NotConvergedError:
             continue
-        keep = gain > threshold
-        verb = "kept" if keep else "left out"
-        why = f"{verb}: it gains {gain:.1f} in log-likelihood, and BIC requires {threshold:.1f}"
-        trials.append(GrowthTrial(name, gain, keep, why))
-        if keep:
+        if gain > 0.5 * math.log(rows.readings):
             kept.append(number)
     if not kept:
-        return base, moving, tuple(trials)
+        return base, moving
     theta = np.array(base.theta)
     theta[mix.V] = 1e-6 if mix.V in kept else 0.0
     try:
-        return _climb_from(rows, theta, [*moving, *kept]), [*moving, *kept], tuple(trials)
-    except NotConvergedError as error:
-        trials = [replace(each, kept=False, why=f"left out: {error}") if each.kept else each for each in trials]
-        return base, moving, tuple(trials)
+        return _climb_from(rows, theta, [*moving, *kept]), [*moving, *kept]
+    except NotConvergedError:
+        return base, moving
 
 
 def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     """The best of a few fits to some of the rows, starting with small and large spread and lambda."""
     few = rows.part(max(rows.rows // START_ROWS, 1))
     theta = np.zeros(len(mix.NAMES))
-    theta[mix.C] = 1.0
     error, weight = few.errors()
     share = few.no_echoes / few.readings
-    if mix.B in moving:
-        theta[mix.B] = _quantile(error, weight, 0.5)
-    distance = np.abs(error - theta[mix.B])
+    distance = np.abs(error)
     theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
     best: Optimum | None = None
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
@@ -231,8 +208,8 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     step_cm = rows.grid.resolution_cm
     for share, sigmas, least in ((0.5, 0.674, step_cm), (0.2, 0.524, 0.3 * step_cm)):
         sigma = max(_quantile(distance, weight, share) / sigmas, least)
-        shorter = float(weight[error - theta[mix.B] < -4.0 * sigma].sum() / weight.sum())
-        longer = float(weight[error - theta[mix.B] > 4.0 * sigma].sum() / weight.sum())
+        shorter = float(weight[error < -4.0 * sigma].sum() / weight.sum())
+        longer = float(weight[error > 4.0 * sigma].sum() / weight.sum())
         for per_length in (0.5, 5.0):
             theta[mix.T], theta[mix.L] = math.log(sigma), per_length / few.mean_length_cm
             theta[mix.U], theta[mix.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)

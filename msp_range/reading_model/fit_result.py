@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import expit, logit, xlog1py, xlogy
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from msp_range.reading_model import densities as mix
 from msp_range.reading_model.grid import ReadingGrid
@@ -23,6 +23,10 @@ from msp_range.reading_model.sensor_model import MixtureParameters
 
 _Array = NDArray[np.float64]
 
+Z = float(norm.ppf(0.975))
+"""Normal quantile of the intervals: 95 %, two-sided."""
+DROP = Z * Z / 2.0
+"""Drop of the log-likelihood at the ends of a 95 % interval by its profile: half of chi-square's quantile."""
 NEAR_BOUND = 4.0
 """Within this many standard errors of a bound the interval is computed from the profile likelihood."""
 UNKNOWN_FRACTION = 0.5
@@ -39,8 +43,6 @@ _NUMBERS = {
     "saturated_fraction": mix.S,
     "sigma_growth_cm_per_m": mix.V,
     "missed_growth_per_m": mix.G,
-    "offset_cm": mix.B,
-    "scale": mix.C,
 }
 MIN_WEIGHT = 1e-4
 """Floor of a weight in a sensor model file, and of the share of missed echoes at 3 m that depends on range. A kind of
@@ -50,11 +52,11 @@ all near move the share at 3 m to 1e-30, and the growth with it."""
 MAX_GROWTH_PER_M = 10.0
 """Largest growth of the log odds of missed echoes with range [1/m]: from `MIN_WEIGHT` to certainty within 1.5 m. With a
 larger one the share at one range says nothing of another, and its derivatives overflow."""
-#                             U    R    M    T            L     S    V    G    B     C
+#                             U    R    M    T            L     S    V    G
 BOUNDS = Bounds(
-    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -MAX_GROWTH_PER_M / 100.0, -1e4, 0.1]),
-    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, MAX_GROWTH_PER_M / 100.0, 1e4, 10.0]),
-    stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01, 20.0, 0.2]),
+    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -MAX_GROWTH_PER_M / 100.0]),
+    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, MAX_GROWTH_PER_M / 100.0]),
+    stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01]),
     relative=np.arange(len(mix.NAMES)) == mix.L,
 )
 
@@ -98,28 +100,6 @@ class FitError(ValueError):
 
 
 @dataclass(frozen=True)
-class GrowthTrial:
-    """The test of one parameter that depends on range.
-
-    Attributes
-    ----------
-    name
-        The parameter.
-    gain
-        Gain of log-likelihood when it is added to the model without any.
-    kept
-        Twice the gain is more than the logarithm of the number of readings (BIC).
-    why
-        The result in words.
-    """
-
-    name: str
-    gain: float
-    kept: bool
-    why: str
-
-
-@dataclass(frozen=True)
 class FitResult:
     """A fitted mixture.
 
@@ -129,37 +109,25 @@ class FitResult:
         What the sensor can report.
     parameters
         As in a sensor model file.
-    offset_cm, scale
-        Hits are centred on offset_cm + scale * expected; 0 and 1 unless they were fitted.
     estimates, standard_errors
         By name. The error is NaN for parameters at a bound or not identified.
-    names, covariance
-        Order of the rows and columns, and the covariance, (k, k); zero where the error is NaN. The weights sum to 1.
     at_bound
         Names of parameters at a bound, such as a weight of 0.
     not_identified
         Names of parameters that the readings do not determine, such as lambda without short readings.
-    log_likelihood, readings, rows, iterations
-        Sum of log probabilities; number of readings, of distinct rows among them, and of Newton steps on all rows.
-    growth_trials
-        Tests of a dependence on range.
+    log_likelihood, readings, rows
+        Sum of log probabilities; number of readings, and of distinct rows among them.
     """
 
     grid: ReadingGrid
     parameters: MixtureParameters
-    offset_cm: float
-    scale: float
     estimates: dict[str, float]
     standard_errors: dict[str, float]
-    names: tuple[str, ...]
-    covariance: _Array
     at_bound: tuple[str, ...]
     not_identified: tuple[str, ...]
     log_likelihood: float
     readings: int
     rows: int
-    iterations: int
-    growth_trials: tuple[GrowthTrial, ...]
     _likelihood: Likelihood = field(repr=False, compare=False)
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[int, ...] = field(repr=False, compare=False)
@@ -172,8 +140,8 @@ class FitResult:
         reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
         return mix.probabilities(self.grid, self._optimum.theta, reading, expected, reference_cm2)
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of a parameter.
+    def interval(self, name: str) -> tuple[float, float]:
+        """95 % confidence interval of a parameter.
 
         From the standard error, on the scale of log odds (weights and fraction) or of the logarithm (sigma, lambda);
         within four standard errors of a bound from the profile of the likelihood, which refits the others at every
@@ -184,7 +152,7 @@ class FitResult:
             raise ValueError(f"found {name!r}, expected one of {', '.join(self.estimates)}")
         value, error = self.estimates[name], self.standard_errors[name]
         if name == "hit":
-            return _share_interval(value, error, level, self.readings)
+            return _share_interval(value, error, self.readings)
         if _NUMBERS[name] not in self._moving:
             return value, value
         low, high = _ends(name)
@@ -192,30 +160,28 @@ class FitResult:
             return low, high
         room = value - low if name not in _SHARES else min(value - low, high - value)
         if math.isnan(error) or room < NEAR_BOUND * error:
-            return self._profile(name, level)
-        z = float(norm.ppf(0.5 + level / 2.0))
+            return self._profile(name)
         if name in _SHARES:
-            width = z * error / (value * (1.0 - value))
+            width = Z * error / (value * (1.0 - value))
             return float(expit(logit(value) - width)), float(expit(logit(value) + width))
         if low > -math.inf:
-            return value * math.exp(-z * error / value), value * math.exp(z * error / value)
-        return value - z * error, value + z * error
+            return value * math.exp(-Z * error / value), value * math.exp(Z * error / value)
+        return value - Z * error, value + Z * error
 
-    def _profile(self, name: str, level: float) -> tuple[float, float]:
+    def _profile(self, name: str) -> tuple[float, float]:
         number = _NUMBERS[name]
-        drop = float(chi2.ppf(level, 1)) / 2.0
         free = mix.optional(self._moving)
         derivatives = partial(self._likelihood.derivatives, free=free)
         curvature = -float(self._optimum.hessian[number, number])
-        guess = math.sqrt(2.0 * drop / curvature) if curvature > 0.0 else 1e-3
+        guess = math.sqrt(2.0 * DROP / curvature) if curvature > 0.0 else 1e-3
         gradient = abs(float(self._optimum.gradient[number]))
         if number not in self._optimum.inside and gradient > 0.0:
-            guess = min(guess, drop / gradient)
+            guess = min(guess, DROP / gradient)
         guess = min(guess, float(BOUNDS.stride[number]))
         bounds = bounds_of(self._moving)
         limits = []
         for sign in (-1.0, 1.0):
-            limit = profile_limit(derivatives, self._optimum, self._moving, number, bounds, sign * guess, drop)
+            limit = profile_limit(derivatives, self._optimum, self._moving, number, bounds, sign * guess, DROP)
             theta = np.array(self._optimum.theta)
             theta[number] = limit
             limits.append(_named(theta)[name])
@@ -233,9 +199,7 @@ def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Arr
     return reading, expected
 
 
-def result_of(
-    rows: Likelihood, best: Optimum, moving: Sequence[int], trials: tuple[GrowthTrial, ...] = ()
-) -> FitResult:
+def result_of(rows: Likelihood, best: Optimum, moving: Sequence[int]) -> FitResult:
     """Convert a maximum to named parameters with errors."""
     theta = np.array(best.theta)
     information = -best.hessian
@@ -253,8 +217,7 @@ def result_of(
     if mix.S not in moving:
         named["saturated_fraction"] = 0.0
     jacobian = _jacobian(theta, tuple(named))
-    of_named = jacobian @ covariance @ jacobian.T
-    variances = np.diag(of_named)
+    variances = np.diag(jacobian @ covariance @ jacobian.T)
     errors = {
         name: math.sqrt(variance) if variance > 0.0 else math.nan
         for name, variance in zip(named, variances, strict=True)
@@ -262,37 +225,18 @@ def result_of(
     names_of = {number: name for name, number in _NUMBERS.items()}
     held = tuple(names_of[number] for number in moving if number not in best.inside and number not in unknown)
     everything = _named(theta)
-    parameters = MixtureParameters.model_validate(
-        {
-            "weights": {name: everything[name] for name in ("hit", "short", "missed", "random")},
-            **{
-                name: everything[name]
-                for name in (
-                    "sigma_cm",
-                    "short_rate_per_m",
-                    "saturated_fraction",
-                    "sigma_growth_cm_per_m",
-                    "missed_growth_per_m",
-                )
-            },
-        }
-    )
+    weights = {name: everything.pop(name) for name in ("hit", "short", "missed", "random")}
+    parameters = MixtureParameters.model_validate({"weights": weights, **everything})
     return FitResult(
         grid=rows.grid,
         parameters=parameters,
-        offset_cm=everything["offset_cm"],
-        scale=everything["scale"],
         estimates=named,
         standard_errors=errors,
-        names=tuple(named),
-        covariance=of_named,
         at_bound=held,
         not_identified=tuple(names_of[number] for number in moving if number in unknown),
         log_likelihood=best.value,
         readings=round(rows.readings),
         rows=rows.rows,
-        iterations=best.iterations,
-        growth_trials=trials,
         _likelihood=rows,
         _optimum=best,
         _moving=tuple(moving),
@@ -313,8 +257,6 @@ def _named(theta: _Array) -> dict[str, float]:
         "saturated_fraction": theta[mix.S],
         "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[mix.V]),
         "missed_growth_per_m": 100.0 * theta[mix.G],
-        "offset_cm": theta[mix.B],
-        "scale": theta[mix.C],
     }
     return {name: float(value) for name, value in named.items()}
 
@@ -326,7 +268,7 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     rows["hit"][[mix.U, mix.R, mix.M]] = -left, -left, theta[mix.U] + theta[mix.R] - 1.0
     rows["short"][[mix.U, mix.M]] = left, -theta[mix.U]
     rows["random"][[mix.R, mix.M]] = left, -theta[mix.R]
-    rows["missed"][mix.M] = rows["saturated_fraction"][mix.S] = rows["offset_cm"][mix.B] = rows["scale"][mix.C] = 1.0
+    rows["missed"][mix.M] = rows["saturated_fraction"][mix.S] = 1.0
     rows["sigma_cm"][mix.T] = math.exp(theta[mix.T])
     rows["short_rate_per_m"][mix.L] = rows["missed_growth_per_m"][mix.G] = 100.0
     if theta[mix.V] > 0.0:
@@ -356,20 +298,19 @@ def _ends(name: str) -> tuple[float, float]:
     for bounds in (BOUNDS.lower, BOUNDS.upper):
         theta[_NUMBERS[name]] = bounds[_NUMBERS[name]]
         ends.append(_named(theta)[name])
-    if name in ("offset_cm", "scale", "missed_growth_per_m"):
+    if name == "missed_growth_per_m":
         return -math.inf, math.inf
     return ends[0], ends[1]
 
 
-def _share_interval(share: float, error: float, level: float, readings: int) -> tuple[float, float]:
+def _share_interval(share: float, error: float, readings: int) -> tuple[float, float]:
     """Interval of the share of hits: that of a binomial likelihood with the same information."""
     missing = 1.0 - share
     trials = readings if math.isnan(error) or missing <= 0.0 else share * missing / error**2
-    drop = float(chi2.ppf(level, 1)) / 2.0
 
     def excess(other: float) -> float:
         gain = xlogy(share, share) + xlogy(missing, missing) - xlogy(share, other) - xlog1py(missing, -other)
-        return float(trials * gain - drop)
+        return float(trials * gain - DROP)
 
     lowest, highest = 1e-12, 1.0 - 1e-12
     low = float(brentq(excess, lowest, share)) if share > lowest and excess(lowest) > 0.0 else 0.0

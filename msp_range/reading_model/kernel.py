@@ -95,13 +95,11 @@ class Hit:
         found: _Array = self.a * at_a - self.b * at_b
         return found
 
-    def second(self, variance: Any) -> tuple[_Array, _Array]:
-        """Second derivatives of `p` by the variance twice, and by centre and variance; by the centre twice it is twice
-        the first derivative by the variance."""
+    def by_variance_twice(self, variance: Any) -> _Array:
+        """Second derivative of `p` by the variance."""
         (at_a, at_b), a, b = self.at_ends, self.a, self.b
-        twice = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
-        mixed = ((a * a - 1.0) * at_a - (b * b - 1.0) * at_b) / (2.0 * variance * self.sigma)
-        return twice, mixed
+        found: _Array = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
+        return found
 
     @staticmethod
     def draw(normal: Any, centre: Any, sigma: Any) -> Any:

