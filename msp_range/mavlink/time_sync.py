@@ -66,11 +66,6 @@ class AutopilotClock:
         self.reboots = 0
 
     @property
-    def synchronised(self) -> bool:
-        """True if the autopilot's clock is known."""
-        return self._offset_s is not None
-
-    @property
     def round_trip_s(self) -> float | None:
         """The shortest way there and back that TIMESYNC has shown lately [s]; None where it is not answered."""
         return min((each.error_s for each in self._exchanges), default=None)

@@ -6,7 +6,7 @@ The values are those of docs/flying.md and docs/sitl.md, with which ArduCopter a
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from msp_range.assembly import fused_stream, single_streams
 from msp_range.config import Airframe
@@ -15,7 +15,6 @@ from msp_range.mavlink.orientation import DOWN
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 
 Vehicle = Literal["copter", "plane", "sub", "rover"]
-VEHICLES: tuple[Vehicle, ...] = get_args(Vehicle)
 
 PROXIMITY_ORIENTATIONS = frozenset({*range(8), 24})
 """Orientations that ArduPilot's proximity takes: eight around the vehicle, and up (AP_Proximity_MAV.cpp)."""

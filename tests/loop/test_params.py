@@ -5,13 +5,14 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from pymavlink import mavparm
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.config import load_airframe
-from msp_range.params.settings import VEHICLES, Firmware, Vehicle, settings
+from msp_range.params.settings import Firmware, Vehicle, settings
 from tests.sitl import documented
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.transports import free_port
@@ -75,7 +76,7 @@ def test_a_serial_port_is_set_up_first() -> None:
     assert list(px4.items())[:3] == [("MAV_1_CONFIG", 102), ("MAV_1_MODE", 2), ("SER_TEL2_BAUD", 921600)]
 
 
-@pytest.mark.parametrize("vehicle", VEHICLES)
+@pytest.mark.parametrize("vehicle", get_args(Vehicle))
 @pytest.mark.parametrize("name", ["quad_pallet", "proximity", "forward_and_down", "lidar_down"])
 def test_other_vehicles(vehicle: Vehicle, name: str) -> None:
     values = of(name, Firmware("ardupilot", vehicle))

@@ -12,6 +12,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.contract import CHECKS, CODES, Check, Trial, contexts, uniformity
 from msp_sim.model.model import Model
+from tests.support.curves import with_curve
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 TRIALS = {name: Trial(effect, SENSOR) for name, effect in CATALOGUE.items()}
@@ -47,7 +48,7 @@ CURVES: dict[str, Any] = {
 def test_a_curve_draws_what_it_scores_and_rests_where_its_context_is_not_known(name: str) -> None:
     channel, variables, knots, values = CURVES[name]
     base = strong("multipath")
-    model = base.adding_curve(channel, variables, knots, values)
+    model = with_curve(base, channel, variables, knots, values)
     given = contexts(20_000)
     readings_cm = model.sample(given, np.random.default_rng(2))
     rows = model.rows(given)

@@ -13,9 +13,10 @@ from itertools import pairwise
 import pytest
 
 from msp_range.reading import Status
-from msp_sim.device.device import Fault, PlainDevice
+from msp_sim.device.device import Fault
 from tests.support.bench import CONFIGS, FUSED_ID, Bench, airframe, one_down, sensor
 from tests.support.kernel_bus import Sonar, kernel_bus
+from tests.support.plain_device import PlainDevice
 
 FROM_S, TO_S, END_S = 5.0, 8.0, 12.0
 NAMES = "abcd"

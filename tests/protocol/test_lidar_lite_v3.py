@@ -23,7 +23,7 @@ from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault, PlainDevice
+from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.emulated import emulated_bus
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
 from msp_sim.device.mb1242 import EmulatedMB1242
@@ -34,6 +34,7 @@ from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import AirSection, MountedBeam, Ping, World
 from tests.support.bench import CONFIGS, Bench, airframe, sensor
 from tests.support.kernel_bus import Sonar, kernel_bus
+from tests.support.plain_device import PlainDevice
 from tests.support.scripted_bus import Expected, read, scripted_bus, write
 
 ADDRESS, OTHER = 0x62, 0x64

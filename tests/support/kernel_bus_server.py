@@ -19,8 +19,9 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from msp_sim.device.bus import Device, EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault, PlainDevice
+from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.table import emulated_kind
+from tests.support.plain_device import PlainDevice
 
 # linux/i2c-dev.h and linux/i2c.h
 I2C_RETRIES, I2C_TIMEOUT, I2C_SLAVE, I2C_FUNCS = 0x0701, 0x0702, 0x0703, 0x0705

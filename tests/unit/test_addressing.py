@@ -11,8 +11,9 @@ from msp_range.sensors.addressing import change_address, check_new_address, scan
 from msp_range.sensors.base import AddressError, FoundDevice
 from msp_range.sensors.mb1242 import MB1242 as DRIVER
 from msp_sim.device.bus import Device, EmulatedBus
-from msp_sim.device.device import Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.device import Fault, NotAcknowledged
 from msp_sim.device.mb1242 import EmulatedMB1242
+from tests.support.plain_device import PlainDevice
 
 NACK_ERRNOS = [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV]
 Making = Callable[[VirtualClock], Device]

@@ -14,6 +14,7 @@ from msp_range.recording.csv_form import read_csv, write_csv
 from msp_sim.cli import app
 from msp_sim.model.derived import sample_in_order, with_derived
 from msp_sim.model.model import Model
+from tests.support.curves import with_curve
 
 N = 2000
 SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
@@ -53,7 +54,7 @@ def test_rate_time_incidence_and_lag_follow_from_other_columns() -> None:
     given = contexts()
     given |= {"roll_deg": np.full(N, 3.0), "pitch_deg": np.full(N, -4.0)}
     model = Model(SENSOR).adding("latency", delay_ms=100.0).adding("slant_range", share=1.0)
-    model = model.adding_curve("bias", ["time_in_run_s"], [[0.0, 100.0]], [0.0, 5.0])
+    model = with_curve(model, "bias", ["time_in_run_s"], [[0.0, 100.0]], [0.0, 5.0])
     columns, added = with_derived(model, given)
     assert added.keys() == {"range_rate_cm_s", "incidence_deg", "time_in_run_s"}
     inner = np.r_[1 : N // 2 - 1, N // 2 + 1 : N - 1]

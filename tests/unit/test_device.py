@@ -14,8 +14,9 @@ import pytest
 import msp_sim.device.device
 from msp_range.bus.base import Bus, BusError
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault, NotAcknowledged, PlainDevice
+from msp_sim.device.device import DeviceTiming, Fault, NotAcknowledged
 from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, RANGE_COMMAND, EmulatedMB1242
+from tests.support.plain_device import PlainDevice
 
 AFTER_ANY_RANGING_S = 0.07
 FOR_EVER = float("inf")

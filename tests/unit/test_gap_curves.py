@@ -16,6 +16,7 @@ from msp_lab.gap.runs import split
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
+from tests.support.curves import with_curve
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 
@@ -173,7 +174,7 @@ def test_a_column_of_words_of_ones_own_is_a_value_for_each() -> None:
     contexts["anchor"] = anchor
     best = forms(contexts, read(contexts, 21, 0.5 * (anchor == "a2")))[0]
     assert (best.channel, best.variables, best.degrees) == ("bias", ("anchor",), 2)
-    found = MODEL.adding_curve("bias", ["anchor"], [["a1", "a2", "a3"]], [0.0, 30.0, 0.0])
+    found = with_curve(MODEL, "bias", ["anchor"], [["a1", "a2", "a3"]], [0.0, 30.0, 0.0])
     drawn = found.sample({name: contexts[name] for name in ("true_range_cm", "anchor")}, np.random.default_rng(1))
     off = drawn - number(contexts, "true_range_cm")
     assert np.median(off[anchor == "a2"]) - np.median(off[anchor != "a2"]) == pytest.approx(30.0, abs=1.0)

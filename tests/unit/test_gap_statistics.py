@@ -18,6 +18,7 @@ from msp_lab.gap.validation import gain
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import Model, make_curve_term
+from tests.support.curves import with_curve
 from tests.support.known import contains, known, width
 
 Array = NDArray[np.float64]
@@ -356,7 +357,7 @@ def test_a_curve_that_is_none_is_refused(change: dict[str, object], key: str) ->
 
 
 def test_a_curve_draws_what_it_scores() -> None:
-    model = MODEL.adding_curve("bias", ["throttle"], [[0.0, 1.0]], [0.0, 40.0])
+    model = with_curve(MODEL, "bias", ["throttle"], [[0.0, 1.0]], [0.0, 40.0])
     contexts = {"true_range_cm": np.full(2000, 200.0), "throttle": np.full(2000, 0.5)}
     drawn = model.sample(contexts, np.random.default_rng(1))
     assert abs(np.median(drawn) - 220.0) <= 1.0

@@ -38,7 +38,6 @@ def clock() -> AutopilotClock:
 
 
 def test_until_the_autopilot_is_known_time_counts_from_the_bridges_start(clock: AutopilotClock) -> None:
-    assert not clock.synchronised
     assert clock.time_boot_ms(BRIDGE_START_S + 12.3456) == 12345
     assert clock.time_boot_ms(BRIDGE_START_S - 1.0) == 0
 
@@ -46,7 +45,6 @@ def test_until_the_autopilot_is_known_time_counts_from_the_bridges_start(clock: 
 @pytest.mark.parametrize(("there_s", "back_s"), [(0.0, 0.0), (0.030, 0.030), (0.001, 0.041), (0.080, 0.0)])
 def test_the_error_is_half_of_what_the_ways_differ_by(clock: AutopilotClock, there_s: float, back_s: float) -> None:
     exchange(clock, BRIDGE_START_S + 1.0, there_s, back_s)
-    assert clock.synchronised
     assert offset_error_s(clock) == approximately((there_s - back_s) / 2)
 
 
@@ -82,7 +80,7 @@ def test_time_of_an_echo_before_now_is_on_the_autopilots_clock(clock: AutopilotC
 def test_answers_to_others_and_second_answers_are_passed_over(clock: AutopilotClock) -> None:
     ts1_ns = clock.request(BRIDGE_START_S)
     clock.on_timesync(BRIDGE_START_S + 0.01, 77 * 10**9, ts1_ns + 1)
-    assert not clock.synchronised
+    assert clock.time_boot_ms(BRIDGE_START_S + 1.0) == 1000
     clock.on_timesync(BRIDGE_START_S + 0.01, round((BRIDGE_START_S + AUTOPILOT_AHEAD_S) * 1e9), ts1_ns)
     before_s = offset_error_s(clock)
     clock.on_timesync(BRIDGE_START_S + 0.02, 77 * 10**9, ts1_ns)
@@ -102,7 +100,6 @@ def test_system_time_stands_in_and_its_least_delayed_message_counts(clock: Autop
     for second, delay_s in enumerate((0.200, 0.020, 0.300)):
         at_s = BRIDGE_START_S + second
         clock.on_system_time(at_s + delay_s, int((at_s + AUTOPILOT_AHEAD_S) * 1e3))
-    assert clock.synchronised
     # SYSTEM_TIME has whole milliseconds, and so has what is shown.
     assert offset_error_s(clock) == pytest.approx(-0.020 - 1e-3, abs=1e-3 + ROUNDING_S)
 

@@ -6,7 +6,7 @@ column that it requires is unknown.
 """
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -86,12 +86,6 @@ class Model:
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """A copy with one more effect of the catalogue; omitted shape parameters have their defaults."""
         return replace(self, effects=(*self.effects, make_term(name, of, values)))
-
-    def adding_curve(
-        self, channel: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]], values: Sequence[float]
-    ) -> "Model":
-        """A copy with an unknown effect: a curve, given by its values at the knots."""
-        return replace(self, effects=(*self.effects, make_curve_term(channel, variables, knots, values)))
 
     @cached_property
     def base(self) -> ReadingModel:

@@ -5,7 +5,7 @@ centimetres take few values, so each range shows how often each was read, as a b
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,11 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
-from msp_sim.page.style import GREY, INK, OURS, REFERENCE, SERIES, edges_between, legend_below, new_figure
+from msp_sim.page.style import GREY, INK, OURS, REFERENCE, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]
+
+ERROR_LABEL = "reading − true range [cm]"
 
 MOST_RANGES = 45
 """With more ranges than this they are taken as continuous and binned."""
@@ -50,7 +52,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Line:
-    """A curve to compare with: what is expected, or what a reference has."""
+    """Mean errors of a reference, to compare with."""
 
     label: str
     range_cm: _Array
@@ -65,8 +67,6 @@ class ErrorAxes:
     ----------
     limits_cm
         Lowest and highest error [cm]; None: what the errors need.
-    lines
-        Dashed curves.
     points
         Marked points.
     band_cm
@@ -76,11 +76,9 @@ class ErrorAxes:
     """
 
     limits_cm: tuple[float, float] | None = None
-    lines: Sequence[Line] = ()
     points: Sequence[Line] = ()
     band_cm: float | None = None
     band_label: str = ""
-    error_label: str = field(default="reading − true range [cm]")
 
 
 def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figure:
@@ -104,9 +102,9 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
         if len(panels) > 1:
             row.set_title(each.label, pad=24.0)
     if len(panels) > 1:
-        figure.supylabel(axes.error_label, fontsize=9.0)
+        figure.supylabel(ERROR_LABEL, fontsize=9.0)
     else:
-        rows[0].set_ylabel(axes.error_label)
+        rows[0].set_ylabel(ERROR_LABEL)
     rows[-1].set_xlabel("true range [cm]")
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
     handles = {str(handle.get_label()): handle for row in rows for handle in row.get_legend_handles_labels()[0]}
@@ -122,7 +120,7 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
         # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
         shown = np.quantile(errors, [0.0025, 0.9975])
         low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
-    for line in (*axes.lines, *axes.points) if axes else ():
+    for line in axes.points if axes else ():
         low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
     return low, high
 
@@ -146,9 +144,6 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
         _bars(row, each, ranges_cm, limits_cm, compressed)
     else:
         _cloud(row, each, limits_cm, compressed)
-    for number, line in enumerate(axes.lines):
-        colour, dashes = ((REFERENCE, "--"), (SERIES[2][0], "-."), (SERIES[3][0], ":"))[number % 3]
-        row.plot(line.range_cm, line.error_cm, dashes, color=colour, label=line.label, zorder=4)
     for line in axes.points:
         looks: dict[str, Any] = {"marker": "X", "markersize": 7, "color": REFERENCE, "markeredgecolor": "white"}
         row.plot(line.range_cm, line.error_cm, linestyle="none", label=line.label, zorder=6, **looks)
