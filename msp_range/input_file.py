@@ -107,22 +107,24 @@ def file_stem(name: str) -> str:
 
 
 @contextmanager
-def making(path: Path | str) -> Iterator[Path]:
+def making(path: Path | str, *, replacing: bool = False) -> Iterator[Path]:
     """Write a new file under a temporary name in its folder, and rename it when it is complete.
 
     Raises
     ------
     FileExistsError
-        ``path`` exists already; files are never overwritten.
+        ``path`` exists already, and is not to be replaced.
     """
     path = Path(path)
-    _refuse_existing(path)
+    if not replacing:
+        _refuse_existing(path)
     unfinished = path.with_name(f".{path.name}.new")
     unfinished.unlink(missing_ok=True)
     try:
         yield unfinished
-        _refuse_existing(path)
-        os.rename(unfinished, path)
+        if not replacing:
+            _refuse_existing(path)
+        os.replace(unfinished, path)
     finally:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)

@@ -103,8 +103,10 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
     return MeasuredData(columns)
 
 
-def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData) -> None:
+def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *, replacing: bool = False) -> None:
     """Write measured data, the known columns first and in their usual order; `read_csv` backwards.
+
+    The file is there only when it is complete; an existing one is refused, or replaced with ``replacing``.
 
     Raises
     ------
@@ -118,8 +120,8 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData) ->
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
     try:
-        with making(path) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
+        with making(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
             writer.writerow(names)
             writer.writerows(zip(*cells, strict=True))
     except FileExistsError:

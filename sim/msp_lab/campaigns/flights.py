@@ -17,7 +17,7 @@ from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference
 from msp_range.config import NamedAirframe
-from msp_range.input_file import open_input
+from msp_range.input_file import making, open_input
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
@@ -25,6 +25,7 @@ from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
 from msp_range.sensor_on_bus import Name
 from msp_range.yaml_file import Section, config_path, load, read_yaml
+from msp_sim.terminal import make_folder
 
 GAP_S = 1.0
 """The true range is unknown between two values of the reference that are farther apart [s]: at 1 m/s it changes by a
@@ -131,11 +132,8 @@ class FlightArchive:
     def making(self, flight: Flight) -> Iterator[Path]:
         """Give the path for the next recording of a flight; it gets its name when it is complete."""
         self._refuse_other_kind(simulated=True)
-        path = self._next_path(flight)
-        unfinished = path.with_name(f".{path.name}.new")
-        unfinished.unlink(missing_ok=True)
-        yield unfinished
-        _add(unfinished, path)
+        with _adding(self._next_path(flight)) as unfinished:
+            yield unfinished
 
     def _refuse_other_kind(self, *, simulated: bool) -> None:
         """Refuse simulated and real flights in one folder; the simulator names its scenario in the recording."""
@@ -147,10 +145,7 @@ class FlightArchive:
 
     def _next_path(self, flight: Flight) -> Path:
         folder = self.folder / "flights"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RecordingError(f"{folder}: this folder cannot be created: {error.strerror}") from None
+        make_folder(folder)
         # A reference whose recording was deleted must not become that of the next one.
         last = max((_number(flight, path) for path in self._files(flight)), default=0)
         return folder / f"{flight.flight}-{last + 1:03d}.mcap"
@@ -189,11 +184,8 @@ class FlightArchive:
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv``; return its path and its number of rows."""
-        path, unfinished = self.folder / READINGS, self.folder / f".{READINGS}.new"
-        data = self.readings()
-        unfinished.unlink(missing_ok=True)
-        write_csv(unfinished, data)
-        os.replace(unfinished, path)
+        path, data = self.folder / READINGS, self.readings()
+        write_csv(path, data, replacing=True)
         return path, len(data)
 
     def _of(self, flight: Flight, path: Path) -> MeasuredData:
@@ -295,21 +287,26 @@ def _number(flight: Flight, path: Path) -> int:
     return int(path.name.removeprefix(f"{flight.flight}-").partition(".")[0])
 
 
-def _add(written: Path, path: Path) -> None:
-    """Give a complete file its name; RecordingError if the name is taken."""
-    if path.exists():
-        raise RecordingError(f"{path}: there is a file already, and none is overwritten")
-    os.replace(written, path)
+@contextmanager
+def _adding(path: Path) -> Iterator[Path]:
+    """`making` a file; RecordingError if there is one of that name."""
+    try:
+        with making(path) as unfinished:
+            yield unfinished
+    except FileExistsError:
+        raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
 
 
 def _copy(source: Path, path: Path) -> None:
     """Copy a file completely or not at all."""
-    unfinished = path.with_name(f".{path.name}.new")
     try:
-        with open_input(source, LARGEST_FILE_BYTES) as read, unfinished.open("wb") as written:
+        with (
+            open_input(source, LARGEST_FILE_BYTES) as read,
+            _adding(path) as unfinished,
+            unfinished.open("wb") as written,
+        ):
             shutil.copyfileobj(read, written)
             written.flush()
             os.fsync(written.fileno())
-        _add(unfinished, path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

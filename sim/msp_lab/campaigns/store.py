@@ -7,7 +7,6 @@ recordings, in the order of the plan: for each point its last complete attempt, 
 
 import json
 import math
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
 from msp_range.recording.writer import Recorder
+from msp_sim.terminal import make_folder
 
 READINGS_NAME = "readings.csv"
 CAMPAIGN_TOPIC = "/campaign"
@@ -201,29 +201,20 @@ class Store:
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv`` if anything was read; return its path and its number of rows."""
-        path, unfinished = self.folder / READINGS_NAME, self.folder / f".{READINGS_NAME}.new"
+        path = self.folder / READINGS_NAME
         if not self.recordings:
             return path, 0
         data = self.readings()
-        self._make_folder()
-        unfinished.unlink(missing_ok=True)
-        write_csv(unfinished, data)
-        os.replace(unfinished, path)
+        write_csv(path, data, replacing=True)
         return path, len(data)
 
     def _recording(self) -> Recorder:
         if self._recorder is None:
-            self._make_folder()
+            make_folder(self.folder)
             numbers = [int(path.stem.removeprefix("session-")) for path in self.recordings]
             path = self.folder / f"session-{max(numbers, default=0) + 1:03d}.mcap"
             self._recorder = Recorder(path, self._clock, files=self._files, metadata={BENCH_KEY: self._bench})
         return self._recorder
-
-    def _make_folder(self) -> None:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RecordingError(f"{self.folder}: this folder cannot be created: {error.strerror}") from None
 
     def _write_event(self, event: str, point: Point, attempt: Attempt) -> None:
         message = {
