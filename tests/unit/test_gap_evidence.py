@@ -6,7 +6,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
+from scipy.stats import t as student
 
 from msp_lab.gap.evidence import evidence_nats, offset_nats, share_between, wander_inflation
 from msp_lab.gap.refit import JointFit
@@ -78,3 +79,31 @@ def test_a_gain_that_follows_a_wander_counts_for_less_and_a_fast_one_does_not() 
     of_slow, of_fast = (wander_inflation(fit(readings + 0.2 * each), fit(readings), UNIT) for each in (slow, fast))
     assert of_slow > 5.0
     assert of_fast < 3.0
+
+
+def test_inside_runs_a_gain_that_follows_a_wander_counts_by_the_blocks() -> None:
+    wander = np.concatenate([np.repeat(np.random.default_rng(run).standard_normal(5), 20) for run in range(RUNS)])
+    slow = 0.4 * np.tile(np.sin(2.0 * np.pi * np.arange(ROWS) / ROWS), RUNS)
+    smaller, larger = fit(noise(9) + wander + slow), fit(noise(9) + wander)
+    plain = larger.log_likelihood - smaller.log_likelihood
+    inflation = wander_inflation(smaller, larger, UNIT)
+    assert plain > 20.0
+    assert inflation > 5.0
+    assert evidence_nats(smaller, larger, UNIT, 1.0) == pytest.approx(plain / inflation, rel=0.1)
+
+
+def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> None:
+    """A drift through forty blocks with offsets of their own: normal offsets could be the drift as well."""
+    rng = np.random.default_rng(4)
+    unit = np.repeat(np.arange(40), 20)
+    readings = rng.standard_normal(800) + np.repeat(rng.standard_normal(40), 20)
+    drift = 1.8 * (np.linspace(0.0, 1.0, 800) - 0.5)
+    smaller, larger = fit(readings + drift), fit(readings)
+    gain = larger.here.log_p - smaller.here.log_p
+    plain, gain = gain.sum(), gain - gain.mean()
+    variance = (np.bincount(unit, gain) ** 2).sum() / (gain**2).sum()
+    p_value = student.sf(np.sqrt(2.0 * plain / variance), 40 - 2)
+    by_scatter = 0.5 * norm.isf(p_value) ** 2
+    by_offsets = plain + offset_nats(larger, unit, 1.0) - offset_nats(smaller, unit, 1.0)
+    assert by_scatter > by_offsets + 1.0
+    assert evidence_nats(smaller, larger, unit, 1.0) == pytest.approx(by_scatter, rel=1e-6)

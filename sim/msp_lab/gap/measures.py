@@ -140,10 +140,10 @@ def replicates(
     rng
         Random generator.
     """
-    drawn_rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
+    drawn_rows, stack = model.rows(readings.contexts), Stack.of(parts)
     rows = drawn_rows.marginal
-    totals, variances, information = [], [], np.zeros(1)
     depends = bool(drawn_rows.run_offsets) or drawn_rows.history is not None
+    totals, variances, information = [], [], np.zeros(1)
     for _ in range(count):
         _, scores = scores_of(rows, drawn_rows.sample(RandomStreams(rng)))
         total, outer = apart(stack.sums(products(scores)))
