@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap.autocorrelation import places
 from msp_lab.gap.cells import partitions
 from msp_lab.gap.measures import HeldOutReadings, measure, replicates
-from msp_lab.gap.pictures import _pit
 from msp_lab.gap.prepared import BASE
 from msp_lab.gap.screen import replicate
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -114,7 +114,7 @@ def test_the_pit_of_the_right_model_is_even_and_without_memory() -> None:
     contexts = flown(10, 300)
     reading_cm = model(0.9).sample(contexts, np.random.default_rng(7))
     table = HeldOutReadings(reading_cm, contexts, np.repeat(np.arange(10), 300))
-    transformed = _pit(model(0.9), table, np.random.default_rng(8))
+    transformed = places(model(0.9), table, np.random.default_rng(8))
     counts, _ = np.histogram(transformed, 10, (0.0, 1.0))
     assert ((counts - 300.0) ** 2 / 300.0).sum() < 27.9  # the 99.9 % quantile of 9 degrees of freedom
     off = transformed.reshape(10, 300) - 0.5
