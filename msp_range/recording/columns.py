@@ -28,7 +28,16 @@ CONTEXT_COLUMNS = {
     "external_distance_cm": "distance from that source to the sensor [cm]",
     "external_frequency_khz": "frequency of that source [kHz]",
 }
-WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target"})
+BRIDGE_COLUMNS = {
+    "status": "what the answer means, a word",
+    "rejected": "why the bridge did not use the reading, a word; empty: it did",
+    "corrected_cm": "range after the correction for air temperature [cm]",
+    "filtered_cm": "what the sensor's own filters made of it [cm]; empty: no such stream, or rejected",
+    "fused_cm": "fused distance along the vehicle's down axis after this reading [cm]",
+    "fused_std_cm": "its standard deviation [cm]",
+}
+"""What the bridge made of a reading, in the table of `msp-range export`; no context, so no effect depends on it."""
+WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target", "status", "rejected"})
 """Known columns that hold words; the other known ones hold numbers."""
 LARGEST_NUMBER = 1e30
 """A larger number is no measurement; squares of this one and their sums are still numbers."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.input_file import CONTROL, making
-from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.csv_rows import LONGEST_CELL, csv_rows, short_list
 from msp_range.recording.error import RecordingError
 
@@ -116,7 +116,7 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
         Columns of different lengths, a number that is infinite or too large, or a control character in a word.
     """
     data = columns if isinstance(columns, MeasuredData) else MeasuredData(columns)
-    known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS) if name in data]
+    known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS, *BRIDGE_COLUMNS) if name in data]
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
     try:
@@ -205,7 +205,7 @@ def _check_words(source: str, name: str, count: int, longest: int) -> None:
 
 def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
     """The cells of a block, the first of which is in this row of the table."""
-    is_known = name in BASE_COLUMNS or name in CONTEXT_COLUMNS
+    is_known = name in BASE_COLUMNS or name in CONTEXT_COLUMNS or name in BRIDGE_COLUMNS
     if name in NEVER_EMPTY and "" in cells:
         expected = "a number" if name == "time_s" else "a name"
         raise _cell_error(path, name, first + cells.index(""), "nothing", expected)

@@ -1,7 +1,8 @@
 """A recording as measured data in the one CSV form.
 
 One row is one ping. What a simulator knew of it (``/truth/<sensor>``) becomes its context; from a real flight the
-context is the air temperature, where it was measured, and the time since another sensor's ping.
+context is the air temperature, where it was measured, and the time since another sensor's ping. `export` adds what the
+bridge made of the reading (`BRIDGE_COLUMNS`).
 """
 
 import math
@@ -16,7 +17,7 @@ from msp_range.recording.columns import WORD_COLUMNS
 from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
+from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
 
 MOST_COLUMNS = 100
 """Columns of the table: the catalogue of contexts has 17, and each costs 8 bytes of memory for each row."""
@@ -25,19 +26,19 @@ _NOT_A_READING = frozenset({Status.NO_ANSWER.value, Status.PART_INFO.value})
 
 
 def export(recording: Path | str | Recording, csv_path: Path | str) -> int:
-    """Write a recording as CSV; return the number of rows.
+    """Write a recording as CSV, with what the bridge made of each reading; return the number of rows.
 
     Raises
     ------
     RecordingError
         The recording cannot be read or the CSV file cannot be written.
     """
-    data = measured_data(recording if isinstance(recording, Recording) else Recording(recording))
+    data = measured_data(recording if isinstance(recording, Recording) else Recording(recording), stages=True)
     write_csv(csv_path, data)
     return len(data)
 
 
-def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
+def measured_data(recording: Recording, *, faults: bool = True, stages: bool = False) -> MeasuredData:
     """The readings of a recording as columns, in the order in which they were recorded.
 
     ``reading_cm`` is the sensor's own word, fault codes and all; empty where there was no answer, or only part
@@ -49,6 +50,8 @@ def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
         Of a flight, a simulation or a bench.
     faults
         False: every answer that is a fault is empty.
+    stages
+        True: with `BRIDGE_COLUMNS`.
     """
     not_a_reading = _NOT_A_READING if faults else frozenset(status.value for status in Status if status.is_fault)
     rows: list[dict[str, Any]] = []
@@ -66,8 +69,13 @@ def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
             row |= truth.pop(sensor, {})
             if message.get("temperature_source") not in (FIXED, HELD):
                 row.setdefault("air_temperature_c", message.get("temperature_c"))
+            if stages:
+                row |= _stages(message)
             rows.append(row)
             pings_s.append(message["ping_s"])
+        elif stages and topic == FUSED_TOPIC and rows:
+            # The bridge records it right after the reading that it follows from.
+            rows[-1] |= _fused(message)
     for row, lag_s in zip(rows, _neighbour_lags_s([row["sensor"] for row in rows], pings_s), strict=True):
         row.setdefault("neighbour_lag_ms", None if lag_s is None else round(lag_s * 1e3, 3))
     names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
@@ -76,6 +84,27 @@ def measured_data(recording: Recording, *, faults: bool = True) -> MeasuredData:
         raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
     columns = {name: _column(recording.path, name, [row.get(name) for row in rows]) for name in names}
     return MeasuredData(columns)
+
+
+def _stages(message: dict[str, Any]) -> dict[str, Any]:
+    """What the bridge made of a reading."""
+    return {
+        "status": message["status"],
+        "rejected": message.get("rejected"),
+        "corrected_cm": _cm(message.get("corrected_m")),
+        "filtered_cm": _cm(message.get("filtered_m")),
+    }
+
+
+def _fused(message: dict[str, Any]) -> dict[str, Any]:
+    variance_m2 = message.get("variance_m2")
+    std_m = math.sqrt(variance_m2) if variance_m2 is not None and variance_m2 >= 0.0 else None
+    return {"fused_cm": _cm(message.get("range_m")), "fused_std_cm": _cm(std_m)}
+
+
+def _cm(value_m: float | None) -> float | None:
+    """Centimetres, to a hundredth of a millimetre, so that a table of them can be read."""
+    return None if value_m is None else round(100.0 * value_m, 3)
 
 
 def _column(path: Path, name: str, values: list[Any]) -> Column:

@@ -166,27 +166,35 @@ def show(
     recording: Annotated[
         Path, typer.Argument(metavar="FLIGHT.mcap", help="a recording of 'msp-sim fly' or 'msp-range run'")
     ],
-    out: Annotated[Path, typer.Option(metavar="PICTURE.png", help="picture to write")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="PICTURE.png", help="picture to draw; default: only the table")
+    ] = None,
 ) -> None:
-    """Draw a recorded flight, simulated or real: what each sensor read, which readings were rejected, and the fused
-    distance.
+    """Summarise a recorded flight, simulated or real, and draw it: what each sensor read, which readings were rejected
+    and why, what was reported to the pilot, and the fused distance.
 
-    If the recording contains the truth, the errors are drawn below.
+    If the recording contains the truth, the table has the errors, and the picture shows them below.
     """
     if recording.is_dir():
         print(f"{recording}: expected a recording (.mcap); pages of the gap workflow: msp-lab show", file=sys.stderr)
         raise typer.Exit(EXIT_COMMAND_LINE)
-    require("sim", "msp-sim show")
-    from msp_sim.flight.flight_picture import draw
+    require("sim", "msp-sim show", but="" if out is not None else DRAWING)
+    from msp_range.terminal import console
     from msp_sim.flight.recorded import recorded_flight
-    from msp_sim.terminal import make_folder
+    from msp_sim.flight.show import print_table
+    from msp_sim.flight.summary import summarise
 
-    if out.exists():
+    if out is not None and out.exists():
         raise ConfigError(f"{out}: there is a file already, and none is overwritten")
     flight = recorded_flight(recording)
-    make_folder(out.parent)
-    draw(flight, out, recording.name)
-    print(f"picture: {out}")
+    print_table(console(), summarise(flight, recording.name, None))
+    if out is not None:
+        from msp_sim.flight.flight_picture import draw
+        from msp_sim.terminal import make_folder
+
+        make_folder(out.parent)
+        draw(flight, out, recording.name)
+        print(f"picture: {out}")
 
 
 add_moved(app, {name: f"msp-lab {name}" for name in ("collect", "gap", "compare", "name", "add", "effects", "filters")})

@@ -231,7 +231,9 @@ def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -
     recording, replayed = tmp_path / "f" / "flight.mcap", tmp_path / "replayed.mcap"
     assert CliRunner().invoke(bridge_app, ["replay", str(recording), "--record", str(replayed)]).exit_code == 0
     run("show", recording, "--out", tmp_path / "pictures" / "simulated.png")
-    run("show", replayed, "--out", tmp_path / "pictures" / "real.png")
+    printed = run("show", replayed, "--out", tmp_path / "pictures" / "real.png")
+    assert "replayed.mcap, 60 s flown" in printed
+    assert "all 4 sensors good" in printed
     sizes = [imread(tmp_path / "pictures" / f"{name}.png").shape for name in ("simulated", "real")]
     assert sizes[0][0] > sizes[1][0], "there are no errors to show below"
     flight, simulation = recorded_flight(recording), fly("hover.yaml")[0]
@@ -242,6 +244,9 @@ def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -
         pairs = [(a, b) for a, b in zip(track.truth_m, simulation.tracks[name].truth_m, strict=True) if b is not None]
         assert [a for a, _ in pairs] == pytest.approx([b for _, b in pairs], abs=1e-6)
     assert flight.fused.filtered_m == simulation.fused.filtered_m
+    assert {name: counts for name, counts in flight.rejected.items() if counts} == simulation.rejected
+    assert [text for _, _, text in flight.texts] == [text for _, _, text in simulation.texts]
+    assert flight.sent == {"DISTANCE_SENSOR": simulation.sent["DISTANCE_SENSOR"]}
     assert all(truth is None for track in recorded_flight(replayed).tracks.values() for truth in track.truth_m)
 
 

@@ -101,6 +101,16 @@ def test_a_maps_note_comes_along(tmp_path: Path) -> None:
     assert load_readings([path], SENSOR, load_map([str(note)])).messages == ("a borrowed ruler",)
 
 
+def test_what_a_bridge_made_of_readings_is_no_context(tmp_path: Path) -> None:
+    """Else an effect might be found over the very readings that it explains."""
+    path = written(
+        tmp_path, data(1, corrected_cm=lambda c: c["reading_cm"], rejected=lambda c: np.full(300, "outlier"))
+    )
+    found = load_readings([path], SENSOR).data
+    assert {"corrected_cm", "rejected"} & found.columns.keys() == set()
+    assert "reading_cm" in found
+
+
 def test_flights_that_were_exported_are_a_run_each(tmp_path: Path) -> None:
     """`msp-range export flights/1/flight.mcap 1.csv` calls the run after the recording, as for every other flight."""
     paths = [

@@ -52,7 +52,15 @@ def test_one_row_is_one_ping_with_the_sensors_own_word(tmp_path: Path) -> None:
         "true_range_cm",
         "air_temperature_c",
         "neighbour_lag_ms",
+        "status",
+        "rejected",
+        "corrected_cm",
+        "filtered_cm",
+        "fused_cm",
+        "fused_std_cm",
     ]
+    assert data["status"].tolist() == ["ok", "no_echo", "no_answer", "clock_fault", "part_info"]
+    np.testing.assert_array_equal(data["fused_cm"], [np.nan, 400.0, np.nan, np.nan, np.nan])
     assert data["time_s"].tolist() == [29e-6 * 400, 0.1, 0.2, 0.3, 0.4]
     assert data["sensor"].tolist() == ["left", "right", "left", "right", "right"]
     assert set(data["run"]) == {"flight7"}

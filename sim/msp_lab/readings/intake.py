@@ -18,7 +18,7 @@ from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_lab.readings.runs import with_runs
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.columns import BRIDGE_COLUMNS, WORD_COLUMNS
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
@@ -163,7 +163,8 @@ def _read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None, m
             messages.append(f"{path} is damaged; lost: {recording.losses}")
         return data
     try:
-        return read_csv(path)
+        table = read_csv(path)
+        return MeasuredData({name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS})
     except RecordingError as error:
         if "is missing" not in str(error):
             raise

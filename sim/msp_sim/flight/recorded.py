@@ -1,19 +1,21 @@
-"""Read a recorded flight, simulated or real, for its picture.
+"""Read a recorded flight, simulated or real, for its table and picture.
 
 An MCAP recording enters, a `FlightResult` leaves. A simulator records the truth with each ping; real flights have none.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
+from msp_range.recording.topics import FUSED_TOPIC, MARK_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 CM_PER_M = 100
+NOT_REJECTED = (Status.AT_MINIMUM.value,)
+"""What a track says of a reading that the bridge used."""
 
 
 def recorded_flight(path: Path) -> FlightResult:
@@ -28,7 +30,10 @@ def recorded_flight(path: Path) -> FlightResult:
     truths_m: dict[str, float | None] = {}
     fused = SensorTrack()
     start_s: float | None = None
-    for topic, _, message in Recording(path):
+    last_s = 0.0
+    texts: list[tuple[float, str, str]] = []
+    sent: Counter[str] = Counter()
+    for topic, time_s, message in Recording(path):
         if topic.startswith(TRUTH_PREFIX):
             range_m = message.get("true_range_cm", float("nan")) / CM_PER_M
             speed_m_s = message.get("range_rate_cm_s", 0.0) / CM_PER_M
@@ -37,6 +42,7 @@ def recorded_flight(path: Path) -> FlightResult:
             truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_m + moved_m if range_m == range_m else None
         elif topic.startswith(RANGE_PREFIX):
             start_s = message["ping_s"] if start_s is None else start_s
+            last_s = message["time_s"] - start_s
             name = topic.removeprefix(RANGE_PREFIX)
             track = tracks[name]
             track.time_s.append(message["time_s"] - start_s)
@@ -50,6 +56,15 @@ def recorded_flight(path: Path) -> FlightResult:
             fused.truth_m.append(None)
             fused.filtered_m.append(message["range_m"])
             fused.why.append(None)
+        elif topic == "/mavlink/sent":
+            sent[str(message.get("name"))] += 1
+        elif topic in ("/health", MARK_TOPIC) and "text" in message:
+            severity = str(message.get("severity", "mark"))
+            texts.append((time_s - (time_s if start_s is None else start_s), severity, str(message["text"])))
     if not tracks:
         raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
-    return FlightResult(dict(tracks), fused, [])
+    rejected: dict[str, dict[str, int]] = {
+        name: Counter(why for why in track.why if why is not None and why not in NOT_REJECTED)
+        for name, track in tracks.items()
+    }
+    return FlightResult(dict(tracks), fused, texts, rejected, sent=dict(sent), duration_s=last_s)

@@ -69,9 +69,8 @@ def _bar(share: float, colour: str) -> Text:
 
 def print_table(console: Console, summary: dict[str, Any]) -> None:
     """Print readings, rejections and errors of each sensor, and the messages sent by type and rate."""
-    table = Table(
-        title=f"{summary['scenario']}, {summary['duration_s']:.0f} s flown, seed {summary['seed']}", box=box.SIMPLE_HEAD
-    )
+    seed = "" if summary["seed"] is None else f", seed {summary['seed']}"
+    table = Table(title=f"{summary['scenario']}, {summary['duration_s']:.0f} s flown{seed}", box=box.SIMPLE_HEAD)
     table.add_column("sensor", no_wrap=True)
     table.add_column("readings", justify="right")
     table.add_column("rejected, reason")

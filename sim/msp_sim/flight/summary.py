@@ -31,8 +31,8 @@ def error_of(truth_m: list[float | None], value_m: list[float | None], why: list
     }
 
 
-def summarise(flight: FlightResult, scenario: str, seed: int) -> dict[str, Any]:
-    """All numbers of a flight; the same seed gives the same numbers."""
+def summarise(flight: FlightResult, scenario: str, seed: int | None) -> dict[str, Any]:
+    """All numbers of a flight; the same seed gives the same numbers. None: a flight that was recorded."""
     rejected = flight.rejected
     return {
         "scenario": scenario,
