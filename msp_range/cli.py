@@ -154,6 +154,12 @@ def doctor(
         Path, typer.Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")
     ] = Path("/etc/msp-range/airframe.yaml"),
     json_lines: Annotated[bool, typer.Option("--json", help="print one JSON object instead of text")] = False,
+    bench: Annotated[
+        bool,
+        typer.Option(
+            "--bench", help="instead measure what the bridge costs on this computer: start, processor, delays"
+        ),
+    ] = False,
 ) -> None:
     """Look for what is wrong, from the bus to the autopilot, and say what to do. Changes nothing.
 
@@ -163,7 +169,7 @@ def doctor(
     from msp_range.doctor.command import show
     from msp_range.doctor.computer import this_computer
 
-    raise typer.Exit(show(airframe_file, this_computer(), json_lines))
+    raise typer.Exit(show(airframe_file, this_computer(), json_lines, bench))
 
 
 @app.command()

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from msp_range.clock import SystemClock
+from msp_range.doctor.bench import measure
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.examination import examine
 from msp_range.doctor.finding import Finding, Verdict
@@ -30,10 +31,10 @@ def _wrapped(first: str, text: str) -> list[str]:
     )
 
 
-def show(path: Path, computer: Computer, as_json: bool) -> int:
-    """Examine and print; 1 where something is wrong, else 0."""
+def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> int:
+    """Examine, or measure what the bridge costs here, and print; 1 where something is wrong, else 0."""
     findings = []
-    for finding in examine(path, computer, SystemClock()):
+    for finding in measure(path) if bench else examine(path, computer, SystemClock()):
         findings.append(finding)
         if not as_json:
             print("\n".join(lines_of(finding)), flush=True)

@@ -1,0 +1,28 @@
+"""`msp-range doctor --bench` on this computer: the figures are there and of a sensible size."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from msp_range.doctor import bench
+from msp_range.doctor.command import lines_of
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.mark.parametrize("airframe", ["quad_pallet", "lidar_down", "proximity"])
+def test_the_figures(airframe: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "BENCH_S", 1.5)
+    began_s = time.monotonic()
+    findings = {each.step: each for each in bench.measure(CONFIGS / f"{airframe}.yaml")}
+    assert time.monotonic() - began_s < 60.0
+    assert findings.keys() == {"start", "processor", "delay", "schedule", "memory"}
+    figures = {step: float(match[0]) for step, each in findings.items() if (match := re.search(r"[\d.]+", each.text))}
+    assert 0.05 < figures["start"] < 20.0
+    assert 0.01 < figures["processor"] < 100.0
+    assert "readings a second" in findings["processor"].text
+    assert not re.search("at 0.0 readings", findings["processor"].text)
+    assert 5.0 < figures["memory"] < 2000.0
+    assert all(len(line) <= 80 for each in findings.values() for line in lines_of(each))
