@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from msp_range.reading_model.grid import NO_ECHO, NOWHERE, SECOND_NO_ECHO, ReadingGrid
-from msp_range.reading_model.kernel import UNHEARD, Hit, Missed, Random, Short
+from msp_range.reading_model.kernel import NO_ECHO_CENTRE, Hit, Missed, Random, Short
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 _Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Terms:
             cell = np.full(cell.size, grid.cells - 1 if grid.code_on_grid else grid.cells)
         last: _Array = np.asarray(lowest + step * cell, dtype=np.float64)
         first: _Array = np.full(last.size, lowest, dtype=np.float64) if below else last
-        self.expected = np.fmin(expected_cm, UNHEARD)
+        self.expected = np.fmin(expected_cm, NO_ECHO_CENTRE)
         # Spread and missed echoes may depend on the range within 0 ... maximum [cm].
         self.within = np.clip(self.expected, 0.0, highest)
         variance = math.exp(2.0 * theta[T]) + reference_cm2

@@ -135,10 +135,10 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
         )
     if (cell < 0).all():
         raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
-    heard = (cell >= 0) & (expected < np.inf)
-    if not heard.any():
+    usable = (cell >= 0) & (expected < np.inf)
+    if not usable.any():
         raise FitError("found no reading with a finite expected range, expected some")
-    some = np.flatnonzero(heard)[:: max(heard.size // START_ROWS, 1)]
+    some = np.flatnonzero(usable)[:: max(usable.size // START_ROWS, 1)]
     middles = float(np.median(reading[some])), float(np.median(expected[some]))
     if middles[0] > 30.0 * abs(middles[1]):
         raise FitError(

@@ -20,7 +20,7 @@ _Array = NDArray[np.float64]
 
 FAR = 1e15
 """Stands for infinity as the edge of an interval; finite, so that its product with a density of zero is zero."""
-UNHEARD = 1e12
+NO_ECHO_CENTRE = 1e12
 """Centre of the hits if there is no echo: beyond every sensor's range, and far below `FAR`."""
 ROOT_2_PI = float(np.sqrt(2.0 * np.pi))
 
@@ -51,7 +51,7 @@ class Hit:
         lower = np.where(first == minimum, -FAR, first - 0.5 * step)
         upper = np.where(top, FAR, last + 0.5 * step)
         # fmin, unlike minimum, replaces NaN (no echo) by a centre out of range.
-        centre = np.fmin(centre, UNHEARD)
+        centre = np.fmin(centre, NO_ECHO_CENTRE)
         self.sigma = sigma
         self.a, self.b = (lower - centre) / sigma, (upper - centre) / sigma
 

@@ -70,8 +70,8 @@ class Likelihood:
     @property
     def ranges_cm(self) -> tuple[float, float]:
         """Shortest and longest finite expected range [cm]."""
-        heard = self._expected_cm[self._expected_cm < np.inf]
-        return float(heard.min()), float(heard.max())
+        finite = self._expected_cm[self._expected_cm < np.inf]
+        return float(finite.min()), float(finite.max())
 
     @property
     def mean_length_cm(self) -> float:

@@ -49,8 +49,8 @@ class ReadingModel:
         [k = M]        an echo missed (eq 11)
         random(k)      1 / (M - m + 1)                                                            (eq 12)
 
-    z* is the true range as the calibration takes it to a reading, `Calibration.forward`. A surface that the beam cannot
-    hear is one at infinity: its hits read M, and a short reading may be anywhere before M. M is the no-echo code,
+    z* is the true range as the calibration takes it to a reading, `Calibration.forward`. A surface that gives no
+    echo is one at infinity: its hits read M, and a short reading may be anywhere before M. M is the no-echo code,
     and of all readings of M, whatever their cause, a fraction s arrives as 255::
 
         p(M) = (1 - s) q(M),    p(255) = q(255) + s q(M),    p(k) = q(k) otherwise
@@ -95,9 +95,9 @@ class ReadingModel:
         Parameters
         ----------
         contexts
-            Arrays of length n by column name; `true_range_cm` is needed, NaN where the beam hears nothing.
+            Arrays of length n by column name; `true_range_cm` is needed, NaN where there is no echo.
         rng
-            Source of chance; one normal and one uniform a reading, and one more uniform a reading of no echo.
+            Random generator; one normal and one uniform a reading, and one more uniform a reading of no echo.
 
         Returns
         -------

@@ -167,7 +167,7 @@ class SensorModel(Section):
 
     medium: Medium = "sound"
     """What it ranges with. Light and radio do not change with the air: no correction for temperature, a ray instead of
-    a beam that hears a surface from the side, and `breakaway` is half the beam's divergence."""
+    a beam that detects a surface from the side, and `breakaway` is half the beam's divergence."""
 
     minimum_cm: int = Field(ge=0)
     """Shortest reading; a nearer surface reads this too [cm]."""

@@ -99,7 +99,7 @@ class Truth:
             elevation_m = self._world.elevation_m(north_m, east_m)
             reliefs.add(self._over_plane_m((north_m, east_m, -elevation_m)))
             ping = self._world.ping(pose, beam)
-            if ping.heard and ping.slant_range_cm is not None:
+            if ping.has_echo and ping.slant_range_cm is not None:
                 axis = (
                     dot(rotation[0], beam.boresight),
                     dot(rotation[1], beam.boresight),

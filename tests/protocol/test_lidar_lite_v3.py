@@ -261,10 +261,10 @@ def test_a_ray_meets_the_spot_that_it_points_at_and_no_edge_beside_it() -> None:
     down, slanting = (0.0, 0.0, 1.0), (-math.sin(1.0), 0.0, math.cos(1.0))
     by_light = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, None))
     by_sound = world.ping(level, MountedBeam((0.0, 0.0, 0.0), down, lambda range_m: math.radians(12.0)))
-    assert (by_light.heard, by_light.slant_range_cm) == pytest.approx((True, 500.0))
-    assert (by_sound.heard, by_sound.true_range_cm) == pytest.approx((True, 100 * math.hypot(4.0, 0.2)))
+    assert (by_light.has_echo, by_light.slant_range_cm) == pytest.approx((True, 500.0))
+    assert (by_sound.has_echo, by_sound.true_range_cm) == pytest.approx((True, 100 * math.hypot(4.0, 0.2)))
     aslant = world.ping(level, MountedBeam((0.0, 0.0, 0.0), slanting, None))
-    assert (aslant.heard, aslant.slant_range_cm) == pytest.approx((True, 500.0 / math.cos(1.0)))
+    assert (aslant.has_echo, aslant.slant_range_cm) == pytest.approx((True, 500.0 / math.cos(1.0)))
 
 
 def test_an_emulated_flight_of_light_is_one_of_rays() -> None:
@@ -282,7 +282,7 @@ def test_an_emulated_flight_of_light_is_one_of_rays() -> None:
     )
     bus.write(ADDRESS, MEASURE)
     # Sound of so narrow a beam would hear nothing of a slope of 10 degrees.
-    assert [ping.heard for ping in pings] == [True]
+    assert [ping.has_echo for ping in pings] == [True]
 
 
 def test_it_flies_higher_than_sound_and_a_replay_has_the_same_answers(tmp_path: Path) -> None:

@@ -239,7 +239,7 @@ def test_angles_of_a_real_sensor(tmp_path: Path) -> None:
     # Read off the file: at 2 cm the first readings of something else come at 28 deg in each of the four sweeps.
     assert angles[2.0] == 27.0
     assert 12.0 <= angles[6.0] <= 16.0
-    assert "where the plate turns is not told" in output
+    assert "the axis of the turning plate is not documented" in output
 
 
 def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:

@@ -74,8 +74,8 @@ def test_the_demo_takes_off_hovers_at_six_metres_over_changing_ground_and_lands(
     assert vehicle.clearance_m(0.0) == pytest.approx(0.0)
     assert vehicle.clearance_m(scenario.duration_s) == pytest.approx(0.0)
     for met in pings("demo.yaml").values():
-        assert {ping.target for ping in met if ping.heard} >= {"grass", "concrete", "asphalt", "gravel", "crate"}
-        assert np.mean([ping.heard for ping in met]) > 0.99
+        assert {ping.target for ping in met if ping.has_echo} >= {"grass", "concrete", "asphalt", "gravel", "crate"}
+        assert np.mean([ping.has_echo for ping in met]) > 0.99
         ranges_cm = np.array([ping.true_range_cm for ping in met])
         assert 19 < ranges_cm.min() < 21
         assert 610 < ranges_cm.max() < 640
@@ -99,14 +99,14 @@ def test_the_reports_profile_is_within_the_reports_ranges() -> None:
 def test_canted_sensors_lose_the_ground_at_the_limit_of_their_beam_only() -> None:
     met = pings("canted.yaml")
     for sensor in met:
-        assert 0.5 < np.mean([ping.heard for ping in met[sensor]]) <= 1.0
+        assert 0.5 < np.mean([ping.has_echo for ping in met[sensor]]) <= 1.0
     # The slope leans away from the left sensor: 10 deg of cant and 2 of slope are 0.7 deg more than the beam has at
-    # 3.5 m, so that it hears the ground there when the vehicle sways its way.
-    assert np.mean([ping.heard for ping in met["left"]]) < np.mean([ping.heard for ping in met["right"]])
+    # 3.5 m, so that it detects the ground there when the vehicle sways its way.
+    assert np.mean([ping.has_echo for ping in met["left"]]) < np.mean([ping.has_echo for ping in met["right"]])
 
 
 def test_the_forward_sensor_sees_the_wall_come_near() -> None:
-    ranges_cm = np.array([ping.true_range_cm for ping in pings("wall.yaml")["forward"] if ping.heard])
+    ranges_cm = np.array([ping.true_range_cm for ping in pings("wall.yaml")["forward"] if ping.has_echo])
     assert 100 < ranges_cm.min() < 300
     assert ranges_cm.max() > 765
 
@@ -114,7 +114,7 @@ def test_the_forward_sensor_sees_the_wall_come_near() -> None:
 def test_proximity_sensors_see_their_walls() -> None:
     met = pings("proximity.yaml")
     for sensor in met:
-        assert np.mean([ping.target == "brick" and ping.heard for ping in met[sensor]]) > 0.95
+        assert np.mean([ping.target == "brick" and ping.has_echo for ping in met[sensor]]) > 0.95
 
 
 def test_every_kind_of_fault_is_planned_once() -> None:

@@ -83,30 +83,30 @@ def test_a_tilted_vehicle_over_a_slope_measures_the_perpendicular() -> None:
         axis = body_to_world(pose) @ mounting[:, 0]
         beam = looking(tuple(mounting[:, 0]), degrees(45), tuple(position_m))
         ping = world(slope_deg=slope_deg, uphill_deg=uphill_deg).ping(pose, beam)
-        assert ping.heard
+        assert ping.has_echo
         assert ping.true_range_cm == pytest.approx(-100 * sensor @ normal, abs=1e-6)
         assert ping.incidence_deg == pytest.approx(math.degrees(math.acos(axis @ normal)), abs=1e-4)
         assert ping.slant_range_cm == pytest.approx(-100 * (sensor @ normal) / (axis @ normal), abs=1e-6)
 
 
-@pytest.mark.parametrize(("tilt_deg", "heard"), [(12.5, True), (12.7, False)])
-def test_flat_ground_is_heard_up_to_the_breakaway_angle(tilt_deg: float, heard: bool) -> None:
+@pytest.mark.parametrize(("tilt_deg", "detected"), [(12.5, True), (12.7, False)])
+def test_flat_ground_gives_an_echo_up_to_the_breakaway_angle(tilt_deg: float, detected: bool) -> None:
     for roll_deg, pitch_deg in ((tilt_deg, 0.0), (-tilt_deg, 0.0), (0.0, tilt_deg), (0.0, -tilt_deg)):
         ping = world().ping(at(height_m=3.0, roll_deg=roll_deg, pitch_deg=pitch_deg), looking())
-        assert ping.heard is heard
+        assert ping.has_echo is detected
         assert ping.incidence_deg == pytest.approx(tilt_deg)
 
 
 def test_the_breakaway_angle_is_the_one_at_the_range() -> None:
     canted = looking(boresight=(math.sin(math.radians(15)), 0.0, math.cos(math.radians(15))))
     # 12.6 deg and 7 deg more a metre below 2 m: 15 deg is reached at 1.657 m.
-    assert world().ping(at(height_m=1.65), canted).heard
-    assert not world().ping(at(height_m=1.67), canted).heard
+    assert world().ping(at(height_m=1.65), canted).has_echo
+    assert not world().ping(at(height_m=1.67), canted).has_echo
 
 
 def test_ground_out_of_the_beam_is_not_heard_and_still_described() -> None:
     ping = world(surface="asphalt").ping(at(height_m=2.0, pitch_deg=30), looking())
-    assert not ping.heard
+    assert not ping.has_echo
     assert ping.target == "asphalt"
     assert ping.true_range_cm == pytest.approx(200)
     assert ping.slant_range_cm == pytest.approx(200 / math.cos(math.radians(30)))
@@ -130,7 +130,7 @@ def test_range_rate_is_the_change_of_the_range() -> None:
         there = (north_now + step_s * north_rate, east_now + step_s * east_rate, down_now + step_s * down_rate)
         moved = pose._replace(position_ned_m=there)
         now, then = ground.ping(pose, beam), ground.ping(moved, beam)
-        assert now.heard
+        assert now.has_echo
         assert now.target == then.target
         assert now.range_rate_cm_s == pytest.approx(
             (known(then.true_range_cm) - known(now.true_range_cm)) / step_s, abs=1e-2
@@ -162,11 +162,11 @@ def test_the_edge_of_a_step_is_heard_before_the_vehicle_is_above_it() -> None:
     reach_m = 1.5 * math.tan(math.radians(12))
     before = ground.ping(at(-reach_m - 0.001), beam)
     assert (before.target, before.true_range_cm) == pytest.approx(("grass", 200))
-    heard = ground.ping(at(-reach_m + 0.001), beam)
-    assert heard.target == "concrete"
-    assert heard.true_range_cm == pytest.approx(100 * math.hypot(1.5, reach_m - 0.001))
-    assert heard.slant_range_cm == heard.true_range_cm
-    assert heard.incidence_deg == pytest.approx(12, abs=0.05)
+    edge = ground.ping(at(-reach_m + 0.001), beam)
+    assert edge.target == "concrete"
+    assert edge.true_range_cm == pytest.approx(100 * math.hypot(1.5, reach_m - 0.001))
+    assert edge.slant_range_cm == edge.true_range_cm
+    assert edge.incidence_deg == pytest.approx(12, abs=0.05)
     # Seen from above, the lower side is further than the edge until the edge has left the beam.
     assert ground.ping(at(0.001), beam).true_range_cm == pytest.approx(150)
 
@@ -226,7 +226,7 @@ def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone() -> Non
         if min(half_angles[i] - angle_rad, own_spare_rad) < 0.01:
             continue  # the grid decides whether the last centimetre is inside the cone
         compared += 1
-        assert ping.heard
+        assert ping.has_echo
         # Half a cell's diagonal off to the side, at 20 deg at most: 0.25 cm.
         assert ping.true_range_cm == pytest.approx(100 * nearest[i], abs=0.3)
         if np.partition(nearest[names != names[i]], 0)[0] > nearest[i] + 0.01:
@@ -251,7 +251,7 @@ def test_a_tilted_sensor_hears_the_part_of_an_edge_that_is_in_its_beam() -> None
     ping = ground.ping(pose, beam)
     assert ping.target == "crate"
     assert ping.true_range_cm == pytest.approx(100 * distances[in_cone].min(), abs=0.1)
-    assert not ground.ping(pose, looking(half_angle=degrees(5))).heard
+    assert not ground.ping(pose, looking(half_angle=degrees(5))).has_echo
 
 
 def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end() -> None:
@@ -260,22 +260,22 @@ def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end() -> None:
     beam = looking(FORWARD, degrees(12), (0.3, 0.0, 0.0))
     ping = ground.ping(at(1.0, velocity=(0.5, 0.0, 0.0), pitch_deg=-4), beam)
     distance_m = 3.9 - 1.0 - 0.3 * math.cos(math.radians(4))
-    assert (ping.heard, ping.target) == (True, "brick")
+    assert (ping.has_echo, ping.target) == (True, "brick")
     assert ping.true_range_cm == pytest.approx(100 * distance_m)
     assert ping.slant_range_cm == pytest.approx(100 * distance_m / math.cos(math.radians(4)))
     assert ping.incidence_deg == pytest.approx(4)
     assert ping.range_rate_cm_s == pytest.approx(-50)
-    assert not ground.ping(at(1.0, 3.0), beam).heard
-    assert not ground.ping(at(1.0, yaw_deg=90), beam).heard
-    assert not ground.ping(at(6.0), beam).heard
-    # Aslant it is not heard and still described.
+    assert not ground.ping(at(1.0, 3.0), beam).has_echo
+    assert not ground.ping(at(1.0, yaw_deg=90), beam).has_echo
+    assert not ground.ping(at(6.0), beam).has_echo
+    # Aslant it gives no echo and is still described.
     for north_m, yaw_deg in ((2.0, 30.0), (6.0, 150.0)):
         aslant = ground.ping(at(north_m, yaw_deg=yaw_deg, velocity=(0.5, 0.0, 0.0)), looking(FORWARD, degrees(12)))
-        assert (aslant.heard, aslant.target) == (False, "brick")
+        assert (aslant.has_echo, aslant.target) == (False, "brick")
         assert (aslant.true_range_cm, aslant.incidence_deg) == pytest.approx((190, 30))
         assert aslant.range_rate_cm_s == pytest.approx(-50 if north_m < 4 else 50)
     # Above its top and looking over it there is nothing; just above, its upper edge.
-    assert not ground.ping(at(1.0, height_m=4.0), beam).heard
+    assert not ground.ping(at(1.0, height_m=4.0), beam).has_echo
     over = ground.ping(at(1.0, height_m=3.2), beam)
     assert over.true_range_cm == pytest.approx(100 * math.hypot(2.6, 0.2))
 
@@ -283,12 +283,12 @@ def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end() -> None:
 def test_a_forward_sensor_sees_the_face_of_a_step_up_and_not_of_one_down() -> None:
     ground = world(surface="grass", steps=(GroundStep(at_m=3.0, rise_m=2.0, surface="rock"),))
     ping = ground.ping(at(1.0, height_m=1.0), looking(FORWARD, degrees(10)))
-    assert (ping.heard, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 200))
+    assert (ping.has_echo, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 200))
     back = ground.ping(at(5.0, height_m=3.0, yaw_deg=180), looking(FORWARD, degrees(10)))
-    assert not back.heard
+    assert not back.has_echo
     other_way = world(surface="rock", steps=(GroundStep(at_m=3.0, rise_m=-2.0, surface="grass"),))
     ping = other_way.ping(at(4.5, height_m=-1.0, yaw_deg=180), looking(FORWARD, degrees(10)))
-    assert (ping.heard, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 150))
+    assert (ping.has_echo, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 150))
 
 
 @pytest.mark.parametrize("turn_deg", [37.0, 120.0, -75.0])
@@ -328,7 +328,7 @@ def test_nothing_changes_when_everything_is_turned_together(turn_deg: float) -> 
         after = at(there_m[0], there_m[1], height_m, roll_deg, pitch_deg, yaw_deg + turn_deg, moving_m_s)
         one, other = straight.ping(before, beam), around.ping(after, beam)
         targets.add(one.target)
-        assert (one.heard, one.target, one.target_size_cm) == (other.heard, other.target, other.target_size_cm)
+        assert (one.has_echo, one.target, one.target_size_cm) == (other.has_echo, other.target, other.target_size_cm)
         assert one[1:6] == pytest.approx(other[1:6], abs=1e-5)
         assert heights_m(straight, before) == pytest.approx(heights_m(around, after))
     assert targets == {"grass", "concrete", "gravel", "box"}
@@ -497,9 +497,9 @@ def test_echoes_and_rays_are_those_of_polygons_in_space(
         compared += 1
         expected = polygons.nearest(sensor, axis)
         ping = ground.ping(pose, looking(boresight))
-        if ping.heard and known(ping.true_range_cm) > 400:
+        if ping.has_echo and known(ping.true_range_cm) > 400:
             continue  # further than any sensor hears, and than the edges are sampled
-        assert ping.heard is (expected is not None)
+        assert ping.has_echo is (expected is not None)
         if expected:
             # The edges are sampled every 2 mm, and a range grows at most as fast as the way along an edge.
             assert ping.true_range_cm == pytest.approx(100 * expected[0], abs=0.21)
@@ -523,11 +523,11 @@ def test_ground_below_a_box_does_not_answer() -> None:
     """Tilted so far that the top's foot is out of the beam, over the middle of a large table."""
     ground = world(surface="grass", boxes=(Box(surface="table", centre_m=(0.0, 0.0), size_m=(9.0, 9.0), height_m=0.5),))
     ping = ground.ping(at(height_m=3.0, roll_deg=20), looking())
-    assert (ping.heard, ping.target, ping.true_range_cm) == pytest.approx((False, "table", 250))
+    assert (ping.has_echo, ping.target, ping.true_range_cm) == pytest.approx((False, "table", 250))
     # On a slope the ground's perpendicular leans under the table, and only the level top answers.
     ground = world(slope_deg=10, boxes=(Box(surface="table", centre_m=(0.0, 0.0), size_m=(9.0, 9.0), height_m=0.5),))
     ping = ground.ping(at(height_m=3.0, pitch_deg=10), looking(half_angle=degrees(5)))
-    assert (ping.heard, ping.target) == (False, "table")
+    assert (ping.has_echo, ping.target) == (False, "table")
 
 
 def test_air_temperature_is_the_mean_along_the_path() -> None:

@@ -87,7 +87,7 @@ class EmulatedSensor:
         context: dict[str, Any] = ping._asdict() | extra
         context["sensor"], context["run"], context["time_in_run_s"] = self._name, RUN, ping_s
         context["previous_reading_cm"] = self._previous_cm
-        if not ping.heard:
+        if not ping.has_echo:
             context["true_range_cm"] = None
         self._previous_cm = reading_cm = self._readings.sample_one(context)
         return reading_cm

@@ -119,7 +119,7 @@ class FlightLog:
                 down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
                 self._steps_m[sensor] = down_m - below_m
         if self._recorder is not None:
-            not_recorded = ("heard", "slant_range_cm")
+            not_recorded = ("has_echo", "slant_range_cm")
             truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in not_recorded}
             self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth | dict(extra))
 
@@ -172,7 +172,7 @@ class FlightLog:
     def _truth_m(self, sensor: str) -> float | None:
         """True range at the time of the last echo [m]."""
         ping = self._truths.get(sensor)
-        if ping is None or not ping.heard:
+        if ping is None or not ping.has_echo:
             return None
         range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
         if range_cm is None:

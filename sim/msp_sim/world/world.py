@@ -87,7 +87,7 @@ class Ping(NamedTuple):
 
     Attributes
     ----------
-    heard
+    has_echo
         Whether an echo returns from within the beam.
     true_range_cm
         Perpendicular distance to the surface; for an edge the distance to its nearest point [cm].
@@ -105,7 +105,7 @@ class Ping(NamedTuple):
         Shorter side of a box [cm]; None for the ground.
     """
 
-    heard: bool
+    has_echo: bool
     true_range_cm: float | None
     slant_range_cm: float | None
     incidence_deg: float | None
@@ -123,7 +123,7 @@ class World:
     >>> world = World(GroundSection(surface="concrete"), AirSection(ground_c=15.0, lapse_c_per_m=0.0))
     >>> beam = MountedBeam((0.2, 0.0, 0.1), (0.0, 0.0, 1.0), lambda range_m: math.radians(12.0))
     >>> ping = world.ping(Pose(0.0, (0.0, 0.0, -2.1), 0.0, 0.0, 0.0, (0.0, 0.0, -0.5)), beam)
-    >>> ping.heard, f"{ping.true_range_cm:.1f}", f"{ping.range_rate_cm_s:.1f}", ping.target
+    >>> ping.has_echo, f"{ping.true_range_cm:.1f}", f"{ping.range_rate_cm_s:.1f}", ping.target
     (True, '200.0', '50.0', 'concrete')
     """
 
@@ -152,14 +152,14 @@ class World:
         sensor = (north_m + ahead_m, east_m + right_m, down_m + below_m)
         axis = _rotate(rotation, beam.boresight)
         is_ray = beam.half_angle_rad is None
-        heard = None if beam.half_angle_rad is None else self._nearest_echo(sensor, axis, beam.half_angle_rad)
-        surface = heard or self._ray(sensor, axis)
+        echo = None if beam.half_angle_rad is None else self._nearest_echo(sensor, axis, beam.half_angle_rad)
+        surface = echo or self._ray(sensor, axis)
         height_m = -sensor[2]
         if surface is None:
             return Ping(False, None, None, None, None, self.air_temperature_c(height_m), None, None)
         range_m, direction, slant_m, target, target_size_m = surface
         return Ping(
-            heard is not None or is_ray,
+            echo is not None or is_ray,
             100 * range_m,
             100 * slant_m,
             math.degrees(math.acos(min(max(dot(direction, axis), -1.0), 1.0))),
