@@ -41,3 +41,10 @@ def test_figures_become_rows() -> None:
         "| `latency_p99` | 2.7 | ms | at most 5 | yes |",
         "| `start` | 0.52 | s | at most 0.5 | **no** |",
     ]
+
+
+@pytest.mark.parametrize("path", [*Path("docs").rglob("*.md"), Path("CHANGELOG.md")], ids=str)
+def test_lines_of_documents_are_at_most_120_long(path: Path) -> None:
+    """But for tables, and for what a program prints."""
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        assert len(line) <= 120 or line.startswith(("|", "      ")), f"{path}:{number}"
