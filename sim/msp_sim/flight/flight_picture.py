@@ -1,66 +1,165 @@
-"""Draw a flight: all ranges over time, rejected readings marked, and below them the errors where the truth is known."""
+"""Draw a flight: all ranges over time, below them which readings were not used and why, and the errors where the truth
+is known."""
 
 import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
-from msp_sim.flight.flight_log import FlightResult
+from matplotlib.axes import Axes
+
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
 
 SHOWN_CM = 40.0
-"""Half height of the lower plot [cm]: the errors of hits fill it, and outliers of metres are left out."""
+"""Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
 USED = (None, "at_minimum")
-"""Values of `Track.why` for readings that the filter used."""
+"""Values of `SensorTrack.why` for readings that the bridge used."""
+GAP_S = 1.0
+"""Where nothing was known for longer than this the lines are interrupted [s]: the time after which the bridge itself
+reports that there is no distance."""
+MARKERS = "x+1v*s^Dp"
+"""Markers of the reasons, the most frequent first; with more reasons than these the last is used again."""
 
 
 def draw(flight: FlightResult, path: Path, title: str) -> None:
     """Write the picture of a flight as PNG; an older file is replaced."""
     with style():
-        tracks = (*flight.tracks.values(), flight.fused)
-        is_truth_known = any(truth is not None for track in tracks for truth in track.truth_m)
-        figure = new_figure(6.5 if is_truth_known else 4.5, 9.6)
-        ratios = (3, 2) if is_truth_known else (3,)
+        is_truth_known = any(
+            truth is not None for track in (*flight.tracks.values(), flight.fused) for truth in track.truth_m
+        )
+        reasons = [reason for reason, _ in Counter(_reasons(flight)).most_common()]
+        ratios = [3.0, *([0.25 * len(flight.tracks) + 0.1] if reasons else []), *([2.0] if is_truth_known else [])]
+        figure = new_figure(1.5 + 1.25 * sum(ratios), 9.6)
         top, *below = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
-        for number, (name, track) in enumerate(flight.tracks.items()):
-            colour, _ = SERIES[number % len(SERIES)]
-            ranges = list(zip(track.time_s, track.raw_m, track.truth_m, track.why, strict=True))
-            used = [(t, raw) for t, raw, _, why in ranges if raw is not None and why in USED]
-            rejected = [(t, raw) for t, raw, _, why in ranges if raw is not None and why not in USED]
-            errors_cm = [
-                (t, 100 * (raw - truth))
-                for t, raw, truth, why in ranges
-                if raw is not None and truth is not None and why != "at_minimum"
-            ]
-            top.plot(*_columns(used), ".", color=colour, markersize=3, label=name)
-            top.plot(*_columns(rejected), "x", color=colour, markersize=5)
-            for bottom in below:
-                bottom.plot(*_columns(errors_cm), ".", color=colour, markersize=2, alpha=0.6)
-        fused = flight.fused
-        if fused.time_s:
-            heights = list(zip(fused.time_s, fused.filtered_m, fused.truth_m, fused.why, strict=True))
-            truth = [(t, truth) for t, _, truth, _ in heights if truth is not None]
-            # At an edge of the ground the sensors are over different heights: no error there, and a gap in the line.
-            errors_cm = [
-                (t, math.nan if why == "edge" else 100 * (m - truth))
-                for t, m, truth, why in heights
-                if m is not None and truth is not None
-            ]
-            if truth:
-                top.plot(*_columns(truth), "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
-            top.plot(fused.time_s, fused.filtered_m, "-", color=INK, linewidth=1, label="fused")
-            for bottom in below:
-                bottom.plot(*_columns(errors_cm), "-", color=INK, linewidth=1)
-        top.plot([], [], "x", color=GREY, label="rejected")
-        top.set_ylabel("range [m]")
-        top.set_title(title)
-        for bottom in below:
-            bottom.set_ylabel("error [cm]")
-            bottom.set_ylim(-SHOWN_CM, SHOWN_CM)
-            line = "; line: fused, interrupted at edges of the ground" if any(flight.fused.truth_m) else ""
-            bottom.set_title(f"error: range minus truth (dots: raw readings{line})")
+        _draw_ranges(top, flight)
+        top.set_title(f"{title}: {_what_happened(flight)}")
+        if reasons:
+            _draw_rejected(below[0], flight, reasons)
+        if is_truth_known:
+            _draw_errors(below[-1], flight)
+        for first_s, last_s in _edges(flight.fused):
+            for axes in (top, *below):
+                axes.axvspan(first_s, last_s, color=PALE, alpha=0.4, linewidth=0, zorder=-1)
+        if any(_edges(flight.fused)):
+            top.fill_between([], [], [], color=PALE, alpha=0.4, label="sensors over different ground")
         (below or [top])[-1].set_xlabel("time [s]")
         legend_below(figure)
         path.write_bytes(png(figure))
 
 
-def _columns(rows: list[tuple[float, float]]) -> tuple[list[float], list[float]]:
+def _draw_ranges(top: Axes, flight: FlightResult) -> None:
+    """Readings that were used, and the fused distance on the true one."""
+    for number, (name, track) in enumerate(flight.tracks.items()):
+        colour, _ = SERIES[number % len(SERIES)]
+        ranges = list(zip(track.time_s, track.raw_m, track.why, strict=True))
+        used = [(t, raw) for t, raw, why in ranges if raw is not None and why in USED]
+        rejected = [(t, raw) for t, raw, why in ranges if raw is not None and why not in USED]
+        top.plot(*_columns(used), ".", color=colour, markersize=3, label=name)
+        top.plot(*_columns(rejected), "x", color=colour, markersize=5)
+    top.plot([], [], "x", color=GREY, label="a range that was not used")
+    fused = flight.fused
+    # Where the sensors are over different ground no single distance is true.
+    truth = [
+        (t, math.nan if truth is None or why == "edge" else truth)
+        for t, truth, why in zip(fused.time_s, fused.truth_m, fused.why, strict=True)
+    ]
+    if any(each is not None for each in fused.truth_m):
+        top.plot(*_columns(_interrupted(truth)), "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
+    if fused.time_s:
+        heights = [(t, math.nan if m is None else m) for t, m in zip(fused.time_s, fused.filtered_m, strict=True)]
+        top.plot(*_columns(_interrupted(heights)), "-", color=INK, linewidth=1, label="fused")
+    top.set_ylabel("range [m]")
+
+
+def _draw_rejected(axes: Axes, flight: FlightResult, reasons: Sequence[str]) -> None:
+    """A row for each sensor, and a marker for each reason."""
+    for place, reason in enumerate(reasons):
+        marker = MARKERS[min(place, len(MARKERS) - 1)]
+        points = [
+            (t, row)
+            for row, track in enumerate(flight.tracks.values())
+            for t, why in zip(track.time_s, track.why, strict=True)
+            if why == reason
+        ]
+        colour, _ = SERIES[place % len(SERIES)]
+        axes.plot(*_columns(points), marker, color=colour, markersize=4.5, markerfacecolor="none", label=_words(reason))
+    axes.set_yticks(range(len(flight.tracks)), list(flight.tracks))
+    axes.set_ylim(len(flight.tracks) - 0.5, -0.5)
+    axes.set_title("readings that were not used")
+    columns = math.ceil(len(reasons) / 2)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.0, handletextpad=0.2)
+
+
+def _draw_errors(axes: Axes, flight: FlightResult) -> None:
+    """Errors of readings and of the fused distance."""
+    for number, track in enumerate(flight.tracks.values()):
+        colour, _ = SERIES[number % len(SERIES)]
+        errors_cm = [
+            (t, 100 * (raw - truth))
+            for t, raw, truth, why in zip(track.time_s, track.raw_m, track.truth_m, track.why, strict=True)
+            if raw is not None and truth is not None and why != "at_minimum"
+        ]
+        axes.plot(*_columns(errors_cm), ".", color=colour, markersize=2, alpha=0.6)
+    fused = flight.fused
+    errors_cm = [
+        (t, math.nan if why == "edge" else 100 * (m - truth))
+        for t, m, truth, why in zip(fused.time_s, fused.filtered_m, fused.truth_m, fused.why, strict=True)
+        if m is not None and truth is not None
+    ]
+    axes.plot(*_columns(_interrupted(errors_cm)), "-", color=INK, linewidth=1)
+    axes.set_ylabel("error [cm]")
+    axes.set_ylim(-SHOWN_CM, SHOWN_CM)
+    line = "; line: fused" if errors_cm else ""
+    axes.set_title(f"error: range minus truth (dots: raw readings{line})")
+
+
+def _what_happened(flight: FlightResult) -> str:
+    """The flight in a few words: how many readings were used, silences, and reports to the pilot."""
+    whys = [why for track in flight.tracks.values() for why in track.why]
+    parts = [f"{sum(why in USED for why in whys)} of {len(whys)} readings used"]
+    gaps_s = [late - early for early, late in pairwise(flight.fused.time_s) if late - early > GAP_S]
+    if gaps_s:
+        parts.append(f"{sum(gaps_s):.1f} s without a distance")
+    bad = sum(severity in ("error", "warning") for _, severity, _ in flight.texts)
+    if bad:
+        parts.append(f"{bad} warning{'s' if bad > 1 else ''} to the pilot")
+    return ", ".join(parts)
+
+
+def _reasons(flight: FlightResult) -> Iterator[str]:
+    for track in flight.tracks.values():
+        yield from (why for why in track.why if why is not None and why not in USED)
+
+
+def _words(reason: str) -> str:
+    """A reason as a reader knows it; a code with what it stands for."""
+    return {"suspect": "255: no echo, garbled?"}.get(reason, reason.replace("_", " "))
+
+
+def _edges(fused: SensorTrack) -> list[tuple[float, float]]:
+    """Spans of time in which the sensors are over different ground [s]."""
+    spans: list[tuple[float, float]] = []
+    for time_s, why in zip(fused.time_s, fused.why, strict=True):
+        if why != "edge":
+            continue
+        if spans and time_s - spans[-1][1] < GAP_S:
+            spans[-1] = (spans[-1][0], time_s)
+        else:
+            spans.append((time_s, time_s))
+    return spans
+
+
+def _interrupted(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """A line's points, with a gap where there is none for longer than `GAP_S`."""
+    line: list[tuple[float, float]] = []
+    for time_s, value in points:
+        if line and time_s - line[-1][0] > GAP_S:
+            line.append((time_s, math.nan))
+        line.append((time_s, value))
+    return line
+
+
+def _columns(rows: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
     return [row[0] for row in rows], [row[1] for row in rows]
