@@ -1,13 +1,13 @@
 """Pictures of the air's temperature: compensation by range, and hot or cold air at the sensor only."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import CompensationRow, Findings, IntervalEstimate
-from msp_lab.characterise.page.draw.accuracy import BoxOfAir, Compensated, draw_boxes, draw_compensated
+from msp_lab.characterise.findings import CompensationRow, Findings
+from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, summary
 from msp_lab.characterise.page.text import interval, number, sentence
@@ -81,33 +81,13 @@ def compensation(findings: Findings, rows: PictureData) -> Drawn:
             findings.absent.get("temperature_compensation", "No readings of temperature compensation are in the data.")
         )
 
-    def column(pick: Callable[[CompensationRow], float | None]) -> NDArray[np.float64]:
-        values = (pick(row) for row in table)
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-    def after(pick: Callable[[IntervalEstimate], float | None]) -> NDArray[np.float64]:
-        return column(lambda row: None if row.compensated is None else pick(row.compensated))
-
-    def earlier(row: CompensationRow, which: int) -> float | None:
-        pair = None if rows.reference is None else rows.reference.mean_errors_at(row.range_cm)
-        return None if pair is None else pair[which]
-
-    picture = Compensated(
-        range_cm=column(lambda row: row.range_cm),
-        before_cm=column(lambda row: row.uncompensated.value),
-        before_low_cm=column(lambda row: row.uncompensated.low),
-        before_high_cm=column(lambda row: row.uncompensated.high),
-        after_cm=after(lambda compensated: compensated.value),
-        after_low_cm=after(lambda compensated: compensated.low),
-        after_high_cm=after(lambda compensated: compensated.high),
-        reference_before_cm=column(lambda row: earlier(row, 0)),
-        reference_after_cm=column(lambda row: earlier(row, 1)),
-        reference="" if rows.reference is None else rows.reference.name,
-    )
-    after_cm = picture.after_cm[np.isfinite(picture.after_cm)]
-    caption = f"Mean size of the error of the ranges: {np.mean(np.abs(picture.before_cm)):.2f} cm without compensation"
+    before_cm = np.array([row.uncompensated.value for row in table])
+    after_cm = np.array([row.compensated.value for row in table if row.compensated is not None])
+    caption = f"Mean size of the error of the ranges: {np.mean(np.abs(before_cm)):.2f} cm without compensation"
     caption += f", {np.mean(np.abs(after_cm)):.2f} cm with it." if after_cm.size else "."
-    return Drawn(draw_compensated(picture), caption, "Mean errors by range, without and with compensation.")
+    return Drawn(
+        draw_compensated(table, rows.reference), caption, "Mean errors by range, without and with compensation."
+    )
 
 
 def compensation_table(findings: Findings) -> PageTable | None:
@@ -144,22 +124,9 @@ def _boxes(findings: Findings, rows: PictureData) -> Drawn:
         raise Absent(
             sentence(findings.absent.get("hot_boxes", "there are no readings with hot or cold air at the sensor only"))
         )
-    boxes = []
-    for box in findings.hot_boxes[:MAX_BOXES]:
-        shifts = [row.shift for row in box.rows]
-        assumed = " (assumed)" if box.room_is_assumed else ""
-        boxes.append(
-            BoxOfAir(
-                label=f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond",
-                range_cm=np.array([row.range_cm for row in box.rows]),
-                shift_cm=np.array([each.value for each in shifts]),
-                low_cm=np.array([each.value if each.low is None else each.low for each in shifts]),
-                high_cm=np.array([each.value if each.high is None else each.high for each in shifts]),
-                uniform_cm=np.array([row.uniform_cm for row in box.rows]),
-                gradient_cm=np.array([row.gradient_cm for row in box.rows]),
-                confined_cm=np.array([row.confined_cm for row in box.rows]),
-                depth_cm=box.depth.value,
-            )
-        )
     caption = " ".join(sentence(box.answer) for box in findings.hot_boxes)
-    return Drawn(draw_boxes(boxes), caption, "Shift of the mean error with hot or cold air at the sensor, by range.")
+    return Drawn(
+        draw_boxes(findings.hot_boxes[:MAX_BOXES]),
+        caption,
+        "Shift of the mean error with hot or cold air at the sensor, by range.",
+    )

@@ -2,10 +2,8 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.draw.accuracy import Linearity, draw_linearity
+from msp_lab.characterise.page.draw.accuracy import draw_linearity
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.text import interval, sentence
 
@@ -19,16 +17,6 @@ def _calibration(findings: Findings, rows: PictureData) -> Drawn:
     found = findings.calibration
     if found is None or not found.true_cm:
         raise Absent(sentence(findings.absent.get("calibration", "the readings were not compared with a reference")))
-    linearity = Linearity(
-        true_cm=np.array(found.true_cm),
-        reading_cm=np.array(found.reading_cm),
-        reading_std_cm=np.array(found.reading_std_cm),
-        line_cm=None if found.offset is None or found.scale is None else (found.offset.value, found.scale.value),
-        knots_cm=np.array([(knot.true_cm, knot.reading_cm) for knot in found.knots]).reshape(-1, 2),
-        reference_std_cm=found.reference_std_cm,
-        held_out=[(each.form, each.rms_cm) for each in found.held_out],
-        kept=found.form,
-    )
     caption = f"Mean error {interval(found.bias)}"
     if found.offset is not None and found.scale is not None:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
@@ -37,4 +25,4 @@ def _calibration(findings: Findings, rows: PictureData) -> Drawn:
         if found.linearity_noise_floor_cm is not None:
             caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
-    return Drawn(draw_linearity(linearity), caption, "Mean error over true range with the calibration.")
+    return Drawn(draw_linearity(found), caption, "Mean error over true range with the calibration.")

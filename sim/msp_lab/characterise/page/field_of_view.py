@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import BreakawayAngle, Findings, IntervalEstimate
-from msp_lab.characterise.page.draw.beam import BeamAngle, BeamPicture, Sweep, draw_beam, draw_sweep
+from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData
 from msp_lab.characterise.page.text import half_interval, sentence
-from msp_range.acoustics.sonar import STEP_DEG, Sonar
 
 MAX_SWEEPS = 8
 """Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
@@ -114,34 +113,7 @@ def _sonar(findings: Findings, rows: PictureData) -> Drawn:
         raise Absent(
             sentence(findings.absent.get("sonar", "there are too few breakaway angles for the three parameters"))
         )
-    equation = Sonar(found.source_level_db, found.piston_diameter_m, found.gain_db_per_m, rows.model.frequency_hz)
-    measured = {row.range_cm: row for row in found.rows}
     angles = findings.field_of_view.angles if findings.field_of_view is not None else ()
-    by_range = {angle.range_cm: angle for angle in angles}
-    longest_cm = max([*measured, *(range_cm for range_cm, _ in found.beyond)])
-    span_cm = np.linspace(min(measured) * 0.6, longest_cm, 120)
-    radians = [equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()]
-    used = [(row.range_cm, row.measured_deg) for row in found.rows] + list(found.beyond)
-    angles_of = {} if rows.reference is None else rows.reference.half_angle_deg
-    beam = BeamPicture(
-        rows=tuple(
-            BeamAngle(
-                row.range_cm,
-                row.measured_deg,
-                by_range[row.range_cm].half_angle.low if row.range_cm in by_range else None,
-                by_range[row.range_cm].half_angle.high if row.range_cm in by_range else None,
-                angles_of.get(row.range_cm),
-                row.left_out_deg,
-            )
-            for row in found.rows
-        ),
-        equation_cm=span_cm,
-        equation_deg=np.degrees(np.array([np.nan if each is None else each for each in radians])),
-        used_cm=np.array([range_cm for range_cm, _ in used]),
-        used_deg=np.array([angle for _, angle in used]),
-        step_deg=STEP_DEG,
-        reference="" if rows.reference is None else rows.reference.name,
-    )
     fitted = [abs(row.fitted_deg - row.measured_deg) for row in found.rows if row.fitted_deg is not None]
     left_out = [abs(row.left_out_deg - row.measured_deg) for row in found.rows if row.left_out_deg is not None]
     caption = (
@@ -152,4 +124,8 @@ def _sonar(findings: Findings, rows: PictureData) -> Drawn:
         f"Equivalent piston {1000.0 * found.piston_diameter_m:.1f} mm, gain {found.gain_db_per_m:.1f} dB/m. "
         f"{sentence(found.note)} Beyond the measured ranges the angle never grows."
     )
-    return Drawn(draw_beam(beam), caption, "Half angle of the beam over range: measured and by the sonar equation.")
+    return Drawn(
+        draw_beam(found, angles, rows.model.frequency_hz, rows.reference),
+        caption,
+        "Half angle of the beam over range: measured and by the sonar equation.",
+    )

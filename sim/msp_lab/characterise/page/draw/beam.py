@@ -1,6 +1,7 @@
 """The field of view at one range, and the sonar equation through the breakaway angles."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,6 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from msp_lab.characterise.findings import BreakawayAngle, IntervalEstimate, SonarFit
+from msp_lab.characterise.page.draw.errors import with_reach
+from msp_lab.characterise.reference import ReferenceNumbers
+from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_sim.page.style import (
     GREEN,
     GREY,
@@ -179,69 +184,44 @@ def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
         top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"{sweep.reference}'s ±{sweep.reference_deg:g}°")
 
 
-@dataclass(frozen=True)
-class BeamAngle:
-    """A half angle at a range [deg]: measured with its interval, a reference's, and predicted without it."""
-
-    range_cm: float
-    measured_deg: float
-    low_deg: float | None
-    high_deg: float | None
-    reference_deg: float | None
-    left_out_deg: float | None
-
-
-@dataclass(frozen=True)
-class BeamPicture:
-    """Measured half angles and the sonar equation through them.
-
-    Parameters
-    ----------
-    rows
-        Measured.
-    equation_cm, equation_deg
-        The fitted equation over range, shape (k,); NaN where no echo is predicted.
-    used_cm, used_deg
-        What the bridge uses over range, shape (m,).
-    step_deg
-        Step of the motor: what an angle is known to.
-    reference
-        Name of the reference whose angles are drawn.
-    """
-
-    rows: tuple[BeamAngle, ...]
-    equation_cm: _Array
-    equation_deg: _Array
-    used_cm: _Array
-    used_deg: _Array
-    step_deg: float
-    reference: str = ""
-
-
-def draw_beam(beam: BeamPicture) -> Figure:
+def draw_beam(
+    sonar: SonarFit, measured: Sequence[BreakawayAngle], frequency_hz: float, reference: ReferenceNumbers | None
+) -> Figure:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
+    equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, frequency_hz)
+    used = [(row.range_cm, row.measured_deg) for row in sonar.rows] + list(sonar.beyond)
+    used_cm, used_deg = (list(each) for each in zip(*used, strict=True))
+    span_cm = np.linspace(min(row.range_cm for row in sonar.rows) * 0.6, max(used_cm), 120)
+    radians = [equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()]
+    span_deg = np.degrees(np.array([np.nan if each is None else each for each in radians]))
+    intervals = {angle.range_cm: angle.half_angle for angle in measured}
+    reference_deg = {} if reference is None else reference.half_angle_deg
     figure = new_figure(4.0)
     axes = figure.subplots()
     axes.fill_between(
-        beam.equation_cm,
-        beam.equation_deg - beam.step_deg,
-        beam.equation_deg + beam.step_deg,
+        span_cm,
+        span_deg - STEP_DEG,
+        span_deg + STEP_DEG,
         color=PALE,
         alpha=0.6,
         linewidth=0,
-        label=f"± one step of the motor, {beam.step_deg:g}°",
+        label=f"± one step of the motor, {STEP_DEG:g}°",
         zorder=1,
     )
-    axes.plot(beam.equation_cm, beam.equation_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
-    axes.plot(beam.used_cm, beam.used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
-    x = [row.range_cm for row in beam.rows]
-    y = [row.measured_deg for row in beam.rows]
-    low = [row.measured_deg - (row.measured_deg if row.low_deg is None else row.low_deg) for row in beam.rows]
-    high = [(row.measured_deg if row.high_deg is None else row.high_deg) - row.measured_deg for row in beam.rows]
+    axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
+    axes.plot(used_cm, used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
+    x = [row.range_cm for row in sonar.rows]
+    exact = [IntervalEstimate(row.measured_deg, None, None, "deg", 0) for row in sonar.rows]
+    y, reach = with_reach(
+        [
+            replace(intervals.get(row.range_cm, each), value=each.value)
+            for row, each in zip(sonar.rows, exact, strict=True)
+        ]
+    )
     axes.errorbar(
         x,
         y,
-        yerr=[low, high],
+        yerr=reach,
         linestyle="none",
         marker="o",
         markersize=9,
@@ -250,8 +230,8 @@ def draw_beam(beam: BeamPicture) -> Figure:
         zorder=6,
         label="measured, up to the next angle tried",
     )
-    pairs = [(row.range_cm, row.reference_deg) for row in beam.rows if row.reference_deg is not None]
-    if pairs:
+    pairs = [(range_cm, reference_deg[range_cm]) for range_cm in x if range_cm in reference_deg]
+    if pairs and reference is not None:
         axes.plot(
             [range_cm for range_cm, _ in pairs],
             [angle for _, angle in pairs],
@@ -260,10 +240,10 @@ def draw_beam(beam: BeamPicture) -> Figure:
             markersize=7,
             color=REFERENCE,
             markeredgecolor="white",
-            label=f"{beam.reference}'s",
+            label=f"{reference.name}'s",
             zorder=7,
         )
-    left_out = [(row.range_cm, row.left_out_deg) for row in beam.rows if row.left_out_deg is not None]
+    left_out = [(row.range_cm, row.left_out_deg) for row in sonar.rows if row.left_out_deg is not None]
     if left_out:
         axes.plot(
             [range_cm for range_cm, _ in left_out],
@@ -277,7 +257,7 @@ def draw_beam(beam: BeamPicture) -> Figure:
             zorder=8,
             label="predicted from the others",
         )
-    silent = [row.range_cm for row in beam.rows if row.left_out_deg is None]
+    silent = [row.range_cm for row in sonar.rows if row.left_out_deg is None]
     for range_cm in silent if left_out else ():
         axes.annotate(
             "the others predict\nno echo here",
@@ -290,7 +270,7 @@ def draw_beam(beam: BeamPicture) -> Figure:
         )
     top = max([*y, *(angle for _, angle in pairs), *(angle for _, angle in left_out)])
     axes.set_ylim(0.0, 1.2 * top)
-    axes.set_xlim(0.0, float(np.max(beam.used_cm)) if beam.used_cm.size else max(x) * 1.2)
+    axes.set_xlim(0.0, max(used_cm))
     axes.set_xlabel("perpendicular range [cm]")
     axes.set_ylabel("half angle of the beam [deg]")
     legend_below(figure)

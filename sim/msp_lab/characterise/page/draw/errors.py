@@ -15,6 +15,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
+from msp_lab.characterise.findings import IntervalEstimate
 from msp_sim.page.style import GREY, INK, OURS, REFERENCE, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]
@@ -79,6 +80,13 @@ class ErrorAxes:
     points: Sequence[Line] = ()
     band_cm: float | None = None
     band_label: str = ""
+
+
+def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[_Array, _Array]:
+    """Values, (n,), and how far their intervals reach below and above them, (2, n); 0 where an end is unknown."""
+    values = np.array([each.value for each in estimates])
+    ends = [[each.value if end is None else end for end in (each.low, each.high)] for each in estimates]
+    return values, np.abs(np.array(ends).reshape(-1, 2).T - values)
 
 
 def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figure:
