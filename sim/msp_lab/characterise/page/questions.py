@@ -1,7 +1,7 @@
 """The questions (does it matter?) as one picture, and every effect as a table."""
 
 from msp_lab.characterise.findings import FactorEffect, Findings, Question
-from msp_lab.characterise.page.draw.questions import ForestRow, Size, draw_questions
+from msp_lab.characterise.page.draw.questions import draw_questions
 from msp_lab.characterise.page.picture_data import Absent, Drawn, PictureData
 from msp_lab.characterise.page.text import interval, sentence
 from msp_lab.characterise.questions import SHARE_BOUND
@@ -29,25 +29,10 @@ METRICS = {
 def forest(findings: Findings, rows: PictureData) -> Drawn:
     """The questions as a forest plot."""
     shown = [
-        ForestRow(
-            _label(question),
-            [
-                Size(
-                    effect.metric,
-                    effect.estimate.value,
-                    effect.estimate.low,
-                    effect.estimate.high,
-                    effect.bound,
-                    effect.smallest_detectable,
-                    effect.verdict,
-                )
-                for effect in question.effects
-                if effect.estimate is not None
-            ],
-        )
-        for question in findings.questions
+        (_label(each), [(effect, effect.estimate) for effect in each.effects if effect.estimate is not None])
+        for each in findings.questions
     ]
-    if not any(row.sizes for row in shown):
+    if not any(effects for _, effects in shown):
         raise Absent(sentence(findings.absent.get("questions", "the data compare no two settings of the bench")))
     caption = (
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "

@@ -2,13 +2,13 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from msp_lab.characterise.findings import FactorEffect, IntervalEstimate
 from msp_sim.page.style import GREEN, GREY, INK, PALE, REFERENCE, legend_below, new_figure
 
 METRICS = {
@@ -29,37 +29,20 @@ VERDICTS = {
 }
 
 
-@dataclass(frozen=True)
-class Size:
-    """One effect: `low` and `high` None where the data give no end, `detectable` None where it is not known."""
-
-    metric: str
-    value: float
-    low: float | None
-    high: float | None
-    bound: float
-    detectable: float | None
-    verdict: str
+Estimated = tuple[FactorEffect, IntervalEstimate]
+"""An effect and its estimate."""
 
 
-@dataclass(frozen=True)
-class ForestRow:
-    """A question: its words at the left, and the effects that were estimated."""
-
-    label: str
-    sizes: Sequence[Size]
-
-
-def draw_questions(rows: Sequence[ForestRow]) -> Figure:
+def draw_questions(rows: Sequence[tuple[str, Sequence[Estimated]]]) -> Figure:
     """A row a question, a panel a metric.
 
     Parameters
     ----------
     rows
-        At least one; drawn from the top.
+        Words at the left, and the effects that were estimated; at least one row, drawn from the top.
     """
-    metrics = [metric for metric in METRICS if any(size.metric == metric for row in rows for size in row.sizes)]
-    labels = ["\n".join(textwrap.fill(line, LABEL_LETTERS) for line in row.label.splitlines()) for row in rows]
+    metrics = [metric for metric in METRICS if any(effect.metric == metric for _, row in rows for effect, _ in row)]
+    labels = ["\n".join(textwrap.fill(line, LABEL_LETTERS) for line in label.splitlines()) for label, _ in rows]
     lines = [max(label.count("\n") + 1, 2) for label in labels]
     # Rows as high as their words; y counts lines from the bottom.
     tops = np.cumsum([0, *lines])
@@ -67,13 +50,13 @@ def draw_questions(rows: Sequence[ForestRow]) -> Figure:
     figure = new_figure(1.4 + 0.19 * float(tops[-1]))
     panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     for metric, axes in zip(metrics, panels, strict=True):
-        sizes = [
-            (middle, size)
-            for middle, row in zip(middles, rows, strict=True)
-            for size in row.sizes
-            if size.metric == metric
+        effects = [
+            (middle, (effect, estimate))
+            for middle, (_, row) in zip(middles, rows, strict=True)
+            for effect, estimate in row
+            if effect.metric == metric
         ]
-        _panel(axes, metric, sizes, float(tops[-1]))
+        _panel(axes, metric, effects, float(tops[-1]))
     panels[0].set_yticks(middles, labels, fontsize=7.5)
     for axes in panels:
         axes.tick_params(axis="y", length=0)
@@ -91,10 +74,10 @@ def draw_questions(rows: Sequence[ForestRow]) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[float, Size]], height: float) -> None:
+def _panel(axes: Axes, metric: str, effects: Sequence[tuple[float, Estimated]], height: float) -> None:
     is_ratio = metric != "bias"
     none = 1.0 if is_ratio else 0.0
-    reach = _reach([size for _, size in sizes], is_ratio)
+    reach = _reach([each for _, each in effects], is_ratio)
     if is_ratio:
         axes.set_xscale("log")
         axes.set_xlim(1.0 / reach, reach)
@@ -103,7 +86,7 @@ def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[float, Size]], height:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
     else:
-        far = 6.0 * max([size.bound for _, size in sizes])
+        far = 6.0 * max([effect.bound for _, (effect, _) in effects])
         if reach > 2.0 * far:
             # One large effect would hide the small ones: to scale up to here, compressed beyond.
             axes.set_xscale("symlog", linthresh=far / 3.0, linscale=0.9)
@@ -116,13 +99,13 @@ def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[float, Size]], height:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
     left, right = axes.get_xlim()
     axes.axvline(none, color=GREY, linewidth=1.0, zorder=1)
-    for y, size in sizes:
-        colour, marker, fill = VERDICTS[size.verdict]
-        low_bound = 1.0 / size.bound if is_ratio else -size.bound
-        axes.fill_between([low_bound, size.bound], y - 0.8, y + 0.8, color=PALE, alpha=0.8, linewidth=0, zorder=0)
-        if size.detectable is not None:
-            other = 1.0 / size.detectable if is_ratio else -size.detectable
-            for edge in (size.detectable, other):
+    for y, (effect, size) in effects:
+        colour, marker, fill = VERDICTS[effect.verdict]
+        low_bound = 1.0 / effect.bound if is_ratio else -effect.bound
+        axes.fill_between([low_bound, effect.bound], y - 0.8, y + 0.8, color=PALE, alpha=0.8, linewidth=0, zorder=0)
+        smallest = effect.smallest_detectable
+        if smallest is not None:
+            for edge in (smallest, 1.0 / smallest if is_ratio else -smallest):
                 if left <= edge <= right:
                     axes.vlines(edge, y - 0.7, y + 0.7, color=INK, linewidth=1.1, zorder=2)
         low = left if size.low is None else max(size.low, left)
@@ -158,18 +141,14 @@ def _panel(axes: Axes, metric: str, sizes: Sequence[tuple[float, Size]], height:
     axes.spines["left"].set_visible(False)
 
 
-def _reach(sizes: Sequence[Size], is_ratio: bool) -> float:
+def _reach(effects: Sequence[Estimated], is_ratio: bool) -> float:
     """How far the axis goes to either side: past values and bounds and, within reason, past intervals."""
-    if is_ratio:
-        far = [abs(np.log(each)) for size in sizes for each in (size.value, size.bound) if each and each > 0.0]
-        ends = [
-            abs(np.log(each))
-            for size in sizes
-            for each in (size.low, size.high, size.detectable)
-            if each is not None and each > 0.0 and np.isfinite(each)
-        ]
-        limit = max([*far, np.log(2.0)])
-        return float(np.exp(1.15 * min(max([limit, *ends]), np.log(100.0))))
-    far = [abs(each) for size in sizes for each in (size.value, size.bound)]
-    ends = [abs(each) for size in sizes for each in (size.low, size.high, size.detectable) if each is not None]
-    return 1.15 * float(min(max([*far, *ends]), 3.0 * max(far)))
+    near = [each for effect, size in effects for each in (size.value, effect.bound)]
+    others = [each for effect, size in effects for each in (size.low, size.high, effect.smallest_detectable)]
+    ends = [each for each in others if each is not None]
+    if not is_ratio:
+        far = [abs(each) for each in near]
+        return 1.15 * float(min(max([*far, *map(abs, ends)]), 3.0 * max(far)))
+    limit = max([*(abs(np.log(each)) for each in near if each > 0.0), np.log(2.0)])
+    logs = [abs(np.log(each)) for each in ends if each > 0.0 and np.isfinite(each)]
+    return float(np.exp(1.15 * min(max([limit, *logs]), np.log(100.0))))
