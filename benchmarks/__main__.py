@@ -22,6 +22,7 @@ from benchmarks import (
     bench_fusion,
     bench_gap,
     bench_laboratory,
+    bench_page,
     bench_rates,
     bench_reading_model,
     bench_start,
@@ -41,6 +42,7 @@ PARTS = (
     bench_virtual_flight,
     bench_rates,
     bench_start,
+    bench_page,
 )
 RESULTS = Path(__file__).parent / "results.json"
 

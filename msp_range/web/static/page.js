@@ -8,9 +8,9 @@ const TEXTS = 30;            // reports to the pilot that are listed
 
 const state = {
   airframe: null, status: null, attitude: null, fused: null, autopilot: {}, texts: [],
-  readings: {}, lines: [], nowS: 0, gone: true,
+  readings: {}, lines: [], nowS: 0, echoS: 0, gone: true,
 };
-window.drawn = { timeS: 0, atMs: 0 };  // the newest packet on the screen, and when; for measuring the delay
+window.drawn = { timeS: 0, echoS: 0, atMs: 0 };  // the newest packet and echo on the screen, and since when
 
 const byId = (id) => document.getElementById(id);
 const words = (code) => code.replaceAll("_", " ");
@@ -23,6 +23,7 @@ function take({ topic, time_s: timeS, message }) {
   if (topic.startsWith("/range/")) {
     const list = state.readings[topic.slice(7)] ??= [];
     list.push({ timeS, ...message });
+    state.echoS = message.time_s;
   } else if (topic === "/fused") {
     state.fused = { timeS, ...message };
     state.lines.push({ timeS, rangeM: message.range_m });
@@ -382,7 +383,7 @@ function draw() {
   drawAbove(beams);
   drawSide(beams);
   drawStrips();
-  window.drawn = { timeS: state.nowS, atMs: performance.timeOrigin + performance.now() };
+  window.drawn = { timeS: state.nowS, echoS: state.echoS, atMs: performance.timeOrigin + performance.now() };
 }
 
 function drawSoon() {
