@@ -1,1 +1,1 @@
-"""Other ways to find and name what a simulation lacks, on the tables of `tests.blind`, beside the gap workflow."""
+"""Other ways to find and name what a simulation lacks, on the tables of `tests.blind`, alongside the gap workflow."""

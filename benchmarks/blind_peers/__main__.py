@@ -37,34 +37,34 @@ KINDS = ("null", "one:6", "one:10", "three:10")
 def ask(
     seed: int, table: Path, namers: Iterable[str] = tuple(NAMERS), detectors: Iterable[str] = tuple(DETECTORS)
 ) -> None:
-    """What each peer says of one table, and its seconds of the processor, into ``peers.json`` beside it."""
+    """What each peer reports of one table, and its seconds of the processor, into ``peers.json`` next to it."""
     answers = table / "peers.json"
-    said: dict[str, Any] = json.loads(answers.read_text(encoding="utf-8")) if answers.exists() else {}
-    if {*namers, *detectors} <= said.keys():
+    reported: dict[str, Any] = json.loads(answers.read_text(encoding="utf-8")) if answers.exists() else {}
+    if {*namers, *detectors} <= reported.keys():
         return
     model = load_model(table.parents[1] / "bases" / f"{(table / 'base').read_text(encoding='utf-8')}.yaml")
     data = read_csv(table / "measured.csv")
     runs = np.unique(data["run"])
-    choosing = np.random.default_rng((seed, int(table.name))).permutation(runs)[: runs.size // 2]
-    chosen = data.select(np.isin(data["run"], choosing))
+    training = np.random.default_rng((seed, int(table.name))).permutation(runs)[: runs.size // 2]
+    chosen = data.select(np.isin(data["run"], training))
     contexts = {name: column for name, column in chosen.columns.items() if name != "reading_cm"}
 
     def timed(what: Callable[[], Any]) -> tuple[Any, float]:
         start_s = time.process_time()
         return what(), time.process_time() - start_s
 
-    if not set(namers) <= said.keys():
+    if not set(namers) <= reported.keys():
         scores, library_s = timed(lambda: library(model, contexts, chosen["reading_cm"]))
         for name in namers:
             names, seconds = timed(partial(NAMERS[name], scores))
-            said[name] = {"names": sorted(names), "seconds": round(library_s + seconds, 2)}
-    if not set(detectors) <= said.keys():
+            reported[name] = {"names": sorted(names), "seconds": round(library_s + seconds, 2)}
+    if not set(detectors) <= reported.keys():
         rng = np.random.default_rng((seed, int(table.name), 1))
         compared = compare(model, contexts, chosen["reading_cm"], rng)
         for name in detectors:
             p_value, seconds = timed(partial(DETECTORS[name], compared, rng))
-            said[name] = {"p_value": p_value, "seconds": round(seconds, 2)}
-    answers.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+            reported[name] = {"p_value": p_value, "seconds": round(seconds, 2)}
+    answers.write_text(json.dumps(reported, indent=1) + "\n", encoding="utf-8")
 
 
 Counts = dict[tuple[str, str], list[bool]]
@@ -72,7 +72,7 @@ Counts = dict[tuple[str, str], list[bool]]
 
 
 def score(out: Path) -> tuple[Counts, dict[str, list[float]]]:
-    """What every method said of the tables that peers were asked about, against the answers; and seconds a table."""
+    """What every method reported of the tables that peers saw, against the answers; and seconds per table."""
     names = accepted_names()
     counts: Counts = defaultdict(list)
     seconds: dict[str, list[float]] = defaultdict(list)
@@ -81,11 +81,11 @@ def score(out: Path) -> tuple[Counts, dict[str, list[float]]]:
         table = out / "tables" / path.stem
         if not (table / "peers.json").exists():
             continue
-        for method, said in json.loads((table / "peers.json").read_text(encoding="utf-8")).items():
-            seconds[method].append(said["seconds"])
-            gap = {"effects": [{"name": name, "verdict": "named"} for name in said.get("names", ())]}
-            alarm = said["p_value"] < ALPHA if "p_value" in said else bool(said["names"])
-            _count(counts, method, answer, gap if "names" in said else None, alarm, names)
+        for method, reported in json.loads((table / "peers.json").read_text(encoding="utf-8")).items():
+            seconds[method].append(reported["seconds"])
+            gap = {"effects": [{"name": name, "verdict": "named"} for name in reported.get("names", ())]}
+            alarm = reported["p_value"] < ALPHA if "p_value" in reported else bool(reported["names"])
+            _count(counts, method, answer, gap if "names" in reported else None, alarm, names)
         if (table / "gap" / "gap.json").exists():
             gap = json.loads((table / "gap" / "gap.json").read_text(encoding="utf-8"))
             seconds[OURS].append(gap.get("seconds", float("nan")))
@@ -117,7 +117,7 @@ def show(counts: Counts, seconds: Mapping[str, list[float]]) -> str:
     nulls = [regime for regime in REGIMES if regime in columns]
     rest = sorted(columns - set(nulls))
     parts = []
-    for heading, shown in (("Nothing hidden: said that something is", nulls), ("Something hidden", rest)):
+    for heading, shown in (("Nothing hidden: reported that something is", nulls), ("Something hidden", rest)):
         if not shown:
             continue
         of = max(len(counts.get((method, column), ())) for method in methods for column in shown)
@@ -130,11 +130,11 @@ def show(counts: Counts, seconds: Mapping[str, list[float]]) -> str:
     return "\n\n".join(parts)
 
 
-def _cell(said: list[bool]) -> str:
-    if not said:
+def _cell(reported: list[bool]) -> str:
+    if not reported:
         return ""
-    low, high = interval(sum(said), len(said))
-    return f"{sum(said) / len(said):.2f} ({low:.2f} to {high:.2f})"
+    low, high = interval(sum(reported), len(reported))
+    return f"{sum(reported) / len(reported):.2f} ({low:.2f} to {high:.2f})"
 
 
 def main() -> None:

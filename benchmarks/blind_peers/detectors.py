@@ -19,7 +19,7 @@ from msp_sim.model.model import Model
 
 SWAPS = 199
 TWINS = 4
-"""Simulated tables beside the paired one."""
+"""Simulated tables next to the paired one."""
 FAR = 10.0
 """Standard deviations at which an error is cut off, so that a missed echo does not outweigh all else in a distance."""
 NOT_CONTEXT = frozenset({"reading_cm", "run", "time_s"})
@@ -61,7 +61,7 @@ class Compared:
         return one, other
 
     def points(self) -> tuple[Array, Array]:
-        """The same beside the contexts, in standard deviations of theirs."""
+        """The same together with the contexts, in standard deviations of theirs."""
         contexts = self.contexts - np.nanmean(self.contexts, axis=0)
         contexts = np.nan_to_num(contexts / np.maximum(np.nanstd(contexts, axis=0), 1e-9))
         one, other = (np.column_stack([error, contexts]) for error in self.errors())
@@ -126,7 +126,7 @@ def classifier(data: Compared, rng: np.random.Generator) -> float:
     """Gradient-boosted trees that tell measured from simulated, taught on half of the runs and scored on the others.
 
     The statistic is the mean difference in log odds within pairs; its null is that of pairs swapped. Halves that teach
-    and score each other would count the same chance twice: they reject too often.
+    and score each other would count the same noise twice: they reject too often.
     """
     from sklearn.ensemble import HistGradientBoostingClassifier
 

@@ -2,8 +2,8 @@
 
 All of them choose by the same gain in log likelihood, worked out from the scores alone. Entries that add readings of
 their own or change odds are mixtures: with S their scores, u = 1 + S theta is how much likelier a reading becomes. What
-moves or widens the hits is taken to second order beside it: y - y^2 / 2 with y = S theta / u. The base's parameters are
-free beside every choice. What differs is what counts as enough.
+moves or widens the hits is taken to second order: y - y^2 / 2 with y = S theta / u. The base's parameters are
+free with every choice. What differs is what counts as enough.
 """
 
 import warnings
@@ -19,16 +19,16 @@ from benchmarks.blind_peers.library import BASE_MOVES, Array, Library
 LEAST = 0.1
 """Below this the logarithm goes on as a parabola (Owen, Empirical Likelihood, 2001, 12.4)."""
 FALSE_SHARE = 0.05
-"""PASTIS: the chance of a term too many; the one that the gap workflow is allowed."""
+"""PASTIS: the probability of a term too many; the one that the gap workflow is allowed."""
 MOST_TERMS = 12
 SAME = 0.05
-"""Norm of an entry beside the base's parameters, of 1, under which it is one of them."""
+"""Norm of an entry orthogonal to the base's parameters, of 1, under which it is one of them."""
 
 Namer: TypeAlias = Callable[[Library], frozenset[str]]
 
 
 def every_two_sigma(library: Library) -> frozenset[str]:
-    """Each entry alone beside the base: named where |z| > 2, z the signed root of its likelihood ratio."""
+    """Each entry alone with the base: named where |z| > 2, z the signed root of its likelihood ratio."""
     search = _Search.of(library)
     gains = (search.gain((k,)) for k in range(search.size))
     return frozenset(name for name, gain in zip(search.names, gains, strict=True) if 2.0 * gain > 2.0**2)

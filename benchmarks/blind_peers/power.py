@@ -2,8 +2,8 @@
 
 A size is the root mean square of the bias over a table's readings, in standard deviations of a hit, its mean taken off;
 its form is one of ten mechanisms in turn. Every method has 2000 readings, those of half of the runs, and may be wrong
-in 5 of 100 tables in which nothing is hidden: how often it was stands beside. What the gap workflow says in the end has
-also to hold on the other half of the runs.
+in 5 of 100 tables in which nothing is hidden: how often it was stands alongside. What the gap workflow
+reports in the end has also to hold on the other half of the runs.
 """
 
 import argparse
@@ -35,8 +35,8 @@ POWER = 0.8
 BIASES = (*TOGETHER["bias"], *TOGETHER["bias too"])
 DETECTORS = ("KS by slice", "energy distance, pairs swapped", "classifier, boosted trees")
 SCREEN = "gap workflow: its first screen, p < 0.05"
-CHOSEN = "gap workflow: chooses something, whatever the other runs say of it"
-SAID = "gap workflow: names something or calls it unknown"
+CHOSEN = "gap workflow: chooses something, before the held-out runs decide"
+REPORTED = "gap workflow: names something or calls it unknown"
 DROPPED = re.compile(r"(.+) was tried and dropped: ")
 CALIBRATION = "heavy_tails"
 """An effect that is of the base."""
@@ -58,8 +58,8 @@ def cases(count: int, seed: int) -> list[Case]:
 
 
 def found(out: Path) -> dict[str, dict[float, list[bool]]]:
-    """Whether each method said that something is there, by the size of what is; size 0 is nothing."""
-    said: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
+    """Whether each method reported that something is there, by the size of what is; size 0 is nothing."""
+    reported: dict[str, dict[float, list[bool]]] = defaultdict(lambda: defaultdict(list))
     for path in sorted((out / "answers").glob("*.json")):
         answer = json.loads(path.read_text(encoding="utf-8"))
         has = max((each["standard_errors"] for each in answer["hidden"]), default=0.0)
@@ -72,17 +72,17 @@ def found(out: Path) -> dict[str, dict[float, list[bool]]]:
         result, peers = table / "gap" / "gap.json", table / "peers.json"
         if result.exists():
             gap = json.loads(result.read_text(encoding="utf-8"))
-            proved = bool(gap["effects"] or gap["unknown"])
+            found_any = bool(gap["effects"] or gap["unknown"])
             dropped = {match[1] for message in gap["messages"] if (match := DROPPED.match(message))}
-            said[SAID][known].append(proved)
-            said[CHOSEN][known].append(proved or bool(dropped - {CALIBRATION}))
+            reported[REPORTED][known].append(found_any)
+            reported[CHOSEN][known].append(found_any or bool(dropped - {CALIBRATION}))
             if gap.get("p_value") is not None:
-                said[SCREEN][known].append(gap["p_value"] < ALPHA)
+                reported[SCREEN][known].append(gap["p_value"] < ALPHA)
         if peers.exists():
             for name, each in json.loads(peers.read_text(encoding="utf-8")).items():
                 if "p_value" in each:
-                    said[name][known].append(each["p_value"] < ALPHA)
-    return said
+                    reported[name][known].append(each["p_value"] < ALPHA)
+    return reported
 
 
 def size_at(power: float, sizes: Sequence[float], shares: Sequence[float]) -> float:
@@ -108,23 +108,23 @@ def size_at(power: float, sizes: Sequence[float], shares: Sequence[float]) -> fl
 def _size_with_interval(by_size: Mapping[float, list[bool]]) -> tuple[float, float, float]:
     rng = np.random.default_rng(0)
     sizes = [size for size in SIZES if by_size.get(size)]
-    told = [np.array(by_size[size], dtype=float) for size in sizes]
-    drawn = [size_at(POWER, sizes, [rng.choice(each, each.size).mean() for each in told]) for _ in range(DRAWS)]
+    outcomes = [np.array(by_size[size], dtype=float) for size in sizes]
+    drawn = [size_at(POWER, sizes, [rng.choice(each, each.size).mean() for each in outcomes]) for _ in range(DRAWS)]
     low, high = np.quantile(drawn, (0.025, 0.975), method="inverted_cdf")
-    return size_at(POWER, sizes, [each.mean() for each in told]), float(low), float(high)
+    return size_at(POWER, sizes, [each.mean() for each in outcomes]), float(low), float(high)
 
 
-def show(said: Mapping[str, Mapping[float, list[bool]]]) -> str:
+def show(reported: Mapping[str, Mapping[float, list[bool]]]) -> str:
     """The curves in Markdown, with the size at 80 %."""
-    sizes = [size for size in SIZES if any(each.get(size) for each in said.values())]
+    sizes = [size for size in SIZES if any(each.get(size) for each in reported.values())]
     heads = ["nothing hidden", *(f"{size:g} sigma" for size in sizes), f"found in {POWER:.0%}"]
-    of = {size: max(len(each.get(size, ())) for each in said.values()) for size in (0.0, *sizes)}
+    of = {size: max(len(each.get(size, ())) for each in reported.values()) for size in (0.0, *sizes)}
     lines = [f"Tables: {of[0.0]} with nothing hidden, {', '.join(f'{of[size]} of {size:g}' for size in sizes)}", ""]
     lines += ["| | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
-    for name in (SCREEN, CHOSEN, SAID, *DETECTORS):
-        if name not in said:
+    for name in (SCREEN, CHOSEN, REPORTED, *DETECTORS):
+        if name not in reported:
             continue
-        by_size: Mapping[float, list[bool]] = said[name]
+        by_size: Mapping[float, list[bool]] = reported[name]
         null = by_size.get(0.0, [])
         low, high = interval(sum(null), len(null))
         cells = [f"{np.mean(null):.3f} ({low:.3f} to {high:.3f})" if null else ""]

@@ -8,7 +8,7 @@ A Kalman filter of height z [m], climb w [m/s] and accelerometer bias b [m/s^2] 
 
     z' = w    w' = a - b    b' = white noise    barometer: y = z + white noise
 
-The barometer's slow drift is not told from z; it is counted where a climb is quoted (`VerticalMotion.climbed`).
+The barometer's slow drift is not separated from z; it is counted where a climb is quoted (`VerticalMotion.climbed`).
 """
 
 import math

@@ -141,7 +141,7 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
     for name in required:
         if name not in header:
             near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
-            hint = f" Is it {near[0]!r}?" if near else " Columns are told apart by commas." if len(header) == 1 else ""
+            hint = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
 
 

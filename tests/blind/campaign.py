@@ -175,7 +175,7 @@ def campaign(
     Parameters
     ----------
     seed
-        Of everything that is left to chance.
+        Of everything that is random.
     readings
         At each point that does not say otherwise.
     points
@@ -323,7 +323,7 @@ def over_ranges(
     Parameters
     ----------
     seed
-        Of everything that is left to chance.
+        Of everything that is random.
     count
         Readings.
     low_cm, high_cm

@@ -105,7 +105,7 @@ def contexts(rng: np.random.Generator, runs: int, rows: int, regime: Regime = "i
     Parameters
     ----------
     rng
-        Source of chance.
+        Source of randomness.
     runs, rows
         Flights, and readings in each.
     regime

@@ -206,7 +206,9 @@ def _long_grass(flight: Flight, share: float, rng: np.random.Generator) -> None:
     _lose(flight, share * grass, rng)
 
 
-def _befall(share: float, change: Callable[[Array], Array], rng: np.random.Generator) -> Callable[[Array], Array]:
+def _changed_share(
+    share: float, change: Callable[[Array], Array], rng: np.random.Generator
+) -> Callable[[Array], Array]:
     def fault(reading_cm: Array) -> Array:
         return np.where(rng.random(reading_cm.size) < share, change(reading_cm), reading_cm)
 
@@ -214,7 +216,7 @@ def _befall(share: float, change: Callable[[Array], Array], rng: np.random.Gener
 
 
 def _bytes_on_top_of_each_other(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    flight.codes.append(_befall(share, _either_byte, rng))
+    flight.codes.append(_changed_share(share, _either_byte, rng))
 
 
 def _either_byte(reading_cm: Array) -> Array:
@@ -223,11 +225,11 @@ def _either_byte(reading_cm: Array) -> Array:
 
 
 def _high_byte_lost(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    flight.codes.append(_befall(share, lambda reading_cm: reading_cm % 256.0, rng))
+    flight.codes.append(_changed_share(share, lambda reading_cm: reading_cm % 256.0, rng))
 
 
 def _top_bit(flight: Flight, share: float, rng: np.random.Generator) -> None:
-    flight.codes.append(_befall(share, lambda reading_cm: reading_cm + 32768.0, rng))
+    flight.codes.append(_changed_share(share, lambda reading_cm: reading_cm + 32768.0, rng))
 
 
 def _rings_on(flight: Flight, share: float, rng: np.random.Generator) -> None:

@@ -60,7 +60,7 @@ class Ping:
     click_hz: Array = field(init=False)
     """Rate of short loud clicks in the room: keys, valves, insects."""
     misfire: Array = field(init=False)
-    """Chance that the transducer is not driven: the receiver then listens to the room alone."""
+    """Probability that the transducer is not driven: the receiver then listens to the room alone."""
     passers_per_m: Array = field(init=False)
     """Objects in the beam for each metre of it."""
     locked_s: Array = field(init=False)
@@ -136,7 +136,7 @@ class Ping:
     def heard_s(self, rng: np.random.Generator) -> Array:
         """When the threshold is first crossed [s]; infinite where it is not."""
         n, receiver = len(self.range_m), self.receiver
-        # A stream for each source of chance, so that one more echo leaves the rest as it was.
+        # A stream for each source of randomness, so that one more echo leaves the rest as it was.
         fading, noise, other_noise, passing, firing, clicking, alarm = rng.spawn(7)
         amplitude, arrival_s = self.echo(fading)
         first = receiver.crossing_s(amplitude, arrival_s, self.noise_pa, noise)
@@ -184,7 +184,7 @@ def tone_crossing_s(
     period_s
         Of its bursts.
     rng
-        Source of chance: where in its period a ping falls.
+        Source of randomness: where in its period a ping falls.
     """
     detuned = 1.0 + (2.0 * np.pi * (frequency_hz - receiver.frequency_hz) * receiver.rise_s) ** 2
     heard_db = level_db - 20.0 * np.log10(detuned)

@@ -83,7 +83,7 @@ class Receiver:
         noise_pa : ndarray, shape (n,)
             Rms pressure of the noise.
         rng
-            Source of chance.
+            Source of randomness.
 
         Returns
         -------
@@ -173,7 +173,7 @@ def first_event_s(rate_hz: Array, time_s: Array, rng: np.random.Generator) -> Ar
     rate_hz : ndarray, shape (n, m)
     time_s : ndarray, shape (m,)
     rng
-        Source of chance.
+        Source of randomness.
     """
     width = np.diff(time_s)
     hazard = np.cumsum(0.5 * (rate_hz[:, 1:] + rate_hz[:, :-1]) * width, axis=1)

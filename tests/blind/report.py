@@ -1,4 +1,4 @@
-"""The blind table: what a gap workflow said of many tables, counted.
+"""The blind table: what a gap workflow reported of many tables, counted.
 
 A folder of answers and results enters; Markdown leaves, each share with a 95 % interval after Wilson and each quantile
 with one by bootstrap, and ``outcomes.json`` with how every table went.
@@ -84,7 +84,7 @@ def counts(scored: Group) -> list[Count]:
     for size, group in _by_size(scored, "unknown"):
         row(f"not in the catalogue, {size:g} s.e.: called unknown, channel and variable right", group, _found)
         row(f"not in the catalogue, {size:g} s.e.: a wrong name", group, lambda o: o.wrong)
-        row(f"not in the catalogue, {size:g} s.e.: nothing reported", group, lambda o: not o.said)
+        row(f"not in the catalogue, {size:g} s.e.: nothing reported", group, lambda o: not o.reported)
     group = [each for each in scored if each.kind == "confounded"]
     row("two indistinguishable effects: resolved wrongly", group, lambda o: o.resolved_wrongly)
     row("two indistinguishable effects: both named, with the experiment", group, lambda o: o.both)
@@ -138,14 +138,16 @@ def _quantile(values: np.ndarray[Any, Any], q: float) -> tuple[float, float, flo
 
 
 def by_mechanism(scored: Group) -> list[str]:
-    """What was said in place of the truth, mechanism by mechanism, worst first; of three each counts by itself."""
+    """What was reported in place of the truth, mechanism by mechanism, worst first; of three each counts by itself."""
     groups: dict[tuple[str, str, float], list[tuple[bool, str]]] = defaultdict(list)
     for each in scored:
         outcome = each.outcome
-        said = ", ".join(outcome.said) or "nothing"
+        reported = ", ".join(outcome.reported) or "nothing"
         hidden = [str(one["mechanism"]) for one in each.answer["hidden"]]
         if each.kind == "three":
-            extra = ", ".join(outcome.wrong) or ", ".join(word for word in outcome.said if word.startswith("unknown"))
+            extra = ", ".join(outcome.wrong) or ", ".join(
+                word for word in outcome.reported if word.startswith("unknown")
+            )
             for name, met in zip(hidden, outcome.met, strict=True):
                 groups["three", name, each.wanted].append((met, f"missed ({extra or 'nothing else'})"))
         elif hidden:
@@ -153,15 +155,15 @@ def by_mechanism(scored: Group) -> list[str]:
             if each.kind == "confounded":
                 right = not outcome.resolved_wrongly and outcome.named
             if outcome.separable:
-                said += f" (separable: {', '.join(outcome.separable)})"
-            groups[each.kind, hidden[0], each.wanted].append((right, said))
+                reported += f" (separable: {', '.join(outcome.separable)})"
+            groups[each.kind, hidden[0], each.wanted].append((right, reported))
     lines = ["| kind | mechanism | s.e. | right | of | reported instead |", "|---|---|---|---|---|---|"]
     for (kind, name, size), went in sorted(
         groups.items(), key=lambda item: (sum(right for right, _ in item[1]) / len(item[1]), item[0])
     ):
-        instead = Counter(said for right, said in went if not right)
+        instead = Counter(reported for right, reported in went if not right)
         if instead:
-            words = "; ".join(f"{count} x {said}" for said, count in instead.most_common())
+            words = "; ".join(f"{count} x {reported}" for reported, count in instead.most_common())
             rights = sum(right for right, _ in went)
             lines.append(f"| {kind} | {name} | {size:g} | {rights} | {len(went)} | {words} |")
     return lines

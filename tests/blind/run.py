@@ -1,4 +1,4 @@
-"""Blind tables from the draw to what the tools say of them, on all cores at once.
+"""Blind tables from the draw to what the tools report of them, on all cores at once.
 
 Cases enter; a folder of bases, tables and answers leaves. The tools under test are called as a user calls them, by
 their commands, in processes that have them loaded. Answers lie in a folder of their own, which no command is given.
@@ -27,7 +27,7 @@ from tests.blind.sound import Array
 from tests.blind.tables import CONFOUNDED, Case, fly_base, fly_case
 
 SENSOR = Path(__file__).parent / "sensor.yaml"
-TOLD_EACH_S = 30.0
+PROGRESS_EACH_S = 30.0
 """Between two lines on the progress where nobody looks: the output goes into a file."""
 
 Until = Literal["name", "add", "show"]
@@ -66,8 +66,8 @@ class Campaign:
         """What is hidden in it."""
         return self.out / "answers" / f"{case.number:04d}.json"
 
-    def said(self, case: Case) -> Path:
-        """What the workflow said of it."""
+    def findings(self, case: Case) -> Path:
+        """The workflow's findings of it."""
         return self.table(case) / "gap" / "gap.json"
 
 
@@ -103,9 +103,9 @@ def draw(campaign: Campaign, case: Case) -> None:
         mechanism = MECHANISMS[str(each["mechanism"])]
         each |= {"channel": mechanism.channel, "variables": list(mechanism.variables)}
     pair = CONFOUNDED[case.twist][0] if case.twist else ()
-    told = {"kind": case.kind, "regime": case.regime, "twist": case.twist, "pair": pair, "hidden": hidden}
+    content = {"kind": case.kind, "regime": case.regime, "twist": case.twist, "pair": pair, "hidden": hidden}
     answer.parent.mkdir(parents=True, exist_ok=True)
-    answer.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    answer.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     table.mkdir(parents=True, exist_ok=True)
     (table / "base").write_text(case.regime, encoding="utf-8")
     write(table / "measured.csv", columns, reading_cm)
@@ -133,8 +133,8 @@ class Tools:
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps([str(each) for each in command]) + "\n")
         self._process.stdin.flush()
-        code, said = json.loads(self._process.stdout.readline())
-        return "" if code == 0 else f"{' '.join(str(each) for each in command[:2])}: exit code {code}: {said}"
+        code, output = json.loads(self._process.stdout.readline())
+        return "" if code == 0 else f"{' '.join(str(each) for each in command[:2])}: exit code {code}: {output}"
 
 
 _tools: Tools
@@ -160,10 +160,10 @@ def _do_base(campaign: Campaign, regime: Regime) -> str:
 
 def _do_table(campaign: Campaign, case: Case) -> str:
     draw(campaign, case)
-    table, to = campaign.table(case), campaign.said(case).parent
+    table, to = campaign.table(case), campaign.findings(case).parent
     model = campaign.base(case.regime).with_suffix(".yaml")
     until = campaign.until if case.hidden else campaign.nulls_until
-    # Made beside its place, so that what is in it is finished.
+    # Made next to its place, so that what is in it is finished.
     begun = table / "gap.part"
     wrong = _tools.call(
         "msp-lab", "gap", table / "measured.csv", "--model", model, "--out", begun, "--seed", campaign.seed,
@@ -179,20 +179,20 @@ def run(campaign: Campaign, cases: Sequence[Case], at_once: int) -> None:
 
     Ctrl-C finishes what is begun and leaves the rest.
     """
-    left = [case for case in cases if not campaign.said(case).exists()]
-    told = _Told(cases, left)
+    left = [case for case in cases if not campaign.findings(case).exists()]
+    progress = _Progress(cases, left)
     with ProcessPoolExecutor(at_once, initializer=_begin) as pool:
         regimes = sorted({case.regime for case in left})
         try:
             for wrong in pool.map(_do_base, [campaign] * len(regimes), regimes):
-                told.wrong(wrong)
+                progress.wrong(wrong)
             waiting: dict[Future[str], Case] = {}
             for case in left:
                 if len(waiting) > 2 * at_once:
-                    told.those(_first_of(waiting))
+                    progress.add(_first_of(waiting))
                 waiting[pool.submit(_do_table, campaign, case)] = case
             while waiting:
-                told.those(_first_of(waiting))
+                progress.add(_first_of(waiting))
         except KeyboardInterrupt:
             print("\nstopping; the same command goes on", file=sys.stderr)
             pool.shutdown(cancel_futures=True)
@@ -204,24 +204,24 @@ def _first_of(waiting: dict[Future[str], Case]) -> list[tuple[Case, str]]:
     return [(waiting.pop(each), each.result()) for each in done]
 
 
-class _Told:
+class _Progress:
     """The progress, on standard error: a line that changes on a terminal, and else one now and then."""
 
     def __init__(self, cases: Sequence[Case], left: Sequence[Case]) -> None:
         self._wanted = Counter(case.kind for case in cases)
         self._done = self._wanted - Counter(case.kind for case in left)
         self._left, self._made = len(left), 0
-        self._start_s = self._said_s = time.monotonic()
+        self._start_s = self._shown_s = time.monotonic()
 
-    def those(self, finished: Sequence[tuple[Case, str]]) -> None:
+    def add(self, finished: Sequence[tuple[Case, str]]) -> None:
         for case, wrong in finished:
             self._made += 1
             self._done[case.kind] += 1
             self.wrong(wrong)
         now_s = time.monotonic()
-        if not sys.stderr.isatty() and now_s - self._said_s < TOLD_EACH_S and self._made < self._left:
+        if not sys.stderr.isatty() and now_s - self._shown_s < PROGRESS_EACH_S and self._made < self._left:
             return
-        self._said_s = now_s
+        self._shown_s = now_s
         per_s = self._made / (now_s - self._start_s)
         counts = ", ".join(f"{kind} {self._done[kind]} of {of}" for kind, of in self._wanted.items())
         minutes = (self._left - self._made) / max(per_s, 1e-9) / 60.0

@@ -1,4 +1,4 @@
-"""What a gap workflow said of one blind table, against what was hidden.
+"""What a gap workflow reported of one blind table, against what was hidden.
 
 A `gap.json` and an answer enter, an outcome leaves. Nothing but the answer and `names.csv` is asked: which name stands
 for which mechanism was written down before any table was scored.
@@ -17,7 +17,7 @@ IN_THE_BASE = {
     "spread_with_range": "sigma_growth_cm_per_m",
     "missed_with_range": "missed_growth_per_m",
 }
-"""Names that the base model has a parameter for: said as a calibration, they are said."""
+"""Names that the base model has a parameter for: reported as a calibration, they are reported."""
 
 
 def accepted_names(path: Path = NAMES) -> dict[str, frozenset[str]]:
@@ -27,12 +27,12 @@ def accepted_names(path: Path = NAMES) -> dict[str, frozenset[str]]:
 
 
 SEPARABLE = 3.0
-"""Standard errors between two names: from there on they are to be told apart."""
+"""Standard errors between two names: from there on they must be separated."""
 
 
 @dataclass(frozen=True)
 class Closed:
-    """Share of the gap in nats a reading that is closed on runs that took no part in choosing and fitting.
+    """Share of the gap in nats per reading that is closed on the held-out runs.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Outcome:
     Attributes
     ----------
     exact
-        All that was hidden is named, and nothing else is said. A class of names counts if it holds the right one and
-        none that the data could tell from it.
+        All that was hidden is named, and nothing else is reported. A class of names counts if it holds the right one
+        and none that the data could separate from it.
     named
         Something from the catalogue is named.
     unknown
@@ -72,11 +72,11 @@ class Outcome:
     resolved_wrongly
         A name is given, alone or with others, and what is hidden is not among them.
     both
-        Of a confounded pair: both are in one class, and the experiment that would tell them apart is named.
+        Of a confounded pair: both are in one class, and the experiment that would separate them is named.
     class_sizes
         Of the names given: how many each stands with.
     said
-        All that was said, as words.
+        All that was reported, as words.
     closed
         Of the gap; None where nothing was added.
     """
@@ -91,14 +91,14 @@ class Outcome:
     resolved_wrongly: bool
     both: bool
     class_sizes: tuple[int, ...]
-    said: tuple[str, ...]
+    reported: tuple[str, ...]
     closed: Closed | None = None
 
 
 def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str, frozenset[str]]) -> Outcome:
     """Compare one answer with one `gap.json`."""
-    said = [each for each in gap.get("effects", ()) if each.get("verdict") in ("named", "indistinguishable")]
-    classes = [_class(each) for each in said]
+    reported = [each for each in gap.get("effects", ()) if each.get("verdict") in ("named", "indistinguishable")]
+    classes = [_class(each) for each in reported]
     calibrated = " ".join(_words(gap.get("calibration", ())))
     unknown = list(gap.get("unknown", ()))
     wanted = [names.get(each["mechanism"], frozenset()) for each in answer["hidden"]]
@@ -108,20 +108,20 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
         match = next((k for k in free if classes[k] & accepted), None)
         if match is not None:
             free.remove(match)
-            separable += _separable(said[match], accepted, _standard_errors(hidden))
+            separable += _separable(reported[match], accepted, _standard_errors(hidden))
         elif any(words := [word for name in accepted if (word := IN_THE_BASE.get(name, "-")) in calibrated]):
             in_base += words
         met.append(match is not None or any(IN_THE_BASE.get(name, "-") in in_base for name in accepted))
-    wrong = tuple(sorted(str(said[k]["name"]) for k in free))
+    wrong = tuple(sorted(str(reported[k]["name"]) for k in free))
     found_unknown = any(_fits(each, entry) for each in answer["hidden"] for entry in unknown)
     pair = [names[each] for each in answer.get("pair", ())]
     both = any(
         each.get("experiment") and pair and all(one & accepted for accepted in pair)
-        for one, each in zip(classes, said, strict=True)
+        for one, each in zip(classes, reported, strict=True)
     )
     return Outcome(
         exact=all(met) and all(wanted) and not wrong and not unknown and not separable,
-        named=bool(said),
+        named=bool(reported),
         unknown=bool(unknown),
         wrong=wrong,
         met=tuple(met),
@@ -130,10 +130,10 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
         resolved_wrongly=any(not any(each & accepted for accepted in wanted) for each in classes),
         both=both,
         class_sizes=tuple(len(each) for each in classes),
-        said=(
+        reported=(
             *(
                 "/".join([str(each["name"]), *sorted(one - {each["name"]})])
-                for one, each in zip(classes, said, strict=True)
+                for one, each in zip(classes, reported, strict=True)
             ),
             *(f"unknown {each.get('channel')} of {' and '.join(each.get('variables', ()))}" for each in unknown),
             *sorted(set(in_base)),
@@ -143,9 +143,9 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
 
 
 def _separable(effect: Mapping[str, Any], accepted: frozenset[str], standard_errors: float) -> list[str]:
-    """Rivals that stand too far from the name to be in a class with it; one whose correlation is not told does.
+    """Alternatives too far from the name to be in a class with it, as is one without a reported correlation.
 
-    How large the effect is, is the answer's; the correlation is what the workflow says.
+    How large the effect is, is the answer's; the correlation is what the workflow reports.
     """
     if effect.get("verdict") != "indistinguishable":
         return []
@@ -158,7 +158,7 @@ def _separable(effect: Mapping[str, Any], accepted: frozenset[str], standard_err
 
 
 def _standard_errors(hidden: Mapping[str, Any]) -> float:
-    """Of what is hidden; 0, with which nothing is to be told apart, where the answer does not say."""
+    """Of what is hidden; 0, with which nothing must be separated, where the answer does not state it."""
     return float(hidden.get("standard_errors", hidden.get("wanted", 0.0)))
 
 
@@ -174,8 +174,10 @@ def _closed(gap: Mapping[str, Any]) -> Closed | None:
 
 
 def _class(effect: Mapping[str, Any]) -> frozenset[str]:
-    rivals = [each["name"] for each in effect.get("alternatives", ())]
-    return frozenset({effect["name"], *rivals} if effect.get("verdict") == "indistinguishable" else {effect["name"]})
+    alternatives = [each["name"] for each in effect.get("alternatives", ())]
+    return frozenset(
+        {effect["name"], *alternatives} if effect.get("verdict") == "indistinguishable" else {effect["name"]}
+    )
 
 
 def _fits(hidden: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:

@@ -1,9 +1,9 @@
-"""How large a hidden effect is: in standard errors of one who is told what it does to each reading.
+"""How large a hidden effect is: in standard errors of somebody who knows what it does to each reading.
 
 The same pings are flown with and without the effect, many times, with the same draws of everything else. What differs
 in each row, in the mean and the variance of its hits and in the odds of each class of reading, is the effect's own
 template. A size of 6 means that the template's coefficient is six times its standard error on the rows counted, with
-offset, spread and shares of the base fitted beside it.
+offset, spread and shares of the base fitted with it.
 """
 
 from collections.abc import Sequence
@@ -116,7 +116,7 @@ def measure(
     true_cm = flight.number("true_range_cm")
     shape = (replicates, len(true_cm) // replicates)
     errors = [(reading - true_cm).reshape(shape) for reading in (without, changed)]
-    # A missed echo that reads 255 may be near the range by chance.
+    # A missed echo that reads 255 may be near the range at random.
     words = [reading.reshape(shape) for reading in (without, changed)]
     hits = [(np.abs(error) < HIT_CM) & (word != 255.0) for error, word in zip(errors, words, strict=True)]
     sigma2 = float(errors[0][hits[0]].var())
@@ -223,7 +223,7 @@ def _variances(values: Array, counts: Array) -> Array:
 
 
 def _cross(one: Array, other: Array, about_mean: bool = True) -> float:
-    """Sum over rows of the squared change; the halves' changes are multiplied, which leaves out what is chance.
+    """Sum over rows of the squared change; the halves' changes are multiplied, which leaves out the noise.
 
     A change that is the same in all rows is one of the base's parameters, and does not count.
     """

@@ -185,13 +185,13 @@ def fly_case(case: Case) -> tuple[Columns, Array, list[dict[str, object]]]:
     if case.twist:
         CONFOUNDED[case.twist][1](columns, np.random.default_rng(twist_seed))
     hidden: Hidden = []
-    told: list[dict[str, object]] = []
+    sizes: list[dict[str, object]] = []
     for name, wanted in case.hidden:
         size, has = size_for(columns, ways, name, wanted, case.number)
         hidden = [*hidden, (name, size)]
-        told.append({"mechanism": name, "size": size, "standard_errors": has, "wanted": wanted})
+        sizes.append({"mechanism": name, "size": size, "standard_errors": has, "wanted": wanted})
     flight, reading_cm = stage(columns, ways, hidden, hiding)
-    return flight.columns, reading_cm, told
+    return flight.columns, reading_cm, sizes
 
 
 def fly_base(seed: int, regime: Regime) -> tuple[Columns, Array]:

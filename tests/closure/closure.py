@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tests.closure.measures import ks_by_slice, told_apart
+from tests.closure.measures import ks_by_slice, separability
 from tests.closure.table import Table, comparable, read_form, step_of, table_of, write_form
 from tests.real.commands import run_command
 
@@ -114,13 +114,13 @@ def gap_closed(
     step = max(step_of(measured.reading_cm), *(step_of(each.reading_cm) for each in (*draws_before, *draws_after)))
     measured = measured.of_step(step)
     draws_before, draws_after = ([each.of_step(step) for each in draws] for draws in (draws_before, draws_after))
-    told_before = [told_apart(measured, each, seed) for each in draws_before]
-    told_after = [told_apart(measured, each, seed) for each in draws_after]
+    separable_before = [separability(measured, each, seed) for each in draws_before]
+    separable_after = [separability(measured, each, seed) for each in draws_after]
     pairs = [(draws_after[k], draws_after[(k + 1) % DRAWS]) for k in range(DRAWS)]
     classifier = one_measure(
-        [each.nats for each in told_before],
-        [each.nats for each in told_after],
-        [told_apart(*pair, seed).nats for pair in pairs],
+        [each.nats for each in separable_before],
+        [each.nats for each in separable_after],
+        [separability(*pair, seed).nats for pair in pairs],
         LEAST_NATS,
     )
     ks = one_measure(
@@ -129,7 +129,9 @@ def gap_closed(
         [ks_by_slice(*pair) for pair in pairs],
         LEAST_KS,
     )
-    auc_before, auc_after = (float(np.mean([each.auc for each in told])) for told in (told_before, told_after))
+    auc_before, auc_after = (
+        float(np.mean([each.auc for each in results])) for results in (separable_before, separable_after)
+    )
     return Closure(measured.reading_cm.size, held_out, step, classifier, ks, auc_before, auc_after)
 
 
@@ -148,7 +150,7 @@ def draw(cells: dict[str, list[str]], model: Path, folder: Path, seeds: Sequence
 
 
 def one_measure(before: Sequence[float], after: Sequence[float], floor: Sequence[float], least: float) -> OneMeasure:
-    """Take the noise floor off, and say how much is gone.
+    """Take the noise floor off, and report how much is gone.
 
     Examples
     --------

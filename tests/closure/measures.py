@@ -1,6 +1,6 @@
 """Two measures of how far two tables of readings at the same contexts differ.
 
-A classifier that learns to tell measured from simulated rows, asked on runs that were left out; and the Kolmogorov and
+A classifier that learns to separate measured from simulated rows, tested on held-out runs; and the Kolmogorov and
 Smirnov distance in slices of each context. Both grow with the square of a small difference, like nats per reading.
 """
 
@@ -24,8 +24,8 @@ than 60 readings is nearly all noise; more bins leave less in each."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """How well a classifier tells two tables apart.
+class Separability:
+    """How well a classifier separates two tables.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Told:
     auc: float
 
 
-def told_apart(measured: Table, simulated: Table, seed: int) -> Told:
+def separability(measured: Table, simulated: Table, seed: int) -> Separability:
     """Train on some runs, ask on others; both tables' rows of a run are left out together.
 
     Parameters
@@ -67,10 +67,10 @@ def told_apart(measured: Table, simulated: Table, seed: int) -> Told:
         with threadpool_limits(1):
             model.fit(features[~out], label[~out])
             probability[out] = model.predict_proba(features[out])[:, 1]
-    # On runs that it has not seen it is too sure of itself: two numbers put that right for all of them.
+    # On runs that it has not seen it is overconfident: two numbers put that right for all of them.
     logit = np.log(np.clip(probability, 1e-6, 1 - 1e-6) / np.clip(1 - probability, 1e-6, 1.0))[:, None]
     likely = LogisticRegression().fit(logit, label).predict_proba(logit)[np.arange(label.size), label]
-    return Told(float(np.log(2.0) + np.log(likely).mean()), float(roc_auc_score(label, probability)))
+    return Separability(float(np.log(2.0) + np.log(likely).mean()), float(roc_auc_score(label, probability)))
 
 
 def _features(table: Table) -> FloatArray:

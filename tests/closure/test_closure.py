@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.closure.closure import Closure, case_closed, gap_closed
-from tests.closure.measures import ks_by_slice, slices, told_apart
+from tests.closure.measures import ks_by_slice, separability, slices
 from tests.closure.table import Table, comparable, step_of, table_of
 from tests.real.commands import run_command
 from tests.real.sets import CONFIGS
@@ -25,9 +25,9 @@ def simulated(rng: np.random.Generator, shift_cm: float = 0.0, from_cm: float = 
     return Table(reading, contexts, np.repeat(np.arange(12).astype(str), 150))
 
 
-def test_what_is_alike_is_not_told_apart() -> None:
+def test_a_classifier_does_not_separate_tables_that_are_alike() -> None:
     found = [
-        told_apart(simulated(np.random.default_rng(k)), simulated(np.random.default_rng(k + 50)), 1) for k in range(4)
+        separability(simulated(np.random.default_rng(k)), simulated(np.random.default_rng(k + 50)), 1) for k in range(4)
     ]
     assert abs(np.mean([each.auc for each in found]) - 0.5) < 0.02
     assert -0.001 < np.mean([each.nats for each in found]) < 0.002
@@ -36,7 +36,7 @@ def test_what_is_alike_is_not_told_apart() -> None:
 def test_shift_of_one_sigma_is_seen() -> None:
     one, other = simulated(np.random.default_rng(1)), simulated(np.random.default_rng(2), shift_cm=2.0)
     # Normal distributions one sigma apart: AUC 0.76, Jensen-Shannon divergence 0.11 nats; a twentieth are outliers.
-    found = told_apart(one, other, 1)
+    found = separability(one, other, 1)
     assert 0.68 < found.auc < 0.77
     assert 0.06 < found.nats < 0.12
     # KS of that shift is 0.38.
@@ -47,20 +47,20 @@ def test_shift_of_one_sigma_is_seen() -> None:
 def test_shift_in_a_corner_is_seen_in_its_slice() -> None:
     one = simulated(np.random.default_rng(1))
     corner = simulated(np.random.default_rng(2), shift_cm=3.0, from_cm=420.0)
-    assert told_apart(one, corner, 1).nats > 0.008
+    assert separability(one, corner, 1).nats > 0.008
     far = slices(one.contexts["true_range_cm"])[-1]
     assert abs(one.residual_cm[far].mean() - corner.residual_cm[far].mean()) > 1.0
     assert ks_by_slice(one, corner) > 3 * ks_by_slice(one, simulated(np.random.default_rng(3)))
 
 
 def test_rows_of_a_run_are_left_out_together() -> None:
-    # An offset of each run, the same in both tables, and a context that names the run: nothing to tell apart, unless
+    # An offset of each run, the same in both tables, and a context that names the run: nothing to separate, unless
     # rows of a run stand on both sides.
     one, other = simulated(np.random.default_rng(1)), simulated(np.random.default_rng(2))
     offset = np.random.default_rng(3).normal(0.0, 6.0, 12)[one.run.astype(int)]
     number = {"throttle": one.run.astype(float)}
     moved = Table(one.reading_cm + offset, one.contexts | number, one.run)
-    assert told_apart(moved, Table(other.reading_cm, other.contexts | number, other.run), 1).nats < 0.2
+    assert separability(moved, Table(other.reading_cm, other.contexts | number, other.run), 1).nats < 0.2
 
 
 def test_rows_and_steps() -> None:

@@ -83,7 +83,7 @@ class Distance(NamedTuple):
 
     @property
     def is_above(self) -> bool:
-        """Whether it says that nothing is within the maximum."""
+        """Whether it reports that nothing is within the maximum."""
         return self.current_m > self.maximum_m
 
     @property

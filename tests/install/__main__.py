@@ -230,7 +230,7 @@ def loses_its_disk(machine: Machine, receiver: Receiver) -> None:
 
 
 def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
-    """A mistake in the airframe file: reported once, not started again and again."""
+    """A user error in the airframe file: reported once, not started again and again."""
     airframe = machine.root / "etc/msp-range/airframe.yaml"
     good = airframe.read_text()
     airframe.write_text(good + "colour: red\n")

@@ -183,7 +183,7 @@ def test_what_was_measured_at_the_bench_goes_into_the_table(tmp_path: Path) -> N
 
 
 def test_pings_that_go_out_together_are_less_than_a_millisecond_apart(tmp_path: Path) -> None:
-    """And the second sensor hears the first one's echo, so that it reads short; in turn nothing of it is left."""
+    """And the second sensor gets the echo of the first, so that it reads short; in turn nothing of it is left."""
     collected = Collected(campaign(tmp_path, CROSSTALK), tmp_path / "out")
     collected.go()
     data = read_csv(collected.store.write_table()[0])
@@ -247,7 +247,7 @@ def test_faults_are_recorded_as_what_they_are_and_asked_again(kind: str, tmp_pat
 
 @pytest.mark.parametrize("firing", ["simultaneous", "sequential"])
 @pytest.mark.parametrize("kind", ["silent", "locked_up"])
-def test_a_dead_sensor_is_told_and_then_left(kind: str, firing: str, tmp_path: Path) -> None:
+def test_a_dead_sensor_is_reported_and_then_left(kind: str, firing: str, tmp_path: Path) -> None:
     both = condition(condition="crosstalk", ranges_cm=[60], sensors=["one", "two"], firing=[firing])
     faults = {"two": [Fault(kind, 0.0, ALWAYS_S)]}
     collected = Collected(campaign(tmp_path, both), tmp_path / "out", faults=faults)
@@ -297,14 +297,14 @@ def test_a_folder_of_another_campaign_bench_or_seed_is_refused(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"attempt": 10**9}, "found attempt 1000000000, expected 1 to 10000"),
         ({"attempt": -1}, "found attempt -1, expected 1 to 10000"),
         ({"planned": "[" * 5000}, r"the campaign has changed since: .* was changed \(what it was cannot be read\)"),
     ],
 )
-def test_a_crafted_sitting_is_reported(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+def test_a_crafted_sitting_is_reported(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     collected = Collected(campaign(tmp_path), tmp_path / "out")
     collected.go()
     (path,) = (tmp_path / "out").glob("*.mcap")
@@ -312,7 +312,7 @@ def test_a_crafted_sitting_is_reported(tmp_path: Path, changes: dict[str, Any], 
     path.unlink()
     with closing(Recorder(path, VirtualClock(), metadata={"bench": collected.bench.description})) as recorder:
         recorder.write("/campaign", 0.0, begun | changes)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=message):
         Collected(campaign(tmp_path), tmp_path / "out")
 
 
@@ -371,18 +371,18 @@ def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         (["--only", "basline"], "no point's name begins so; one is baseline-"),
         (["--repeat", "x"], "--repeat x: no point's name begins so"),
         (["--model", "nothing.yaml"], "nothing.yaml: no such file"),
     ],
 )
-def test_mistakes_are_one_line(args: list[str], said: str, tmp_path: Path) -> None:
+def test_user_errors_are_one_line(args: list[str], message: str, tmp_path: Path) -> None:
     path = written(tmp_path)
     result = CliRunner().invoke(app, ["collect", str(path), "--simulate", "--out", str(tmp_path / "out"), *args])
     assert result.exit_code == 3
-    assert said in result.output
+    assert message in result.output
     assert len(result.output.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
 

@@ -96,7 +96,7 @@ def test_what_is_measured_otherwise_holds_until_the_plan_changes(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "message"),
     [
         ("rang=60", "expected one of range=, air=, far=, humidity=, angle=, or Enter, s, r, q"),
         ("range=far", "expected a number after range="),
@@ -105,10 +105,10 @@ def test_what_is_measured_otherwise_holds_until_the_plan_changes(tmp_path: Path)
         ("range=60.4 what", "'what'"),
     ],
 )
-def test_a_slip_is_told_and_asked_again(answer: str, said: str, tmp_path: Path) -> None:
+def test_a_wrong_answer_is_reported_and_asked_again(answer: str, message: str, tmp_path: Path) -> None:
     bench = Bench(tmp_path, condition(ranges_cm=[60]), answers=["", answer])
     rows = bench.go()
-    assert said in bench.screen.getvalue()
+    assert message in bench.screen.getvalue()
     assert values(rows, "true_range_cm") == {"60"}
     assert bench.done() == [True]
 
@@ -162,7 +162,9 @@ def test_what_is_left_for_later_comes_at_the_end(tmp_path: Path) -> None:
     assert bench.screen.getvalue().count("1 of 2: baseline-60cm") == 2
 
 
-def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopping_keeps_what_is_read_and_reports_it_the_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     first = Bench(tmp_path, answers=["", "", "q"])
     first.go()
     assert first.done() == [True, False]
@@ -180,7 +182,7 @@ def test_stopping_keeps_what_is_read_and_says_so_the_next_time(tmp_path: Path, m
     assert "10 of its 30 readings are recorded already" in last.screen.getvalue()
 
 
-def test_a_sensor_that_does_not_answer_is_told_and_waited_for(tmp_path: Path) -> None:
+def test_a_sensor_that_does_not_answer_is_reported_and_waited_for(tmp_path: Path) -> None:
     dead = {"one": [Fault("silent", 0.0, 1e9)]}
     bench = Bench(tmp_path, condition(ranges_cm=[60]), faults=dead, answers=["", "", "", "s", "q"])
     bench.go()

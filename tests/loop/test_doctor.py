@@ -1,4 +1,4 @@
-"""`msp-range doctor` on computers that their owners have set up well, or with one mistake each.
+"""`msp-range doctor` on computers that their owners have set up well, or with one error each.
 
 A set-up is what a person did: files of the computer, sensors on umockdev's I2C bus, a serial port or a network address
 with an autopilot that pymavlink plays, an airframe file. What doctor looks at was no guide in choosing them.
@@ -179,12 +179,12 @@ def bridged(file: int, parameters: dict[str, float], options: dict[str, bool]) -
 
 Change = Callable[[Setup], None]
 BROKEN: dict[str, tuple[Change, str, str, str]] = {}
-"""Name -> what the owner did, and what must be said of it: step, words of the text, words of the remedy."""
+"""Name -> what the owner did, and what must be reported of it: step, words of the text, words of the remedy."""
 GOOD: dict[str, Change] = {}
 
 
 def broken(step: str, text: str, remedy: str) -> Callable[[Change], Change]:
-    """A set-up with a mistake, and what is to be found."""
+    """A set-up with an error, and what is to be found."""
 
     def add(change: Change) -> Change:
         BROKEN[change.__name__] = (change, step, text, remedy)
@@ -194,7 +194,7 @@ def broken(step: str, text: str, remedy: str) -> Callable[[Change], Change]:
 
 
 def good(change: Change) -> Change:
-    """A set-up without a mistake."""
+    """A set-up without an error."""
     GOOD[change.__name__] = change
     return change
 
@@ -275,8 +275,8 @@ def clock_stretching_not_waited_for(setup: Setup) -> None:
 
 
 @broken("crosstalk", "rear_left reads 3.00 m alone", "ping_interval_s")
-def sensors_that_hear_each_other(setup: Setup) -> None:
-    # One ping to be recognised and five alone; six in turn with the others, which it hears; then alone again.
+def sensors_that_disturb_each_other(setup: Setup) -> None:
+    # One ping to be recognised and five alone; six in turn with the others, which disturb it; then alone again.
     setup.devices = [FOUR[0], FOUR[1], Sonar(0x72, [*[300] * 6, *[120] * 6, *[300] * 9]), FOUR[3]]
 
 
@@ -399,7 +399,7 @@ def px4_by_network_on_a_raspberry_pi_5(setup: Setup) -> None:
 
 
 @good
-def laser_on_a_computer_that_tells_little(setup: Setup) -> None:
+def laser_on_a_computer_that_reports_little(setup: Setup) -> None:
     setup.computer.write("/proc/device-tree/model", "")
     setup.computer.remove("/sys/bus/i2c/devices/i2c-1/of_node")
     setup.computer.remove("/run/systemd/timesync/synchronized")
@@ -441,7 +441,7 @@ def wrong(findings: Sequence[Found]) -> list[Found]:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_mistake_is_named_and_nothing_else(name: str, results: dict[str, "Future[list[Found]]"]) -> None:
+def test_a_set_up_error_is_named_and_nothing_else(name: str, results: dict[str, "Future[list[Found]]"]) -> None:
     _, step, text, remedy = BROKEN[name]
     findings = wrong(results[name].result())
     named = [each for each in findings if each.step == step and text in each.text and remedy in each.remedy]

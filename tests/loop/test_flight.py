@@ -106,7 +106,7 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Pa
         assert one != other
 
 
-def test_the_seed_is_of_the_vehicles_chance_too() -> None:
+def test_the_seed_is_of_the_vehicles_motion_too() -> None:
     """The report's random heights, ten times in a flight."""
     heights_m: list[list[float]] = []
     for seed in (5, 5, 6):
@@ -161,7 +161,7 @@ def test_filters_take_away_the_outliers() -> None:
     for _ in simulation.fly():
         pass
     for sensor in summarise(simulation.flight, "demo", 1)["sensors"].values():
-        assert sensor["error_before"]["rms_cm"] > 20, "one reading in fifty is wild"
+        assert sensor["error_before"]["rms_cm"] > 20, "one reading in fifty is an outlier"
         assert sensor["error_after"]["rms_cm"] < 0.5 * sensor["error_before"]["rms_cm"]
         assert sensor["error_after"]["p95_cm"] < 6
         assert sensor["rejected"]["unexpected"] > 0
@@ -192,7 +192,7 @@ def test_what_the_autopilot_receives(demo: tuple[FlightResult, Simulation]) -> N
 
 
 def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
-    """The bridge speaks before it hears one, and its times follow the autopilot's new clock."""
+    """The bridge speaks before it receives one, and its times follow the autopilot's new clock."""
     text = (SCENARIOS / "hover.yaml").read_text().replace("../", f"{SCENARIOS.parent}/")
     path = tmp_path / "reboot.yaml"
     path.write_text(text + "\nautopilot: {first_heartbeat_s: 5, reboots_at_s: [15]}\n")

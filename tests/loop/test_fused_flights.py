@@ -1,4 +1,4 @@
-"""Simulated flights over all kinds of ground: how well the height is known, what is told of objects and faults."""
+"""Simulated flights over all kinds of ground: how well the height is known, what is reported of objects and faults."""
 
 import math
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) ->
     assert len(fused_m) > 400
     raw_m = [error_m(track, track.raw_m) for track in flight.tracks.values()]
     assert rms(fused_m) < 0.5 * min(map(rms, raw_m))
-    # That is easy where one reading in thirty is wild. Against the readings that are not:
+    # That is easy where one reading in thirty is an outlier. Against the readings that are not:
     assert rms(fused_m) < 0.7 * min(rms(each[np.abs(each) < 0.15]) for each in raw_m)
     assert np.abs(fused_m).max() < 0.15
     times_s = np.array(flight.fused.time_s)
@@ -52,7 +52,7 @@ def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) ->
 
 
 @pytest.mark.parametrize("kind", ["silent", "stuck"])
-def test_a_dead_or_stuck_sensor_costs_little_and_is_told(kind: str) -> None:
+def test_a_dead_or_stuck_sensor_costs_little_and_is_reported(kind: str) -> None:
     scenarios = [load_scenario(SCENARIOS / f"{name}.yaml") for name in ("flat", "terrain", "rough_grass")]
     fault = PlannedFault(sensor="front_left", kind=kind, from_s=12.0, to_s=200.0)
     good, bad = [], []
@@ -60,9 +60,9 @@ def test_a_dead_or_stuck_sensor_costs_little_and_is_told(kind: str) -> None:
         good.append(fly(scenario))
         broken = scenario.model_copy(update={"faults": (fault.model_copy(update={"to_s": scenario.duration_s}),)})
         bad.append(fly(broken))
-        said = [text for _, _, text in bad[-1].texts]
+        reported = [text for _, _, text in bad[-1].texts]
         assert any(
-            text.startswith("Range front_left: " + {"silent": "no answer", "stuck": "stuck"}[kind]) for text in said
+            text.startswith("Range front_left: " + {"silent": "no answer", "stuck": "stuck"}[kind]) for text in reported
         )
     errors = [
         np.concatenate([error_m(each.fused, each.fused.filtered_m) for each in flights]) for flights in (good, bad)
@@ -77,7 +77,7 @@ def test_over_flat_ground_rough_grass_and_slopes_nothing_is_taken_for_an_object(
         assert [text for _, _, text in flight.texts if "below" in text] == [], name
 
 
-def test_boxes_beside_the_middle_are_told_one_by_one() -> None:
+def test_boxes_off_the_middle_are_reported_one_by_one() -> None:
     """Four boxes of 30 to 60 cm to the right, left, right and left of the way, each under the front sensor first."""
     texts = fly(load_scenario(SCENARIOS / "boxes.yaml")).texts
     objects = [(time_s, text) for time_s, _, text in texts if "object" in text]
@@ -122,8 +122,10 @@ def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, accelerat
 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_box_below_two_of_four_does_not_become_the_ground(seed: int) -> None:
-    """Not even when one of the two that see the ground gives a wild reading, or none."""
+    """Not even when one of the two that see the ground gives an outlier, or none."""
     fused = fly(load_scenario(SCENARIOS / "boxes.yaml"), seed).fused
-    pairs = [(said, true) for said, true in zip(fused.filtered_m, fused.truth_m, strict=True) if said and true]
+    pairs = [
+        (reported, true) for reported, true in zip(fused.filtered_m, fused.truth_m, strict=True) if reported and true
+    ]
     assert len(pairs) > 500
-    assert sum(abs(said - true) > 0.15 for said, true in pairs) <= 0.005 * len(pairs)
+    assert sum(abs(reported - true) > 0.15 for reported, true in pairs) <= 0.005 * len(pairs)

@@ -37,14 +37,14 @@ def hidden(columns: dict[str, Any]) -> np.ndarray:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("gap")
     write_csv(made / "flights.csv", readings(2400, 4, bias=hidden))
-    told = run("gap", made / "flights.csv", "--model", MODEL, "--out", made / "out")
-    (made / "told.txt").write_text(told, encoding="utf-8")
+    printed = run("gap", made / "flights.csv", "--model", MODEL, "--out", made / "out")
+    (made / "printed.txt").write_text(printed, encoding="utf-8")
     return made
 
 
 def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
-    told = (folder / "told.txt").read_text(encoding="utf-8")
-    lines = [line for line in told.splitlines() if not re.match(r" *\d+ %", line)]
+    printed = (folder / "printed.txt").read_text(encoding="utf-8")
+    lines = [line for line in printed.splitlines() if not re.match(r" *\d+ %", line)]
     assert lines[0].startswith("Ranges read 1")
     assert "too long" in lines[0]
     assert "of the disagreement" in " ".join(lines[:3])
@@ -73,8 +73,8 @@ def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None
     assert evidence["data"][0]["rows"] == 2400
     assert evidence["gap_before"]["bias_cm"] > 2.0 > evidence["gap_after"]["bias_cm"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", evidence["date"])
-    told = run("fly", ROOT / "configs" / "scenarios" / "hover.yaml", "--model", folder / "out" / "model.yaml")
-    assert "times real time" in told
+    printed = run("fly", ROOT / "configs" / "scenarios" / "hover.yaml", "--model", folder / "out" / "model.yaml")
+    assert "times real time" in printed
 
 
 def test_the_page_needs_nothing_but_itself(folder: Path) -> None:
@@ -101,7 +101,7 @@ def test_the_steps_alone_end_with_the_same(folder: Path) -> None:
         assert (out / name).read_bytes() == (folder / "out" / name).read_bytes()
 
 
-def test_data_that_changed_between_steps_are_told(folder: Path, tmp_path: Path) -> None:
+def test_data_that_changed_between_steps_are_reported(folder: Path, tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(600, 4))
     run("compare", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
     (tmp_path / "flights.csv").unlink()
@@ -109,7 +109,7 @@ def test_data_that_changed_between_steps_are_told(folder: Path, tmp_path: Path) 
     assert "has changed since 'msp-lab compare'" in run("name", tmp_path / "out", code=3)
 
 
-def test_a_folder_without_a_comparison_is_told(tmp_path: Path) -> None:
+def test_a_folder_without_a_comparison_is_reported(tmp_path: Path) -> None:
     assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("name", tmp_path, code=3)
 
 
@@ -121,7 +121,7 @@ def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder:
     run("name", out)
     named = json.loads((out / "named.json").read_text(encoding="utf-8"))
     assert [each["name"] for each in named["terms"]] == ["range_scale"]
-    # What is added is what the file says, and not what naming would say again.
+    # What is added is what the file holds, and not what naming would find again.
     text = (out / "named.json").read_text(encoding="utf-8")
     term = next(each for each in named["held_out_fit"]["effects"] if each["name"] == "range_scale")
     (out / "named.json").write_text(text.replace(str(term["parameters"]["scale_pct"]), "0.875"), encoding="utf-8")
@@ -135,11 +135,11 @@ def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder:
     assert f"run 'msp-lab name {out}' again" in run("add", out, code=3).replace("\n", "")
 
 
-def test_nothing_missing_says_what_would_have_been_seen(tmp_path: Path) -> None:
+def test_nothing_missing_reports_what_would_have_been_seen(tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(1500, 6))
-    told = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
-    assert "Nothing is missing" in told
-    assert "would have shown" in told
+    printed = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
+    assert "Nothing is missing" in printed
+    assert "would have shown" in printed
     found = read_findings(tmp_path / "out")
     assert (found.verdict, found.effects, found.unknown) == ("nothing missing", (), ())
     assert any(each.name == "humidity" and "humidity_pct" in each.columns for each in found.not_testable)
@@ -162,7 +162,7 @@ def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: li
     run("compare", *recordings, "--model", MODEL, "--out", tmp_path)
     before = read_findings(tmp_path)
     assert before.runs == 4
-    # The front left sensor is mounted 1.5 cm lower, and the slices say so before anything is named.
+    # The front left sensor is mounted 1.5 cm lower, and the slices show it before anything is named.
     (front_left,) = [each for each in before.slices if each.where == "sensor front_left"]
     assert front_left.bias_cm == pytest.approx(1.5, abs=0.4)
     assert front_left.p_value is not None

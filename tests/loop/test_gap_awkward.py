@@ -1,4 +1,4 @@
-"""Awkward tables by the command: each ends in a right answer, or in a line that says what is wrong."""
+"""Awkward tables by the command: each ends in a right answer, or in a line that reports what is wrong."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +31,7 @@ def found(folder: Path, columns: Columns, *options: str) -> GapFindings:
     return read_findings(folder / "out")
 
 
-def told(findings: GapFindings, text: str) -> bool:
+def reports(findings: GapFindings, text: str) -> bool:
     return any(text in each for each in findings.messages)
 
 
@@ -56,16 +56,16 @@ def told(findings: GapFindings, text: str) -> bool:
         *("stuck", "throttle in %", "humidity as a share", "incidence of a circle"),
     ],
 )
-def test_what_cannot_be_compared_is_said_in_a_line(
+def test_what_cannot_be_compared_is_reported_in_a_line(
     tmp_path: Path, change: Callable[[Columns], Columns], message: str
 ) -> None:
-    said = gap(tmp_path, change(readings(400)), code=3)
-    assert message in said
-    assert "Traceback" not in said
+    printed = gap(tmp_path, change(readings(400)), code=3)
+    assert message in printed
+    assert "Traceback" not in printed
     assert not (tmp_path / "out" / "gap.json").exists()
 
 
-def test_odd_rows_are_counted_and_what_is_left_is_judged(tmp_path: Path) -> None:
+def test_odd_rows_are_counted_and_the_others_are_compared(tmp_path: Path) -> None:
     """Rows without answer or truth, rows twice, equal times, an undeclared code, one air, unknown contexts."""
     columns = readings(1600, seed=3)
     n = 1600
@@ -78,11 +78,11 @@ def test_odd_rows_are_counted_and_what_is_left_is_judged(tmp_path: Path) -> None
     columns = {name: np.concatenate([each, each[20:40]]) for name, each in columns.items()}
     findings = found(tmp_path, columns)
     assert findings.rows == n - 7 - 5 - 40
-    assert told(findings, "7 rows have no reading")
-    assert told(findings, "5 readings have no true range")
-    assert told(findings, "20 duplicate rows are dropped")
-    assert told(findings, "have the time of the one before")
-    assert told(findings, "air_temperature_c is constant (22.5)")
+    assert reports(findings, "7 rows have no reading")
+    assert reports(findings, "5 readings have no true range")
+    assert reports(findings, "20 duplicate rows are dropped")
+    assert reports(findings, "have the time of the one before")
+    assert reports(findings, "air_temperature_c is constant (22.5)")
     assert [each.name for each in findings.calibration] == ["code"]
     assert "511 cm" in findings.calibration[0].finding
     assert (findings.effects, findings.unknown) == ((), ())
@@ -97,8 +97,8 @@ def test_readings_of_one_run_are_parted_in_time(tmp_path: Path) -> None:
     columns = readings(1200, seed=4, runs=1)
     findings = found(tmp_path, columns)
     assert findings.runs == 1
-    assert told(findings, "Found 1 run")
-    assert told(findings, "blocks of consecutive readings")
+    assert reports(findings, "Found 1 run")
+    assert reports(findings, "blocks of consecutive readings")
     assert findings.verdict == "nothing missing"
 
 
@@ -135,7 +135,7 @@ def test_another_spread_offset_and_share_are_calibration_and_absorb_the_gap(tmp_
         each = numbers[name]
         assert each.low is not None
         assert each.high is not None
-        # Odds of max are told as a share of the model's: 0.07 / 0.91 against 0.02 / 0.96.
+        # Odds of missed are reported as a share of the model's: 0.07 / 0.91 against 0.02 / 0.96.
         assert each.low < (truth if name != "weights.missed" else truth / 0.91 * 0.96) < each.high
     # What flies is calibrated.
     mixture = load_model(tmp_path / "out" / "model.yaml").sensor.reading_model
@@ -154,7 +154,7 @@ def test_readings_off_the_grid_are_calibration_and_nothing_is_missing(tmp_path: 
     assert findings.verdict == "nothing missing"
 
 
-def test_one_true_range_and_nothing_else_is_judged(tmp_path: Path) -> None:
+def test_one_true_range_and_nothing_else_is_compared(tmp_path: Path) -> None:
     """Nothing varies: there is nothing to slice by, and a scale is an offset."""
     columns = readings(600, seed=9)
     columns["reading_cm"] = columns["reading_cm"] - np.rint(columns["true_range_cm"]) + 200.0
@@ -162,7 +162,7 @@ def test_one_true_range_and_nothing_else_is_judged(tmp_path: Path) -> None:
     columns["true_range_cm"] = np.full(600, 200.0)
     columns["throttle"] = np.full(600, 0.5)
     findings = found(tmp_path, columns)
-    assert told(findings, "All readings are at one true range (200 cm)")
+    assert reports(findings, "All readings are at one true range (200 cm)")
     assert findings.effects == ()
 
 

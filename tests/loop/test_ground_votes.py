@@ -26,7 +26,7 @@ def with_barometer(bench: Bench, until_s: float, height_m: Callable[[float], flo
     """Fly while the autopilot sends 20 pressures and accelerations a second; these say that it keeps its speed."""
     for i in range(round(until_s / 0.05)):
         time_s = 0.05 * i
-        bench.hear(
+        bench.receive(
             HEARTBEAT,
             common.MAVLink_attitude_message(round(1000 * time_s), 0.0, 0.0, 0.0, 0, 0, 0),
             common.MAVLink_raw_imu_message(0, 0, 0, -1000, 0, 0, 0, 0, 0, 0),
@@ -158,7 +158,7 @@ def test_a_pair_keeps_its_vote_over_a_missed_reading_and_an_outlier(
     ]
     assert all(abs(distance_cm - 300) < 15 for _, distance_cm in sent)
     assert max(late - early for (early, _), (late, _) in pairwise(sent)) < longest_s
-    assert SILENCE not in bench.said()
+    assert SILENCE not in bench.reported()
 
 
 # Above the maximum, or a ground that is not heard.
@@ -212,7 +212,7 @@ def test_a_restart_in_cruise_over_ground_that_one_sensor_sees_is_not_above_the_m
 
 @pytest.mark.parametrize("noise_cm", [0.0, 0.5, 1.0, 1.5, 3.0])
 def test_a_pair_that_jumps_does_not_take_the_ground_from_a_pair_that_repeats_itself(noise_cm: float) -> None:
-    """Good sensors repeat themselves over calm ground, and are not stuck for that."""
+    """Good sensors repeat themselves over even ground, and are not stuck for that."""
     draw = random.Random(4)
 
     def world(name: str, time_s: float) -> int:
@@ -280,7 +280,7 @@ def test_a_climb_past_a_fault_code_of_all_sensors_gets_away_from_it(seed: int) -
     sent = [(time_s, each.current_distance) for time_s, each in bench.sent() if each.current_distance < ABOVE_CM]
     assert max(abs(sent_cm - 100 * height_m(time_s - 0.03)) for time_s, sent_cm in sent) < 30
     assert max(time_s for time_s, _ in sent) > 4.5
-    assert SILENCE in bench.said()
+    assert SILENCE in bench.reported()
 
 
 @pytest.mark.parametrize("below", ["a", "ab", "ac"])
@@ -292,7 +292,7 @@ def test_holes_below_some_sensors_are_no_noise_of_the_others(below: str) -> None
 
     bench = Bench(airframe(), read).fly(25.0)
     assert max(message.covariance for time_s, message in bench.sent() if time_s > 8.0) <= 3
-    assert sorted(bench.said(2.0)) == [f"Range {name}: hole below, 0.6 m deep" for name in below]
+    assert sorted(bench.reported(2.0)) == [f"Range {name}: hole below, 0.6 m deep" for name in below]
 
 
 # Three against one that may be right.

@@ -29,7 +29,7 @@ class Hover:
     height_m
         Mean height of the sensors over the ground [m].
     draw
-        Its chance.
+        Its random seed.
     """
 
     def __init__(self, height_m: float, draw: np.random.Generator) -> None:
@@ -43,7 +43,7 @@ class Hover:
         self.next = self.order.turn(0.0, True)[1][0].name
 
     def step(self, below: str | None = None, object_m: float = 0.0) -> tuple[str, float, float | None]:
-        """One reading: whose, when it was told [s], and what is now thought to be below that sensor [m]."""
+        """One reading: whose, when it was reported [s], and what is now thought to be below that sensor [m]."""
         assert self.fusion is not None
         name, time_s = self.next, self.slot * SLOT_S
         self.slot += 1

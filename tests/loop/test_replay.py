@@ -131,7 +131,7 @@ def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
     assert ranges(tmp_path / "closed.mcap") == part
 
 
-def test_what_was_saved_and_what_was_lost_is_said(flight: Path, tmp_path: Path) -> None:
+def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Path) -> None:
     whole = len(list(Recording(flight)))
     assert f"{whole} messages and 2 attached files; lost: nothing" in run("recover", flight, tmp_path / "a.mcap").output
     data = bytearray(flight.read_bytes())
@@ -143,10 +143,10 @@ def test_what_was_saved_and_what_was_lost_is_said(flight: Path, tmp_path: Path) 
         ("export", damaged, tmp_path / "b.csv"),
         ("replay", damaged),
     ):
-        said = run(*args).output
-        assert "lost: 1 damaged chunk (" in said
+        printed = run(*args).output
+        assert "lost: 1 damaged chunk (" in printed
     assert len(ranges(tmp_path / "b.mcap")) == len(read_csv(tmp_path / "b.csv")) < len(ranges(flight))
-    # The tables that models are made from say so too.
+    # The tables that models are made from report it too.
     sensor = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
     (warning,) = (each for each in load_readings([damaged], sensor).messages if "damaged" in each)
     assert warning.startswith(f"{damaged} is damaged; lost: 1 damaged chunk")
@@ -167,21 +167,21 @@ def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         (["missing.mcap"], "cannot be read"),
         (["table.csv"], "--airframe"),
         (["table.csv", "--airframe", str(CONFIGS / "canted_pallet.yaml")], "readings of front_left"),
     ],
 )
-def test_mistakes_are_told_in_a_line(
-    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: Sequence[str], said: str
+def test_user_errors_are_reported_in_a_line(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: Sequence[str], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     run("export", flight, "table.csv")
     result = run("replay", *args)
     assert result.exit_code == 3
-    assert said in result.output
+    assert message in result.output
     assert "Traceback" not in result.output
 
 
@@ -233,7 +233,7 @@ send: {{sensors: all}}
     # No code became a distance: not on the way in, and not on the way out.
     assert np.isnan(raw_m[table["sonar2"] >= 4.9995]).all()
     assert np.isnan(filtered_m[np.isnan(raw_m)]).all()
-    # Nearer than 30 cm the sensor reads anything; from there on the filters take wild readings away, and add nothing.
+    # Nearer than 30 cm the sensor reads anything; from there on the filters remove outliers, and add nothing.
     reach = truth_m > 0.35
     used = reach & ~np.isnan(filtered_m)
     assert used.sum() > 0.9 * reach.sum()

@@ -72,7 +72,7 @@ class FakeAutopilot(threading.Thread):
     Parameters
     ----------
     truth
-        It is a simulator that tells its truth in SIM_STATE; its estimate is then made wrong.
+        It is a simulator that sends its truth in SIM_STATE; its estimate is then made wrong.
     """
 
     def __init__(self, truth: bool) -> None:
@@ -100,7 +100,7 @@ class FakeAutopilot(threading.Thread):
         return time.monotonic() - self._switched_on_s
 
     def flight_s(self) -> float:
-        """Time since it has been asked for poses and has heard a distance; before that 0."""
+        """Time since it has been asked for poses and has received a distance; before that 0."""
         return self.now_s() - self.first_s if self.first_s is not None else 0.0
 
     def run(self) -> None:
@@ -170,7 +170,7 @@ class FakeAutopilot(threading.Thread):
         if self._is_asked(mavlink.MAVLINK_MSG_ID_ATTITUDE):
             self._send(mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
         if self._is_asked(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
-            # An origin that is not where the vehicle stands; beside the truth, an estimate that is no good.
+            # An origin that is not where the vehicle stands; next to the truth, an estimate that is no good.
             height_m, climb_m_s = (2 * height_m, 2 * climb_m_s) if self.truth else (height_m, climb_m_s)
             self._send(
                 mavlink.MAVLink_local_position_ned_message(boot_ms, 3.0, 4.0, -0.7 - height_m, 0.0, 0.0, -climb_m_s)
@@ -477,7 +477,7 @@ def test_degrees_become_metres_from_the_start() -> None:
     assert east_m - 20.0 == pytest.approx(1852 * 60 * 1e-5 / 2, rel=2e-3)
 
 
-def test_px4_tells_its_truth_as_a_quaternion() -> None:
+def test_px4_sends_its_truth_as_a_quaternion() -> None:
     def state(latitude_1e7: int, altitude_mm: int) -> Any:
         # The nose points east.
         quaternion = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))

@@ -58,7 +58,7 @@ def test_a_jump_of_the_thermometer_alone_never_moves_the_distance(tmp_path: Path
     hover = Hover(tmp_path, lambda time_s: 20.0 if time_s < GOOD_S else to_c, lambda time_s: 20.0)
     bench = hover.fly(GOOD_S + 40.0)
     assert all(abs(distance_cm - HEIGHT_CM) <= 6 for distance_cm, _ in hover.sent(5.0, GOOD_S + 40.0))
-    assert bench.said(2.0) == [
+    assert bench.reported(2.0) == [
         f"Range: air temp jumps to {to_c:.0f} C, using 20 C",
         f"Range: air temp {to_c:.0f} C: the ranges disagree",
         f"Range: thermometer wrong at {to_c:.0f} C, using 20 C",
@@ -77,7 +77,7 @@ def test_a_jump_of_the_air_is_followed_when_the_ranges_have_confirmed_it(tmp_pat
 
     hover = Hover(tmp_path, air_c, air_c)
     bench = hover.fly(40.0)
-    assert bench.said(2.0) == [
+    assert bench.reported(2.0) == [
         "Range: air temp jumps to 60 C, using 20 C",
         "Range: air temp 60 C: the ranges agree",
     ]
@@ -94,7 +94,7 @@ def test_a_dead_thermometer_is_reported_and_its_last_value_goes_on_with_a_growin
     bench = Bench(airframe(temperature={"fixed_c": 20.0, "sources": sources}), 500).fly(10.0)
     file.unlink()
     bench.fly(160.0)
-    assert bench.said(2.0) == ["Range: no air temperature, using -15 C"]
+    assert bench.reported(2.0) == ["Range: no air temperature, using -15 C"]
     assert len(set(bench.distances_cm(from_s=5.0))) == 1
     last_air = bench.steps[-1].air
     assert last_air.temperature_c == -15.0

@@ -65,7 +65,7 @@ def test_without_the_package_its_names_are_not_known(installed: Installed) -> No
     assert "filters[0].filter: found 'low_pass'; expected one of moving_average" in shown
 
 
-def test_mistakes_in_the_parameters_of_its_filter_are_named(installed: Installed) -> None:
+def test_user_errors_in_the_parameters_of_its_filter_are_named(installed: Installed) -> None:
     airframe = installed.configs / "airframe.yaml"
     wrong = airframe.with_name("wrong.yaml")
     wrong.write_text(airframe.read_text().replace("time_constant_s", "time_constant"))

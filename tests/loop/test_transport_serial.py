@@ -146,7 +146,7 @@ def test_frames_do_not_queue_up_in_the_kernel_for_longer_than_their_deadline(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     queued = 0
-    monkeypatch.setattr(serial, "queued_bytes", lambda _: queued)  # a pseudo-terminal's driver does not tell
+    monkeypatch.setattr(serial, "queued_bytes", lambda _: queued)  # a pseudo-terminal's driver does not report it
     clock = StepClock()
     with opened(f"serial:{device.path}:9600", clock) as link:
         queued = 960 // 4
@@ -259,7 +259,7 @@ def test_a_missing_device_is_looked_for_less_and_less_often(tmp_path: Path, coun
         assert openings_after_s(4.0) == [0.5, 1.5, 3.5]
 
 
-def test_a_port_in_use_by_another_program_is_said_and_taken_when_free(device: Device) -> None:
+def test_a_port_in_use_by_another_program_is_reported_and_opened_when_free(device: Device) -> None:
     clock = StepClock()
     other = os.open(device.path, os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(other, fcntl.LOCK_EX)
@@ -272,7 +272,7 @@ def test_a_port_in_use_by_another_program_is_said_and_taken_when_free(device: De
         assert frame_numbers(device.read_exactly(FRAME_BYTES)) == [1]
 
 
-def test_a_file_that_is_no_terminal_is_said(tmp_path: Path) -> None:
+def test_a_file_that_is_no_terminal_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "ttyACM0"
     path.write_bytes(b"")
     with opened(f"serial:{path}", StepClock()) as link:
@@ -297,7 +297,7 @@ def test_a_device_that_vanishes_while_it_is_set_up_is_tried_again(
         assert link.send(numbered_frame(0))
 
 
-def test_a_rate_that_the_device_does_not_take_is_said(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rate_that_the_device_does_not_accept_is_reported(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(termios, "tcsetattr", lambda *_: None)
     with opened(f"serial:{device.path}:921600", StepClock()) as link:
         assert not link.connected

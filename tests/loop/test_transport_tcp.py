@@ -343,7 +343,7 @@ def test_tcpin_accepts_a_bounded_number_of_clients(tcpin: tuple[StepClock, Clien
 
 @pytest.mark.parametrize("content", [b"", b"x" * 20, b"\xfd" * 20])
 def test_tcpin_drops_a_client_that_sends_no_mavlink(tcpin: tuple[StepClock, Clients], content: bytes) -> None:
-    """Eight connections that said nothing kept the autopilot out for ever."""
+    """Eight silent connections kept the autopilot out for ever."""
     clock, clients = tcpin
     (idle,) = clients.connect()
     (talker,) = clients.connect()

@@ -77,7 +77,7 @@ def test_udpout_counts_refusals_and_loses_no_frame_to_an_old_one() -> None:
         timer.check()
         assert link.stats.refused == 100
         assert not link.connected
-        assert link.send(numbered_frame(100))  # its refusal is still waiting to be told when the peer arrives
+        assert link.send(numbered_frame(100))  # its refusal is still waiting to be reported when the peer arrives
         with bound(port) as peer:
             assert link.send(numbered_frame(101))
             assert frame_numbers(datagrams(peer)) == [101]
@@ -86,7 +86,7 @@ def test_udpout_counts_refusals_and_loses_no_frame_to_an_old_one() -> None:
             assert link.stats.reconnects == 0
 
 
-def test_udpout_to_an_address_that_it_may_not_send_to_says_so() -> None:
+def test_udpout_reports_an_address_that_it_may_not_send_to() -> None:
     with opened("udpout:255.255.255.255:14550", StepClock()) as link:
         assert not link.send(numbered_frame(0))
         assert link.receive() == b""
@@ -122,7 +122,7 @@ def test_udpout_opens_a_new_socket_after_an_error_that_is_no_refusal(
         assert link.stats.reconnects == 1
 
 
-def test_udpin_answers_everyone_it_has_heard_lately() -> None:
+def test_udpin_answers_everyone_from_whom_it_received_lately() -> None:
     clock = StepClock()
     port = free_port(socket.SOCK_DGRAM)
     with opened(f"udpin:127.0.0.1:{port}", clock) as link, bound() as first, bound() as second:

@@ -69,9 +69,9 @@ def toy(errors: list[float], n: int = 4000) -> Library:
     return Library(scores[:, :1], scores[:, 1:], names, none, none, np.full(n, np.log(0.1)))
 
 
-def test_stepwise_takes_what_its_price_lets_it() -> None:
+def test_stepwise_adds_what_its_penalty_allows() -> None:
     found = toy([1.0, 1.7, 3.2, 5.0] + [0.0] * 16)
-    # Prices: 1 nat is 1.41 standard errors, half log 4000 is 2.88, log(20 / 0.05) is 3.46.
+    # Penalties: 1 nat is 1.41 standard errors, half log 4000 is 2.88, log(20 / 0.05) is 3.46.
     assert aic_stepwise(found) == {"1", "2", "3"}
     assert every_two_sigma(found) == {"2", "3"}
     assert bic_stepwise(found) == {"2", "3"}
@@ -105,7 +105,7 @@ def test_what_acts_on_two_readings_gains_no_more_than_they_can() -> None:
     assert bic_stepwise(replace(few, moves=no, log_p=np.full(n, np.log(0.01)))) == {"few"}
 
 
-def test_one_number_says_what_any_share_of_added_readings_gains(model: Model) -> None:
+def test_one_number_gives_what_any_share_of_added_readings_gains(model: Model) -> None:
     contexts, reading = table(1, at_33=0.02)
     scores = library(model, contexts, reading)
     # p with a share e of c is p (1 + e (c / p - 1)), so log(1 + S theta) is the likelihood itself.
@@ -156,7 +156,7 @@ def test_swapped_pairs_keep_their_promise_where_contexts_are_shared() -> None:
         context = rng.standard_normal((60, 2))
         one, other = (np.column_stack([rng.standard_normal(60), context]) for _ in range(2))
         p_values.append(swapped(one, other, rng)[1])
-    # 0.05 of 150 is 7.5, of which 15 or more have a chance of 1 %.
+    # 0.05 of 150 is 7.5, of which 15 or more have a probability of 1 %.
     assert np.mean(np.array(p_values) <= 0.05) < 0.1
     assert 0.4 < np.mean(p_values) < 0.6
 
@@ -180,12 +180,12 @@ def test_table_of_counts(tmp_path: Path) -> None:
     answers.mkdir()
     hidden = [("slow_clock", 6.0), ("read_late", 10.0), None]
     for number, each in enumerate(hidden):
-        said = {
+        reported = {
             "BIC stepwise": {"names": ["range_scale"], "seconds": 1.0},
             "KS by slice": {"p_value": 0.5, "seconds": 1.0},
         }
         (tmp_path / "tables" / f"{number:04d}").mkdir(parents=True)
-        (tmp_path / "tables" / f"{number:04d}" / "peers.json").write_text(json.dumps(said))
+        (tmp_path / "tables" / f"{number:04d}" / "peers.json").write_text(json.dumps(reported))
         answer: dict[str, Any] = {"kind": "one" if each else "null", "regime": "iid", "hidden": []}
         if each:
             answer["hidden"] = [{"mechanism": each[0], "wanted": each[1]}]
@@ -233,7 +233,7 @@ def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model: Model)
     assert pted_as_it_comes(compare(model, contexts, same, rng), rng) < 0.05
 
 
-def test_classifier_tells_a_shift_that_comes_with_throttle(model: Model) -> None:
+def test_classifier_finds_a_shift_that_comes_with_throttle(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     rng = np.random.default_rng(10)
     contexts, _ = table(10)
@@ -241,7 +241,7 @@ def test_classifier_tells_a_shift_that_comes_with_throttle(model: Model) -> None
     assert classifier(compare(model, contexts, shifted, rng), rng) < 0.01
 
 
-def test_classifier_keeps_still_where_nothing_is_missing(model: Model) -> None:
+def test_classifier_finds_nothing_where_nothing_is_missing(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     p_values = []
     for seed in range(10):
@@ -268,16 +268,14 @@ def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path: Path) -> None:
             peers = {"KS by slice": {"p_value": 0.01 if k < found_by_ks else 0.5, "seconds": 1.0}}
             (table / "peers.json").write_text(json.dumps(peers))
             number += 1
-    said = power.found(tmp_path)
-    assert [sum(each) for each in said["KS by slice"].values()] == [2, 2, 6, 10]
-    told = power.show(said)
-    assert "40 with nothing hidden, 10 of 0.05, 10 of 0.1, 10 of 0.14" in told
-    assert "| KS by slice | 0.050 (0.014 to 0.165) | 0.20 | 0.60 | 1.00 | 0.120 (" in told
-    assert "| gap workflow: its first screen, p < 0.05 | 0.000 (0.000 to 0.088) | 1.00 | 1.00 | 1.00 | 0.050 (" in told
-    assert (
-        "| gap workflow: chooses something, whatever the other runs say of it | 0.000 (0.000 to 0.088) | 1.00" in told
-    )
-    assert "| gap workflow: names something or calls it unknown | 0.000 (0.000 to 0.088) | 0.00 | 1.00" in told
+    reported = power.found(tmp_path)
+    assert [sum(each) for each in reported["KS by slice"].values()] == [2, 2, 6, 10]
+    text = power.show(reported)
+    assert "40 with nothing hidden, 10 of 0.05, 10 of 0.1, 10 of 0.14" in text
+    assert "| KS by slice | 0.050 (0.014 to 0.165) | 0.20 | 0.60 | 1.00 | 0.120 (" in text
+    assert "| gap workflow: its first screen, p < 0.05 | 0.000 (0.000 to 0.088) | 1.00 | 1.00 | 1.00 | 0.050 (" in text
+    assert "| gap workflow: chooses something, before the held-out runs decide | 0.000 (0.000 to 0.088) | 1.00" in text
+    assert "| gap workflow: names something or calls it unknown | 0.000 (0.000 to 0.088) | 0.00 | 1.00" in text
 
 
 def test_power_draws_each_size_of_each_mechanism() -> None:

@@ -25,7 +25,7 @@ def environment() -> None:
 
 
 def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
-    said_file, log_file = tmp_path / "said.txt", tmp_path / "flight.tlog"
+    screen_file, log_file = tmp_path / "screen.txt", tmp_path / "flight.tlog"
     port = free_port(socket.SOCK_DGRAM)
     arguments: list[str | Path] = [
         *(mavproxy_env.PYTHON, "-u", mavproxy_env.MAVPROXY),
@@ -35,11 +35,11 @@ def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
     with (
         kernel_bus(VARIED) as testbed,
         LinkEnd(autopilot=Autopilot(), passes_on_to=port) as end,
-        said_file.open("w") as said,
+        screen_file.open("w") as screen,
         subprocess.Popen(
             arguments,
             stdin=subprocess.PIPE,
-            stdout=said,
+            stdout=screen,
             stderr=subprocess.STDOUT,
             text=True,
             cwd=tmp_path,
@@ -48,7 +48,7 @@ def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
     ):
         assert mavproxy.stdin is not None
         try:
-            end.run_until(lambda: "online system 1" in said_file.read_text())
+            end.run_until(lambda: "online system 1" in screen_file.read_text())
             with running_service(testbed, end.url, tmp_path) as service:
                 end.run_until(lambda: len(end.distances) >= 16)
                 assert service.stop() == 0
@@ -58,7 +58,7 @@ def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
                 mavproxy.stdin.write("status DISTANCE_SENSOR\n")
                 mavproxy.stdin.flush()
                 end.run_for(0.1)
-                if shown(said_file) and int(shown(said_file)[-1][0]) >= len(end.distances):
+                if shown(screen_file) and int(shown(screen_file)[-1][0]) >= len(end.distances):
                     break
             end.run_until(lambda: len(logged(log_file)) >= len(end.distances))
             mavproxy.terminate()
@@ -68,14 +68,14 @@ def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
             mavproxy.kill()
 
     assert logged(log_file) == end.distances
-    count, words = shown(said_file)[-1]
+    count, words = shown(screen_file)[-1]
     assert int(count) == len(end.distances)
     assert fields_of(words) == end.distances[-1]
 
 
-def shown(said_file: Path) -> list[tuple[str, str]]:
-    """How many DISTANCE_SENSOR it says to have had, and the fields of the last, each time that it was asked."""
-    return re.findall(r"(\d+): DISTANCE_SENSOR \{(.*)\}\n", said_file.read_text())
+def shown(screen_file: Path) -> list[tuple[str, str]]:
+    """How many DISTANCE_SENSOR it reports to have had, and the fields of the last, each time that it was asked."""
+    return re.findall(r"(\d+): DISTANCE_SENSOR \{(.*)\}\n", screen_file.read_text())
 
 
 def logged(log_file: Path) -> list[dict[str, Any]]:

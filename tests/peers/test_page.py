@@ -27,7 +27,7 @@ from tests.support.transports import free_port, until
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[765], down_cm=[300])
 DEAD_WITHIN_S = 2.0
-"""A sensor that dies is seen dead so soon [s]; the bridge itself needs three turns of 0.4 s to be sure."""
+"""A sensor that dies is seen dead so soon [s]; the bridge itself needs three turns of 0.4 s to decide."""
 
 
 class Watched:

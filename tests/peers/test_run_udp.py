@@ -135,7 +135,7 @@ def sent_frames(recording: Path) -> list[bytes]:
 
 
 def test_a_late_autopilot_and_its_reboot(tmp_path: Path) -> None:
-    """Nobody listens at first; then an autopilot comes, is rebooted, and must be told of the sensor that is missing."""
+    """Nobody listens at first; then an autopilot comes, is rebooted, and must receive that a sensor is missing."""
     port = free_port(socket.SOCK_DGRAM)
     missing = "Range down_right: no answer (errno 121)"
     with (
@@ -234,7 +234,7 @@ def fill(port: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (None, "airframe.yaml"),
         ("vehicle: [", "airframe.yaml"),
@@ -242,26 +242,26 @@ def fill(port: int) -> None:
     ],
     ids=["absent", "no YAML", "unknown key"],
 )
-def test_a_file_that_cannot_be_used(tmp_path: Path, content: str | None, said: str) -> None:
+def test_a_file_that_cannot_be_used(tmp_path: Path, content: str | None, message: str) -> None:
     airframe = tmp_path / "airframe.yaml"
     if content is not None:
         airframe.write_text(content)
     ended = subprocess.run([COMMAND, "run", airframe], capture_output=True, text=True, timeout=LIMIT_S)
     assert ended.returncode == 3
-    assert said in ended.stderr
+    assert message in ended.stderr
     assert str(airframe) in ended.stderr
     assert "Traceback" not in ended.stderr
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "said"),
+    ("options", "code", "message"),
     [(["--link", "udpuot:127.0.0.1:1"], 3, "udpout"), (["--record"], 2, "record")],
     ids=["link", "usage"],
 )
-def test_a_command_line_that_cannot_be_used(options: list[str], code: int, said: str) -> None:
+def test_a_command_line_that_cannot_be_used(options: list[str], code: int, message: str) -> None:
     ended = subprocess.run([COMMAND, "run", AIRFRAME, *options], capture_output=True, text=True, timeout=LIMIT_S)
     assert ended.returncode == code
-    assert said in ended.stderr
+    assert message in ended.stderr
     assert "Traceback" not in ended.stderr
 
 

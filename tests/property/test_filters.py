@@ -77,7 +77,7 @@ QUIET = SENSOR.model_copy(
         )
     }
 )
-"""A sensor whose wild readings are as likely anywhere: where a scene is does not matter to the filter."""
+"""A sensor whose outliers are as likely anywhere: where a scene is does not matter to the filter."""
 CHANGEPOINT = {"filter": "changepoint"}
 
 
@@ -100,7 +100,7 @@ def assert_alike(here: list[Filtered], there: list[Filtered], offset_m: float, t
             assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=0.3)
 
 
-# Wild enough for steps and slopes, and not so wild that two runs are equally probable, when rounding would decide.
+# Enough for steps and slopes, and not so much that two runs are equally probable, when rounding would decide.
 walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8)), min_size=1, max_size=25).map(
     lambda steps: [(step_s, 300 + sum(by for _, by in steps[: index + 1])) for index, (step_s, _) in enumerate(steps)]
 )

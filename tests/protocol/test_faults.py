@@ -1,7 +1,7 @@
-"""Every fault seen in the field, through the whole bridge: what the autopilot is told, and that it comes back.
+"""Every fault seen in the field, through the whole bridge: what the autopilot receives, and that it comes back.
 
 The rows are those of the MB1242's known faults. In each the vehicle is somewhere known, so that a distance that is not
-the truth can be told; a fault begins at `FROM_S` and ends at `TO_S`.
+the truth can be sent; a fault begins at `FROM_S` and ends at `TO_S`.
 """
 
 import random
@@ -32,7 +32,7 @@ def all_have(kind: str, from_s: float = FROM_S, to_s: float = TO_S, **more: floa
 
 
 def recovers(bench: Bench, truth_cm: int, stream: int = FUSED_ID) -> None:
-    """The truth is sent again two rounds after the end, ten times a second, and all sensors are said to be good."""
+    """The truth is sent again two rounds after the end, ten times a second, and all sensors are reported good."""
     after = bench.distances_cm(stream, TO_S + 2 * ROUND_S, END_S)
     assert len(after) >= (END_S - TO_S - 2 * ROUND_S) * 10 - 1
     assert set(after) == {truth_cm}
@@ -50,17 +50,17 @@ FAULTS_OF_AN_ANSWER = [
 
 
 @pytest.mark.parametrize(("kind", "reading_cm", "reason", "text"), FAULTS_OF_AN_ANSWER)
-def test_a_fault_of_all_sensors_is_silence_and_is_said(kind: str, reading_cm: int, reason: str, text: str) -> None:
+def test_a_fault_of_all_sensors_is_silence_and_is_reported(kind: str, reading_cm: int, reason: str, text: str) -> None:
     def world(name: str, time_s: float) -> int:
         return reading_cm if FROM_S <= time_s < TO_S else 500
 
     bench = Bench(airframe(), world, faults=all_have(kind)).fly(END_S)
     assert set(bench.distances_cm()) == {500}
     assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
-    assert sorted(bench.said(FROM_S, TO_S)) == [*(f"Range {name}: {text}" for name in NAMES), SILENT]
-    assert sorted(bench.said(TO_S)) == [*(f"Range {name}: good again" for name in NAMES), SPEAKS]
+    assert sorted(bench.reported(FROM_S, TO_S)) == [*(f"Range {name}: {text}" for name in NAMES), SILENT]
+    assert sorted(bench.reported(TO_S)) == [*(f"Range {name}: good again" for name in NAMES), SPEAKS]
     assert all(set(bench.rejected(name)) <= {reason, "unconfirmed"} for name in NAMES)
-    assert bench.texts() == bench.said()
+    assert bench.texts() == bench.reported()
     recovers(bench, 500)
 
 
@@ -71,7 +71,7 @@ def test_a_fault_of_one_sensor_leaves_ten_fused_messages_a_second(
     bench = Bench(airframe(), 500, faults={"b": [Fault(kind, FROM_S, TO_S)]}).fly(END_S)
     assert len(bench.distances_cm(from_s=FROM_S, to_s=TO_S)) == 30
     assert set(bench.distances_cm()) == {500}
-    assert bench.said(FROM_S, TO_S) == [f"Range b: {text}"]
+    assert bench.reported(FROM_S, TO_S) == [f"Range b: {text}"]
     assert set(bench.rejected("b")) == {reason}
     recovers(bench, 500)
 
@@ -109,7 +109,7 @@ def test_a_missed_echo_that_reads_255_is_not_a_distance(
     assert set(bench.distances_cm()) == {truth_cm}
     assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
     assert all(set(bench.rejected(name)) <= {"suspect", "unconfirmed"} for name in NAMES)
-    assert SILENT in bench.said(FROM_S, TO_S)
+    assert SILENT in bench.reported(FROM_S, TO_S)
     recovers(bench, truth_cm)
 
 
@@ -123,7 +123,7 @@ def test_255_is_a_legal_height() -> None:
 
 
 def test_range_modulo_256_of_one_sensor_does_not_move_the_fused_stream() -> None:
-    """503 cm reads 247, which no look at the value can tell; the other sensors do."""
+    """503 cm reads 247, which no check of the value can find; the other sensors do."""
     bench = Bench(airframe(), 503, faults={"c": [Fault("lost_high_byte", FROM_S, TO_S)]}).fly(END_S)
     assert set(bench.distances_cm()) == {503}
     assert len(bench.distances_cm(from_s=FROM_S, to_s=TO_S)) == 30
@@ -204,7 +204,7 @@ def test_a_sensor_that_did_not_answer_once_is_asked_again(filters: list[dict[str
     assert Counter(statuses) == {Status.NO_ANSWER: 1, Status.OK: len(statuses) - 1}
     assert set(bench.distances_cm()) == {300}
     # Once is not yet worth a word.
-    assert bench.said() == ["Range: all 4 sensors good"]
+    assert bench.reported() == ["Range: all 4 sensors good"]
 
 
 def test_a_missed_read_costs_two_milliseconds() -> None:
@@ -239,7 +239,7 @@ def test_another_device_at_the_address_of_a_sonar_is_no_sonar(answer: bytes, rea
     bench = Bench(airframe(), 500, absent="a", others=[PlainDevice(0x70, answer)]).fly(END_S)
     assert set(bench.distances_cm()) == {500}
     assert set(bench.rejected("a")) == {reason}
-    assert len(bench.said()) == 1
+    assert len(bench.reported()) == 1
     assert bench.bridge.health.bad_sensors == ["a"]
 
 
@@ -252,32 +252,32 @@ def test_part_information_after_a_power_cycle_is_not_a_distance() -> None:
     statuses = Counter(step.ranging.reading.status for step in bench.steps if step.ranging.reading.sensor == "b")
     assert statuses[Status.IMPOSSIBLE] == 1
     assert {step.corrected.range_m for step in bench.steps} <= {5.0, None}
-    assert bench.said(6.0) == ["Range b: no answer (errno 121)", "Range b: good again"]
+    assert bench.reported(6.0) == ["Range b: no answer (errno 121)", "Range b: good again"]
     recovers(bench, 500)
 
 
 @pytest.mark.parametrize("duration_s", [0.0, 3.0])
-def test_a_bus_that_locks_up_is_reopened_and_said_so(duration_s: float) -> None:
+def test_a_bus_that_locks_up_is_reopened_and_reported(duration_s: float) -> None:
     faults = {"a": [Fault("locked_up", FROM_S, FROM_S + duration_s)]}
     bench = Bench(airframe(), 500, faults=faults).fly(END_S)
     assert set(bench.distances_cm()) == {500}
-    said = bench.said(FROM_S)
-    assert said[0] == "Range: I2C bus locked up, reopening (errno 110)"
-    assert said.count("Range: I2C bus works again") == 1
-    assert bench.texts() == bench.said()
+    reported = bench.reported(FROM_S)
+    assert reported[0] == "Range: I2C bus locked up, reopening (errno 110)"
+    assert reported.count("Range: I2C bus works again") == 1
+    assert bench.texts() == bench.reported()
     if duration_s:
         assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
-        assert {f"Range {name}: good again" for name in NAMES} <= set(said)
+        assert {f"Range {name}: good again" for name in NAMES} <= set(reported)
     else:
         # Opening it again heals it, so one reading is lost.
         assert sum(bench.rejected(name).get("no_answer", 0) for name in NAMES) == 1
-        assert len(said) == 2
+        assert len(reported) == 2
     recovers(bench, 500)
 
 
 @pytest.mark.parametrize(("share", "allowed"), [(0.05, 0.0), (0.10, 0.005)])
 def test_short_readings_of_rotor_noise_do_not_move_the_fused_stream(share: float, allowed: float) -> None:
-    """The line follows three wild points of five: one in a hundred of unfiltered readings, far fewer of filtered."""
+    """The line follows three outliers of five: one in a hundred of unfiltered readings, far fewer of filtered."""
     draw = random.Random(11)
 
     def noisy(name: str, time_s: float) -> int:
@@ -297,7 +297,7 @@ def test_no_echo_is_above_the_maximum_and_no_fault() -> None:
     bench = Bench(airframe(), world).fly(END_S)
     assert set(bench.distances_cm(from_s=FROM_S + ROUND_S, to_s=TO_S)) == {766}
     assert set(bench.distances_cm()) == {750, 766}
-    assert bench.said(FROM_S) == []
+    assert bench.reported(FROM_S) == []
     assert len(bench.distances_cm(from_s=FROM_S + ROUND_S, to_s=TO_S)) == 26
     recovers(bench, 750)
 
@@ -310,5 +310,5 @@ def test_no_echo_of_a_ground_that_was_near_is_silence_that_is_reported() -> None
 
     bench = Bench(airframe(), world).fly(END_S)
     assert set(bench.distances_cm(from_s=FROM_S + 0.3, to_s=FROM_S + 1.5)) == set()
-    assert bench.said(FROM_S, FROM_S + 2.0) == [SILENT]
+    assert bench.reported(FROM_S, FROM_S + 2.0) == [SILENT]
     recovers(bench, 130)

@@ -33,7 +33,7 @@ def attempt(transfer, *arguments):
     return answer.hex() if isinstance(answer, bytes) else answer
 
 def read_when_ready(address):
-    "What the sensor says at the end of its ranging."
+    "What the sensor reports at the end of its ranging."
     for _ in range(5000):
         try:
             return bus.read(address, 2).hex()

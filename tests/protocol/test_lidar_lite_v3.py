@@ -120,7 +120,7 @@ def test_a_message_is_of_a_laser_and_the_air_does_not_matter() -> None:
     assert message.horizontal_fov == pytest.approx(0.008, rel=1e-3)
     # 2.5 cm, and 0.5 cm for each of 20 m: 106 cm^2; 12 C that are not known would be 40 cm alone.
     assert message.covariance == math.ceil(2.5**2 + 10.0**2 + 1 / 12)
-    assert bench.said() == ["Range: all 1 sensors good"]
+    assert bench.reported() == ["Range: all 1 sensors good"]
 
 
 FAULTS = [
@@ -135,15 +135,15 @@ def test_a_fault_is_silence_and_is_reported(kind: str, more: dict[str, int], rea
     bench = lidar(Fault(kind, FROM_S, TO_S, **more)).fly(END_S)
     assert set(bench.distances_cm(1)) == {2000}
     assert bench.distances_cm(1, FROM_S + 0.1, TO_S) == []
-    assert bench.said(FROM_S, TO_S)[0] == f"Range a: {text}"
-    assert "Range a: good again" in bench.said(TO_S)
+    assert bench.reported(FROM_S, TO_S)[0] == f"Range a: {text}"
+    assert "Range a: good again" in bench.reported(TO_S)
     assert reason in bench.rejected("a")
 
 
 def test_no_signal_is_above_the_maximum_and_no_fault() -> None:
     bench = lidar(Fault("no_echo", FROM_S, TO_S)).fly(END_S)
     assert set(bench.distances_cm(1, FROM_S + 0.1, TO_S)) == {4001}
-    assert bench.said(FROM_S) == []
+    assert bench.reported(FROM_S) == []
 
 
 def test_a_missed_read_costs_nothing_but_time() -> None:
@@ -173,7 +173,7 @@ def test_one_of_four_that_is_stuck_is_found_in_a_climb() -> None:
         return 1000 + round(100 * min(max(time_s - FROM_S, 0.0), END_S))
 
     bench = Bench(airframe(FOUR), climb, faults={"d": [Fault("stuck", FROM_S, END_S)]}).fly(END_S)
-    assert "Range d: stuck" in " ".join(bench.said())
+    assert "Range d: stuck" in " ".join(bench.reported())
     last_s, message = bench.sent()[-1]
     assert message.current_distance == pytest.approx(climb("", last_s), abs=15)
 
@@ -236,13 +236,13 @@ def test_a_scan_asks_for_one_where_one_should_be() -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"), [(b"\x00\x00", "is not busy after the command"), (b"\x21\x21", "stays busy")]
+    ("answer", "words"), [(b"\x00\x00", "is not busy after the command"), (b"\x21\x21", "stays busy")]
 )
-def test_another_device_is_no_lidar(answer: bytes, said: str) -> None:
+def test_another_device_is_no_lidar(answer: bytes, words: str) -> None:
     clock = VirtualClock()
     bus = EmulatedBus([PlainDevice(ADDRESS, answer)], clock.now)
     found = LidarLiteV3.identify(bus, clock, ADDRESS)
-    assert (found.ranged, said in found.answer, "SCD4x" in found.answer) == (False, True, True)
+    assert (found.ranged, words in found.answer, "SCD4x" in found.answer) == (False, True, True)
 
 
 def test_an_airframe_with_an_odd_address_is_refused() -> None:
@@ -281,7 +281,7 @@ def test_an_emulated_flight_of_light_is_one_of_rays() -> None:
         {},
     )
     bus.write(ADDRESS, MEASURE)
-    # Sound of so narrow a beam would hear nothing of a slope of 10 degrees.
+    # Sound in so narrow a beam would get no echo from a slope of 10 degrees.
     assert [ping.has_echo for ping in pings] == [True]
 
 

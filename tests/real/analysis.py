@@ -16,7 +16,7 @@ from tests.real.regress import autocorrelation, hinges, print_bins, print_forms,
 
 
 def data_folder() -> Path:
-    """Where the measured sets are: `MSP_RANGE_DATA`, or beside the clone."""
+    """Where the measured sets are: `MSP_RANGE_DATA`, or next to the clone."""
     return Path(os.environ.get("MSP_RANGE_DATA", "../shared/data"))
 
 

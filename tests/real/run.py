@@ -1,4 +1,4 @@
-"""A measured set end to end by the commands, and what was said of it against the table of names.
+"""A measured set end to end by the commands, and what was reported of it against the table of names.
 
 ``python -m tests.real.run [NAME ...] --out build/real`` runs sets and prints a line each.
 """
@@ -28,7 +28,7 @@ class Found:
     Attributes
     ----------
     names
-        Names that it cannot tell apart, the first choice among them.
+        Names that it cannot separate, the first choice among them.
     values
         Parameters of the first choice.
     """
@@ -153,7 +153,7 @@ def found_in(gap: Mapping[str, Any]) -> tuple[Found, ...]:
 def compare_names(found: Iterable[Found], lines: Iterable[Line]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Forbidden things that were found, and required ones that were not.
 
-    Several names that cannot be told apart are right if one of them is required or allowed. What is unknown and what is
+    Several indistinguishable names are right if one of them is required or allowed. What is unknown and what is
     calibration is never forbidden. A required name with values that are not there is not found.
     """
     found = list(found)

@@ -40,7 +40,7 @@ def test_set_end_to_end(measured: MeasuredSet, tmp_path: Path) -> None:
     assert not known - now, f"these hold now: take them out of {KNOWN.name} and of docs/real_data.md"
 
 
-def test_names_that_cannot_be_told_apart_are_right_if_one_is() -> None:
+def test_indistinguishable_names_are_right_if_one_is() -> None:
     lines = [
         Line("required", ("latency",), "delay_ms 300 480", ""),
         Line("allowed", ("range_scale",), "", ""),

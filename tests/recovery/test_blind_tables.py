@@ -42,7 +42,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Looked:
-    """What the workflow said of them."""
+    """What the workflow reported of them."""
 
     found: GapFindings
     outcome: Outcome
@@ -144,7 +144,7 @@ def test_a_known_effect_has_its_name_and_its_number(late: Looked) -> None:
     assert 5.0 < delay_ms.low < 6.6 < delay_ms.high < 8.2
     assert late.effect.z is not None
     assert late.effect.z > 3.0
-    # What flies is what is quoted: the confirming runs' number.
+    # What flies is what is quoted: the number of the held-out runs.
     (flies,) = (each for each in load_model(late.folder / "model.yaml").effects if each.effect.name == "latency")
     assert flies.values["delay_ms"] == pytest.approx(delay_ms.value, rel=1e-4)
 
@@ -189,7 +189,7 @@ def test_what_is_in_no_catalogue_is_called_unknown(look: Look) -> None:
     assert 60.0 < peak[0] < 72.0
 
 
-def test_what_cannot_be_told_apart_is_said_with_the_experiment(look: Look) -> None:
+def test_indistinguishable_effects_are_reported_with_the_experiment(look: Look) -> None:
     looked = look(flown(1, [("air_not_compensated", 0.075)], twist="air of one temperature"))
     assert not looked.outcome.resolved_wrongly
     names = {looked.effect.name, *(other.name for other in looked.effect.alternatives)}
@@ -211,10 +211,10 @@ def test_with_the_cause_shuffled_the_name_is_gone(look: Look) -> None:
 
 def test_runs_that_confirm_and_hold_nothing_gain_nothing(look: Look, late: Looked) -> None:
     flights, nothing = flown(1, LATE), flown(1)
-    # The same flights are parted in the same way, whatever was read in them.
-    confirming = np.isin(flights.columns["run"], late.found.held_out_runs)
-    assert 0.4 < confirming.mean() < 0.6
-    readings = np.where(confirming, nothing.reading_cm, flights.reading_cm)
+    # The same flights are split in the same way, whatever was read in them.
+    held_out = np.isin(flights.columns["run"], late.found.held_out_runs)
+    assert 0.4 < held_out.mean() < 0.6
+    readings = np.where(held_out, nothing.reading_cm, flights.reading_cm)
     looked = look(Flown(flights.columns, readings, "iid", ()))
     assert looked.found.held_out_runs == late.found.held_out_runs
     assert looked.found.effects == ()

@@ -51,7 +51,7 @@ def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
     gap = findings.gap
     assert gap is not None
     assert known(gap.nats_per_reading.after) < 0.1 * known(gap.nats_per_reading.before)
-    # Wheel noise and the dead zone are left: it says so.
+    # Wheel noise and the dead zone are left: it reports so.
     assert findings.verdict == "partly explained"
 
 
@@ -74,7 +74,7 @@ def test_millimetres_are_calibration_and_no_effect() -> None:
     assert any("1 run" in each for each in findings.messages)
 
 
-def test_the_hcsr04_at_a_ruler_is_said_to_miss_something() -> None:
+def test_the_hcsr04_at_a_ruler_is_reported_to_miss_something() -> None:
     findings, _ = found("hcsr04", "hcsr04-ccu", "hcsr04-ccu/readings.csv")
     assert findings.verdict in ("partly explained", "explained")
     assert findings.runs == 22

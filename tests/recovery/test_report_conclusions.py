@@ -147,5 +147,5 @@ def test_table_5_1(seed: int) -> None:
             assert row.compensated is not None
             assert abs(row.compensated.value) < 1.0
             assert row.thermometer_c is not None
-            # The chance in setting up the range is 1 mm: 0.2 C at 3 m.
+            # The random error in setting up the range is 1 mm: 0.2 C at 3 m.
             assert row.implied_c.value == pytest.approx(row.thermometer_c, abs=1.0)

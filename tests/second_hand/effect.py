@@ -30,7 +30,7 @@ class Effect:
     channel, variable
         What it changes (bias, spread, missed, short, random) and the column that it depends on.
     same_as
-        Numbers of the base that are the same as this effect: only the bench tells them apart.
+        Numbers of the base that are the same as this effect: only the bench separates them.
     between_runs
         It varies (nearly) between runs only.
     last

@@ -1,7 +1,7 @@
 """Compares what the workflow named with what was hidden.
 
 An outcome is a word: ``exact`` (each hidden effect is held by the class of one named effect, a name and those that the
-workflow cannot tell from it, and nothing else is named), ``calibrated`` (an effect that the base mixture has too is
+workflow cannot separate from it, and nothing else is named), ``calibrated`` (an effect that the base mixture has too is
 reported as a change of the base's number, and nothing else is named), ``nothing``, ``missing`` (some, and nothing
 wrong), ``wrong name``, ``crash``; for nulls ``clean`` or ``wrong name``; for unknown effects ``exact`` (a curve of the
 right channel over the right column, and no name), ``other curve``, ``nothing``, ``wrong name``.
@@ -132,7 +132,7 @@ def _share(hits: int, count: int) -> str:
 
 
 def failures(results: Iterable[dict[str, Any]]) -> str:
-    """One line for each case that is not right: what was hidden, and what the workflow said."""
+    """One line for each case that is not right: what was hidden, and what the workflow reported."""
     lines = []
     for result in results:
         truth, found = result["truth"], result["found"]
@@ -140,13 +140,13 @@ def failures(results: Iterable[dict[str, Any]]) -> str:
         if word in ("exact", "clean"):
             continue
         hidden = ", ".join(f"{effect['title']} {effect['size']:.3g}" for effect in truth["effects"]) or "nothing"
-        said = [" or ".join([effect["name"], *effect["alternatives"]]) for effect in found["effects"]]
-        said += [f"curve of {curve['channel']} over {' '.join(curve['variables'])}" for curve in found["curves"]]
-        said += [f"calibration: {item}" for item in found["calibration"]]
-        said += [found["crash"]] if found["crash"] else []
+        reported = [" or ".join([effect["name"], *effect["alternatives"]]) for effect in found["effects"]]
+        reported += [f"curve of {curve['channel']} over {' '.join(curve['variables'])}" for curve in found["curves"]]
+        reported += [f"calibration: {item}" for item in found["calibration"]]
+        reported += [found["crash"]] if found["crash"] else []
         base = f"correlation {truth['base']['correlation']:.2f}, {truth['runs']} runs"
         lines.append(
             f"{truth['kind']} {truth['seed']}: {word}; hidden {hidden}; "
-            f"{base}; found {'; '.join(said) or 'nothing'}; {found['verdict']}"
+            f"{base}; found {'; '.join(reported) or 'nothing'}; {found['verdict']}"
         )
     return "\n".join(lines)

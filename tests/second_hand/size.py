@@ -83,7 +83,7 @@ def standard_errors(
 ) -> Floats:
     """Standard errors of the effects' sizes with the base's numbers and the other effects free.
 
-    ``known`` is the information of each base number from elsewhere, as `known_from_bench` gives it.
+    ``known`` is the information of each base number from other data, as `known_from_bench` gives it.
     """
     matrix = information(rows, base, effects, sizes, seed, tables)
     if known is not None:
@@ -94,7 +94,7 @@ def standard_errors(
 def known_from_bench(bench: Rows, base: Base, effects: Sequence[Effect], seed: int) -> Floats:
     """Information that the bench table has of the base numbers that are the same as an effect; 0 of the others.
 
-    Only the bench tells a scale that the sensor always had from one that it has in the runs.
+    Only the bench separates a scale that the sensor always had from one that it has in the runs.
     """
     same = {name for effect in effects for name in effect.same_as}
     if not same:
@@ -104,7 +104,7 @@ def known_from_bench(bench: Rows, base: Base, effects: Sequence[Effect], seed: i
 
 
 def _variances(matrix: Floats) -> Floats:
-    """Diagonal of the inverse; very large of numbers that cannot be told apart."""
+    """Diagonal of the inverse; very large of numbers that cannot be separated."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     inverse = np.linalg.inv(matrix / np.outer(scale, scale) + 1e-9 * np.eye(len(matrix)))
     return np.asarray(np.diag(inverse) / scale**2)

@@ -17,7 +17,7 @@ DATE = "2026-01-01"
 """Date in the model files: a case gives the same files on every day."""
 
 NAMED = ("named", "indistinguishable")
-"""Verdicts that say that an effect is there; any other is a suggestion."""
+"""Verdicts that an effect is there; any other is a suggestion."""
 
 
 def run_case(case: Case, folder: Path) -> dict[str, Any]:
@@ -55,22 +55,22 @@ def run_case(case: Case, folder: Path) -> dict[str, Any]:
             "seconds": 0.0,
             "crash": crash,
         }
-    said = json.loads((out / "gap.json").read_text())
+    reported = json.loads((out / "gap.json").read_text())
     return {
-        "verdict": said["verdict"],
+        "verdict": reported["verdict"],
         "effects": [
             {
                 "name": each["name"],
                 "alternatives": [other["name"] for other in each["alternatives"]],
                 "parameters": each["parameters"],
             }
-            for each in said["effects"]
+            for each in reported["effects"]
             if each["verdict"] in NAMED
         ],
-        "curves": [{name: each[name] for name in ("channel", "variables", "formula")} for each in said["unknown"]],
-        "calibration": [each["name"] for each in said["calibration"]],
-        "sentence": said["sentence"],
-        "seconds": said["seconds"],
+        "curves": [{name: each[name] for name in ("channel", "variables", "formula")} for each in reported["unknown"]],
+        "calibration": [each["name"] for each in reported["calibration"]],
+        "sentence": reported["sentence"],
+        "seconds": reported["seconds"],
         "crash": "",
     }
 
@@ -79,11 +79,11 @@ def command(arguments: Sequence[str]) -> str:
     """Run an `msp-lab` command in this process; return what ended it, empty where it succeeded."""
     from msp_lab.cli import app
 
-    heard = io.StringIO()
+    output = io.StringIO()
     try:
-        with redirect_stdout(heard), redirect_stderr(heard):
+        with redirect_stdout(output), redirect_stderr(output):
             code = app(list(arguments), standalone_mode=False)
     except (Exception, SystemExit) as error:
         # Whatever it is, a table of many cases goes on; the outcome is 'crash'.
-        return f"{arguments[0]}: {type(error).__name__}: {error} {heard.getvalue()[-300:]}".strip()
-    return f"{arguments[0]}: exit code {code}: {heard.getvalue()[-300:]}" if code else ""
+        return f"{arguments[0]}: {type(error).__name__}: {error} {output.getvalue()[-300:]}".strip()
+    return f"{arguments[0]}: exit code {code}: {output.getvalue()[-300:]}" if code else ""

@@ -75,7 +75,7 @@ class GroundStation:
         while not (found := find()):
             if time.monotonic() > deadline_s:
                 texts = [message.text for _, message in self.all("STATUSTEXT")[-10:]]
-                raise AssertionError(f"not within {timeout_s:.0f} s: {what}; the autopilot said last: {texts}")
+                raise AssertionError(f"not within {timeout_s:.0f} s: {what}; the last texts of the autopilot: {texts}")
             time.sleep(0.05)
         return found
 

@@ -31,7 +31,7 @@ def airframe_of(autopilot: Autopilot, folder: Path) -> Path:
 
 
 def params(airframe: Path, *arguments: str, answers: str = "") -> "subprocess.CompletedProcess[str]":
-    """Run the command beside the airframe file."""
+    """Run the command next to the airframe file."""
     return subprocess.run(
         [COMMAND, "params", airframe, *arguments],
         cwd=airframe.parent,

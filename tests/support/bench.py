@@ -183,7 +183,7 @@ class Bench:
         """STATUSTEXT in order."""
         return [message.text for _, message in self.sent("STATUSTEXT")]
 
-    def said(self, from_s: float = 0.0, to_s: float = 1e9) -> list[str]:
+    def reported(self, from_s: float = 0.0, to_s: float = 1e9) -> list[str]:
         """Changes of health in a time."""
         return [text for time_s, text in self.reports if from_s <= time_s < to_s]
 
@@ -191,7 +191,7 @@ class Bench:
         """Readings of a sensor that were not used, by reason."""
         return self.bridge.counts()[name].rejected
 
-    def hear(self, *messages: Any, system: int = 1) -> None:
+    def receive(self, *messages: Any, system: int = 1) -> None:
         """Messages from the autopilot, which arrive now."""
         if not hasattr(self, "_autopilot"):
             self._autopilot = common.MAVLink(None, srcSystem=system, srcComponent=1)

@@ -1,4 +1,4 @@
-"""Small campaigns, and people at their bench who do as they are told."""
+"""Small campaigns, and operators at their bench who do as a test sets."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -86,7 +86,7 @@ class Collected:
 
 
 class Told(AutoOperator):
-    """Somebody who says what a test tells them, when they are asked; GO afterwards."""
+    """An operator who answers as a test sets, when asked; GO afterwards."""
 
     def __init__(
         self,
@@ -108,8 +108,8 @@ class Told(AutoOperator):
         self.visited.append(point.name)
         self.to_change.append(list(to_change))
         self.places.append(place)
-        said = self._arranged.pop(0) if self._arranged else Decision.GO
-        return Arranged(said) if isinstance(said, Decision) else said
+        answer = self._arranged.pop(0) if self._arranged else Decision.GO
+        return Arranged(answer) if isinstance(answer, Decision) else answer
 
     def on_reading(
         self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None

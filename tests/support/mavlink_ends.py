@@ -37,7 +37,7 @@ class MemoryTransport:
 
 
 class Component:
-    """A MAVLink component that makes frames; an autopilot unless told otherwise."""
+    """A MAVLink component that makes frames; an autopilot by default."""
 
     def __init__(self, system: int = 1, component: int = 1, dialect: Any = dialect) -> None:
         self._mav = dialect.MAVLink(None, srcSystem=system, srcComponent=component)

@@ -31,7 +31,7 @@ def readings(n: int, seed: int = 1, runs: int = 10, bias: Any = None, **changes:
     Parameters
     ----------
     n, seed, runs
-        How many, of which chance, in how many runs.
+        How many, of which random seed, in how many runs.
     bias
         Function of the columns: centimetres that are added to the range that is read.
     changes

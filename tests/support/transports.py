@@ -1,4 +1,4 @@
-"""What the tests of the transports share: a clock to step, frames that can be told apart, and peers' small habits."""
+"""What the tests of the transports share: a clock to step, frames with numbers, and peers' small habits."""
 
 import contextlib
 import socket

@@ -2,7 +2,7 @@
 
 ``python -m tests.support.warm_cli`` has imported them once. It reads command lines from standard input, each a JSON
 list on a line of its own, runs each in a fork of itself as the command would run, and answers a line: exit code and the
-end of what it said. It ends with its input.
+end of its output. It ends with its input.
 """
 
 import json
@@ -35,16 +35,16 @@ def main() -> None:
     commands = {"msp-lab": msp_lab, "msp-range": msp_range, "msp-sim": msp_sim}
     for line in sys.stdin:
         argv = json.loads(line)
-        with tempfile.TemporaryFile() as said:
+        with tempfile.TemporaryFile() as output:
             child = os.fork()
             if child == 0:
-                os.dup2(said.fileno(), 1)
-                os.dup2(said.fileno(), 2)
+                os.dup2(output.fileno(), 1)
+                os.dup2(output.fileno(), 2)
                 sys.argv = argv
                 os._exit(_exit_code(commands[argv[0]]))
             _, status = os.waitpid(child, 0)
-            said.seek(0)
-            text = said.read().decode(errors="replace")
+            output.seek(0)
+            text = output.read().decode(errors="replace")
         print(json.dumps([os.waitstatus_to_exitcode(status), text.strip()[-TAIL:]]), flush=True)
 
 

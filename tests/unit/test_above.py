@@ -1,4 +1,4 @@
-"""When 'above the maximum' is said, and when sensors that hear nothing mean silence."""
+"""When 'above the maximum' is reported, and when sensors without an echo mean silence."""
 
 import pytest
 
@@ -10,7 +10,7 @@ MAXIMUM_M = 7.65
 
 
 class Flight:
-    """Four sensors and a vehicle whose barometer, if it has one, says how it climbs."""
+    """Four sensors and a vehicle whose barometer, if it has one, measures how it climbs."""
 
     def __init__(self, barometer: bool = True) -> None:
         self.motion = VerticalMotion()
@@ -73,10 +73,10 @@ def test_without_a_barometer_it_counts_what_a_vehicle_can_climb() -> None:
     assert rising.fly(1.0).index(True) <= 2
 
 
-def test_where_no_ground_was_ever_seen_all_sensors_must_hear_nothing_for_three_turns() -> None:
+def test_where_no_ground_was_ever_seen_all_sensors_must_miss_it_for_three_turns() -> None:
     out = Flight().fly(2.0)
     assert out.index(True) == 11
-    assert Flight().fly(2.0, faulty="b").index(True) == 11, "a dead sensor has no say"
+    assert Flight().fly(2.0, faulty="b").index(True) == 11, "a dead sensor has no vote"
     assert not any(Flight().fly(2.0, heard="c"))
     assert not any(Flight().fly(2.0, faulty=NAMES))
 

@@ -39,7 +39,7 @@ def test_765_and_255_are_masked_to_one_peak() -> None:
     assert sum(count for _, count in found.histogram) == found.readings == 20_000
 
 
-def test_a_peak_between_two_centimetres_is_told_as_both() -> None:
+def test_a_peak_between_two_centimetres_is_reported_as_both() -> None:
     readings = np.repeat([502.0, 503.0, 504.0, 505.0], [100, 1000, 960, 90])
     part = point(np.random.default_rng(3), 500, n=readings.size, condition="maximum_range") | {"reading_cm": readings}
     found = maximum_range(sort_into_points(table(part), SENSOR), SENSOR)

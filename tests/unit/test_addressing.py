@@ -34,7 +34,7 @@ def wires(*making: Making, nack_errno: int = errno.EREMOTEIO) -> tuple[EmulatedB
 
 
 @pytest.mark.parametrize("nack_errno", NACK_ERRNOS)
-def test_scan_tells_sonars_from_other_devices(nack_errno: int) -> None:
+def test_scan_distinguishes_sonars_from_other_devices(nack_errno: int) -> None:
     bus, clock, _ = wires(
         sonar(0x77, 765), sonar(0x03), other(0x70, b"\x01\x00"), other(0x44, b"\xff\xff"), nack_errno=nack_errno
     )
@@ -60,7 +60,7 @@ def test_scan_finds_a_sensor_that_is_ranging() -> None:
     assert [each.ranged for each in scan(bus, clock, identify=True)] == [True]
 
 
-def test_scan_of_a_bus_that_does_not_work_says_so() -> None:
+def test_scan_reports_a_bus_that_does_not_work() -> None:
     bus, clock, _ = wires(sonar(0x70, 258, Fault("locked_up", 0.0, 100.0)))
     with pytest.raises(BusError, match="errno 110"):
         scan(bus, clock, identify=True)

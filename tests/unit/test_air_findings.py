@@ -59,7 +59,7 @@ def test_where_the_hot_air_was_is_found(idea: str) -> None:
         assert found.depth.high is None
 
 
-def test_a_box_that_changes_nothing_is_said_to() -> None:
+def test_a_box_that_changes_nothing_is_reported_so() -> None:
     rng = np.random.default_rng(2)
     parts = [
         point(rng, z, condition="temperature", error_cm=rng.normal(0.0, 0.2), air_temperature_c=air_c)

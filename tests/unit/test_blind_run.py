@@ -48,7 +48,7 @@ def test_a_table_is_drawn_and_looked_at_and_its_answer_is_apart(
     assert [call[:2] for call in tools.calls] == [["msp-lab", "characterise"], ["msp-lab", "gap"]]
     assert tools.calls[1][-2:] == ["--until", "name"]
     assert not any("answers" in word for call in tools.calls for word in call)
-    assert campaign.said(null).exists()
+    assert campaign.findings(null).exists()
     answer = json.loads(campaign.answer(null).read_text(encoding="utf-8"))
     assert answer == {"kind": "null", "regime": "ar1", "twist": "", "pair": [], "hidden": []}
     first = (campaign.table(null) / "measured.csv").read_bytes()
@@ -57,16 +57,16 @@ def test_a_table_is_drawn_and_looked_at_and_its_answer_is_apart(
     assert (again.table(null) / "measured.csv").read_bytes() == first
 
 
-def test_what_fails_is_told_and_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_is_reported_and_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = Campaign(tmp_path, 3, until="show")
     (one,) = draw_cases(3, 1, "one", standard_errors=6.0)
     assert do(campaign, one, FakeTools(), monkeypatch) == ""
-    campaign.said(one).unlink()
-    campaign.said(one).parent.rmdir()
+    campaign.findings(one).unlink()
+    campaign.findings(one).parent.rmdir()
     drawn = (campaign.table(one) / "measured.csv").stat().st_mtime_ns
     tools = FakeTools("exit code 3")
     assert "table 0: exit code 3" in do(campaign, one, tools, monkeypatch)
-    assert not campaign.said(one).exists()
+    assert not campaign.findings(one).exists()
     tools = FakeTools()
     assert do(campaign, one, tools, monkeypatch) == ""
     assert tools.calls[0][-2:] == ["--until", "show"]
@@ -82,7 +82,7 @@ def test_commands_that_stay_loaded_answer_as_commands_do() -> None:
         text=True,
         check=True,
     )
-    (good, _), (mistake, said), (wrong, usage) = (json.loads(line) for line in done.stdout.splitlines())
-    assert (good, mistake, wrong) == (0, 3, 2)
-    assert said.startswith("no-such-folder/gap.json: no such file")
+    (good, _), (failed, output), (wrong, usage) = (json.loads(line) for line in done.stdout.splitlines())
+    assert (good, failed, wrong) == (0, 3, 2)
+    assert output.startswith("no-such-folder/gap.json: no such file")
     assert "nonsense" in usage

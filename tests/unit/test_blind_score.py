@@ -18,7 +18,7 @@ NAMED: dict[str, Any] = {"name": "range_scale", "verdict": "named", "alternative
 OTHER: dict[str, Any] = {"name": "latency", "verdict": "named", "alternatives": []}
 
 
-def said(*effects: dict[str, Any], **more: object) -> dict[str, Any]:
+def gap_of(*effects: dict[str, Any], **more: object) -> dict[str, Any]:
     return {"effects": list(effects), **more}
 
 
@@ -28,48 +28,48 @@ def with_rival(correlation: float | None) -> dict[str, Any]:
 
 
 def test_a_name_is_right_alone_or_in_a_class() -> None:
-    assert judge(ANSWER, said(NAMED), NAMES).exact
-    assert judge(ANSWER, said(with_rival(0.99)), NAMES).exact
-    assert not judge(ANSWER, said(NAMED, OTHER), NAMES).exact
-    assert not judge(ANSWER, said(), NAMES).exact
-    assert judge(ANSWER, said(OTHER), NAMES).wrong == ("latency",)
-    assert judge(ANSWER, said(OTHER), NAMES).resolved_wrongly
-    assert not judge(ANSWER, said(with_rival(0.99)), NAMES).resolved_wrongly
-    assert judge({"kind": "null", "hidden": []}, said(), NAMES).exact
+    assert judge(ANSWER, gap_of(NAMED), NAMES).exact
+    assert judge(ANSWER, gap_of(with_rival(0.99)), NAMES).exact
+    assert not judge(ANSWER, gap_of(NAMED, OTHER), NAMES).exact
+    assert not judge(ANSWER, gap_of(), NAMES).exact
+    assert judge(ANSWER, gap_of(OTHER), NAMES).wrong == ("latency",)
+    assert judge(ANSWER, gap_of(OTHER), NAMES).resolved_wrongly
+    assert not judge(ANSWER, gap_of(with_rival(0.99)), NAMES).resolved_wrongly
+    assert judge({"kind": "null", "hidden": []}, gap_of(), NAMES).exact
 
 
-def test_a_class_may_not_hold_what_the_data_tell_apart() -> None:
-    """10 sqrt(1 - rho^2) is 3 at rho = 0.954; a correlation that is not told is none."""
-    assert judge(ANSWER, said(with_rival(-0.96)), NAMES).exact
+def test_a_class_may_not_hold_what_the_data_separate() -> None:
+    """10 sqrt(1 - rho^2) is 3 at rho = 0.954; an unreported correlation is none."""
+    assert judge(ANSWER, gap_of(with_rival(-0.96)), NAMES).exact
     for correlation in (0.95, None):
-        outcome = judge(ANSWER, said(with_rival(correlation)), NAMES)
+        outcome = judge(ANSWER, gap_of(with_rival(correlation)), NAMES)
         assert outcome.separable == ("range_scale",)
         assert outcome.met == (True,)
         assert not outcome.exact
 
 
-def test_a_base_parameter_counts_as_said() -> None:
+def test_a_base_parameter_counts_as_reported() -> None:
     exhaust = {"kind": "one", "hidden": [{"mechanism": "exhaust", "wanted": 10.0}]}
-    outcome = judge(exhaust, said(calibration=[{"parameter": "missed_growth_per_m"}]), NAMES)
+    outcome = judge(exhaust, gap_of(calibration=[{"parameter": "missed_growth_per_m"}]), NAMES)
     assert outcome.exact
-    assert outcome.said == ("missed_growth_per_m",)
+    assert outcome.reported == ("missed_growth_per_m",)
 
 
 def test_an_unknown_effect_has_channel_and_variables() -> None:
     fog = {"mechanism": "fog", "wanted": 10.0, "channel": "missed", "variables": ["humidity_pct"]}
     answer = {"kind": "unknown", "hidden": [fog]}
     unknown = {"channel": "missed", "variables": ["humidity_pct"]}
-    assert judge(answer, said(unknown=[unknown]), NAMES).found_unknown
-    assert not judge(answer, said(unknown=[unknown | {"channel": "bias"}]), NAMES).found_unknown
-    assert not judge(answer, said(NAMED, unknown=[unknown]), NAMES).found_unknown
-    assert not judge(ANSWER, said(NAMED, unknown=[unknown]), NAMES).exact
+    assert judge(answer, gap_of(unknown=[unknown]), NAMES).found_unknown
+    assert not judge(answer, gap_of(unknown=[unknown | {"channel": "bias"}]), NAMES).found_unknown
+    assert not judge(answer, gap_of(NAMED, unknown=[unknown]), NAMES).found_unknown
+    assert not judge(ANSWER, gap_of(NAMED, unknown=[unknown]), NAMES).exact
 
 
 def test_a_pair_is_in_one_class_with_its_experiment() -> None:
     answer = ANSWER | {"kind": "confounded", "pair": ["air_not_compensated", "slow_clock"]}
-    assert judge(answer, said(with_rival(0.99)), NAMES).both
-    assert not judge(answer, said(with_rival(0.99) | {"experiment": ""}), NAMES).both
-    assert not judge(answer, said(NAMED | {"experiment": "alone"}), NAMES).both
+    assert judge(answer, gap_of(with_rival(0.99)), NAMES).both
+    assert not judge(answer, gap_of(with_rival(0.99) | {"experiment": ""}), NAMES).both
+    assert not judge(answer, gap_of(NAMED | {"experiment": "alone"}), NAMES).both
 
 
 @pytest.mark.parametrize(
@@ -86,12 +86,12 @@ def test_a_pair_is_in_one_class_with_its_experiment() -> None:
 def test_what_is_closed(before: float, after: float, floor: float, over_floor: float | None, of_all: float) -> None:
     nats: dict[str, float | None] = {"before": before, "after": after, "noise_floor": floor}
     gap = {"nats_per_reading": nats}
-    found = judge(ANSWER, said(NAMED, gap=gap), NAMES).closed
+    found = judge(ANSWER, gap_of(NAMED, gap=gap), NAMES).closed
     assert found is not None
     assert found.over_floor == (None if over_floor is None else pytest.approx(over_floor))
     assert found.of_all == pytest.approx(of_all)
     nats["after"] = None
-    assert judge(ANSWER, said(NAMED, gap=gap), NAMES).closed is None
+    assert judge(ANSWER, gap_of(NAMED, gap=gap), NAMES).closed is None
 
 
 def test_interval() -> None:
@@ -99,18 +99,18 @@ def test_interval() -> None:
     assert interval(12, 400) == pytest.approx((0.0172, 0.0518), abs=1e-3)
 
 
-def test_the_table_counts_what_was_said(tmp_path: Path) -> None:
+def test_the_table_counts_what_was_reported(tmp_path: Path) -> None:
     null = {"kind": "null", "regime": "ar1", "hidden": []}
     fog = {"mechanism": "fog", "wanted": 20.0, "channel": "missed", "variables": ["humidity_pct"]}
     gap = {"nats_per_reading": {"before": 0.03, "after": 0.0, "noise_floor": 0.01}}
     tables = [
-        (null, said()),
-        (null, said(OTHER)),
-        (null, said(unknown=[{"channel": "bias", "variables": ["throttle"]}])),
-        (ANSWER, said(NAMED, gap=gap)),
-        (ANSWER, said(OTHER, gap=gap)),
-        ({"kind": "unknown", "regime": "iid", "hidden": [fog]}, said()),
-        ({"kind": "three", "regime": "iid", "hidden": [CLOCK, fog | {"mechanism": "gravel"}]}, said(NAMED)),
+        (null, gap_of()),
+        (null, gap_of(OTHER)),
+        (null, gap_of(unknown=[{"channel": "bias", "variables": ["throttle"]}])),
+        (ANSWER, gap_of(NAMED, gap=gap)),
+        (ANSWER, gap_of(OTHER, gap=gap)),
+        ({"kind": "unknown", "regime": "iid", "hidden": [fog]}, gap_of()),
+        ({"kind": "three", "regime": "iid", "hidden": [CLOCK, fog | {"mechanism": "gravel"}]}, gap_of(NAMED)),
         (ANSWER, None),
     ]
     for number, (answer, result) in enumerate(tables):
@@ -135,9 +135,9 @@ def test_the_table_counts_what_was_said(tmp_path: Path) -> None:
         "all tables: a wrong name": (2, 7),
     }
     assert "2 of 2 | 1.000 | 1.000 to 1.000" in closed(scored)[0]
-    told = by_mechanism(scored)
-    assert "| one | slow_clock | 10 | 1 | 2 | 1 x latency |" in told
-    assert "| three | gravel | 20 | 0 | 1 | 1 x missed (nothing else) |" in told
+    rows = by_mechanism(scored)
+    assert "| one | slow_clock | 10 | 1 | 2 | 1 x latency |" in rows
+    assert "| three | gravel | 20 | 0 | 1 | 1 x missed (nothing else) |" in rows
     text = score(tmp_path)
     assert "Without a result, and not counted: 0007" in text
     outcomes = json.loads((tmp_path / "outcomes.json").read_text(encoding="utf-8"))

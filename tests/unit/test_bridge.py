@@ -67,7 +67,7 @@ def test_on_a_busy_computer_a_write_that_returns_late_makes_no_answer_impossible
 
     bench.bus.write = late_write  # type: ignore[method-assign]
     bench.fly(5.0)
-    assert bench.said() == ["Range: all 4 sensors good"]
+    assert bench.reported() == ["Range: all 4 sensors good"]
     assert {reason for name in "abcd" for reason in bench.rejected(name)} <= {"unconfirmed"}
     assert len(bench.distances_cm(from_s=1.0)) == pytest.approx(40, abs=12)
 
@@ -218,7 +218,7 @@ def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
     assert (quality[1.9], quality[2.1], quality[2.3], quality[2.9], quality[3.3]) == (100, 1, 70, 70, 100)
 
 
-def test_a_sensor_that_was_not_heard_yet_is_not_good() -> None:
+def test_a_sensor_without_a_reading_yet_is_not_good() -> None:
     assert [message.signal_quality for _, message in Bench(airframe(), 300).fly(0.45).sent()] == [25, 50, 75, 100]
 
 
@@ -321,7 +321,7 @@ def test_polling_as_the_airframe_says() -> None:
 
 def test_the_time_is_the_autopilots_once_it_is_known() -> None:
     bench = Bench(airframe(), 300).fly(2.0)
-    bench.hear(HEARTBEAT, common.MAVLink_system_time_message(0, 3_600_000))
+    bench.receive(HEARTBEAT, common.MAVLink_system_time_message(0, 3_600_000))
     bench.fly(2.5)
     time_s, message = bench.sent()[-1]
     echo_s = time_s - 0.0374 + 0.0087
@@ -332,7 +332,7 @@ def statuses(bench: Bench, from_s: float) -> list[int]:
     return [message.system_status for time_s, message in bench.sent("HEARTBEAT") if time_s >= from_s]
 
 
-def test_the_heartbeat_tells_of_the_sensors() -> None:
+def test_the_heartbeat_carries_the_state_of_the_sensors() -> None:
     good = Bench(airframe(), 300).fly(5.0)
     assert statuses(good, 0.0)[:2] == [common.MAV_STATE_BOOT] * 2
     assert set(statuses(good, 2.0)) == {common.MAV_STATE_ACTIVE}
@@ -340,29 +340,29 @@ def test_the_heartbeat_tells_of_the_sensors() -> None:
     assert set(statuses(bad, 2.0)) == {common.MAV_STATE_CRITICAL}
 
 
-def test_an_autopilot_that_comes_late_is_told_what_is_wrong() -> None:
+def test_an_autopilot_that_comes_late_gets_the_present_faults() -> None:
     bench = Bench(airframe(), 300, absent="c").fly(5.0)
     assert bench.texts() == ["Range c: no answer (errno 121)"]
-    bench.hear(HEARTBEAT)
+    bench.receive(HEARTBEAT)
     bench.fly(9.0)
     assert bench.texts() == ["Range c: no answer (errno 121)"] * 2
-    assert len(bench.said()) == 1
+    assert len(bench.reported()) == 1
 
 
-def test_an_air_temperature_that_does_not_come_is_said_and_that_it_is_back() -> None:
+def test_an_air_temperature_that_does_not_come_is_reported_and_that_it_is_back() -> None:
     temperature = {"fixed_c": 20.0, "sources": [{"source": "mavlink", "message": "SCALED_PRESSURE"}]}
     bench = Bench(airframe(temperature=temperature), 600)
     assert "no thermometer" not in str(bench.texts())
-    bench.hear(HEARTBEAT)
+    bench.receive(HEARTBEAT)
     bench.fly(8.0)
     assert "Range: no air temperature, using 20 C" in bench.texts()
     asked = [(message.command, message.param1, message.param2) for _, message in bench.sent("COMMAND_LONG")]
     # Its pressures are wanted more often.
     assert asked[0] == (common.MAV_CMD_SET_MESSAGE_INTERVAL, common.MAVLINK_MSG_ID_SCALED_PRESSURE, 1e5)
     before_cm = last(bench).current_distance
-    bench.hear(HEARTBEAT, common.MAVLink_scaled_pressure_message(0, 1000, 0, 3500))
+    bench.receive(HEARTBEAT, common.MAVLink_scaled_pressure_message(0, 1000, 0, 3500))
     bench.fly(12.0)
-    assert "Range: air temp is back" in bench.said()
+    assert "Range: air temp is back" in bench.reported()
     # 15 deg C are 2.5 % of the range.
     assert last(bench).current_distance - before_cm == pytest.approx(600 * 0.0252, abs=1)
 
@@ -370,9 +370,9 @@ def test_an_air_temperature_that_does_not_come_is_said_and_that_it_is_back() -> 
 def test_a_missing_thermometer_is_reported_at_the_start_and_to_an_autopilot_that_comes() -> None:
     bench = Bench(airframe(temperature={"fixed_c": 20.0}), 600).fly(5.0)
     text = "Range: no thermometer, up to 31 cm off at 7.65 m"
-    assert bench.said() == [text, "Range: all 4 sensors good"]
+    assert bench.reported() == [text, "Range: all 4 sensors good"]
     before = len(bench.texts())
-    bench.hear(HEARTBEAT)
+    bench.receive(HEARTBEAT)
     bench.fly(7.0)
     assert bench.texts()[before:] == [text]
 
@@ -529,7 +529,7 @@ def test_a_groups_pings_wait_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("stood_still_s", [1.0, 30.0])
 @pytest.mark.parametrize("after_ping_s", [0.005, 0.030])
-def test_what_was_heard_before_the_program_stood_still_is_not_told_after_it(
+def test_what_was_received_before_the_program_stood_still_is_not_reported_after_it(
     stood_still_s: float, after_ping_s: float
 ) -> None:
     """A computer that swaps or was stopped, or a bus that held the loop: the answer that waits is of long ago."""
@@ -546,34 +546,34 @@ PALLET = [each | {"position_m": CORNERS[each["name"]]} for each in FOUR_DOWN]
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-def test_an_object_below_one_sensor_is_told_with_its_distance_and_leaves_the_ground_alone(autopilot: str) -> None:
+def test_an_object_below_one_sensor_is_sent_with_its_distance_and_leaves_the_ground_alone(autopilot: str) -> None:
     def world(name: str, time_s: float) -> int:
         return 240 if name == "b" and 5.0 <= time_s < 10.0 else 300
 
     link = {"url": "udpout:127.0.0.1:14550", "autopilot": autopilot}
     bench = Bench(airframe(PALLET, link=link), world).fly(15.0)
     assert set(bench.distances_cm()) == {300}
-    told = [(time_s, message) for time_s, message in bench.sent() if message.id == 2]
-    assert 5.0 < told[0][0] < 6.3
-    assert 10.0 < told[-1][0] + 0.4 < 11.3
+    distances = [(time_s, message) for time_s, message in bench.sent() if message.id == 2]
+    assert 5.0 < distances[0][0] < 6.3
+    assert 10.0 < distances[-1][0] + 0.4 < 11.3
     # Not a second stream that looks down: both autopilots would mix it with the fused one.
-    assert {message.orientation for _, message in told} == {common.MAV_SENSOR_ROTATION_CUSTOM}
+    assert {message.orientation for _, message in distances} == {common.MAV_SENSOR_ROTATION_CUSTOM}
     # What comes first is what the sensor's own filter makes of the change.
-    assert {message.current_distance for _, message in told} <= {239, 240}
-    turned = Rotation.from_quat(told[0][1].quaternion, scalar_first=True)
+    assert {message.current_distance for _, message in distances} <= {239, 240}
+    turned = Rotation.from_quat(distances[0][1].quaternion, scalar_first=True)
     assert turned.apply([1, 0, 0]) == pytest.approx([0, 0, 1], abs=1e-6)
-    assert bench.said(1.2) == ["Range b: object below, 0.6 m high", "Range b: ground below"]
+    assert bench.reported(1.2) == ["Range b: object below, 0.6 m high", "Range b: ground below"]
     assert "Range b: object below, 0.6 m high" in bench.texts()
     # Two messages are never closer than PX4 can take them.
     times_s = [time_s for time_s, _ in bench.sent()]
     assert min(late - early for early, late in pairwise(times_s)) > 0.019
 
 
-def test_a_hole_is_told_in_a_text_and_has_no_stream() -> None:
+def test_a_hole_is_reported_in_a_text_and_has_no_stream() -> None:
     bench = Bench(airframe(PALLET), lambda name, time_s: 380 if name == "c" and time_s > 5 else 300).fly(10.0)
     assert set(bench.distances_cm()) == {300}
     assert {message.id for _, message in bench.sent()} == {FUSED_ID}
-    assert bench.said(1.2) == ["Range c: hole below, 0.8 m deep"]
+    assert bench.reported(1.2) == ["Range c: hole below, 0.8 m deep"]
 
 
 def test_a_sensor_that_has_a_stream_of_its_own_needs_no_second_one() -> None:
@@ -593,7 +593,7 @@ def test_a_stuck_sensor_is_a_fault_from_when_the_vehicle_moves_until_it_answers_
     send = {"fused": {"id": FUSED_ID}, "sensors": ["b"]}
     vehicle = airframe(PALLET, send=send, filters=[], link={"url": "udpout:127.0.0.1:14550", "autopilot": "px4"})
     bench = Bench(vehicle, world).fly(20.0)
-    assert bench.said(1.2) == ["Range b: stuck at one value", "Range b: good again"]
+    assert bench.reported(1.2) == ["Range b: stuck at one value", "Range b: good again"]
     assert {message.current_distance for time_s, message in bench.sent() if 13.0 < time_s < 16.0} <= {499, 500, 501}
     assert bench.rejected("b")["stuck"] > 10
     assert all(message.id == FUSED_ID for time_s, message in bench.sent() if 9.2 < time_s < 16.0), "a fault is silence"
@@ -605,9 +605,9 @@ def test_the_attitude_is_asked_for_where_none_is_sent_and_recorded_where_it_is()
     paper = Paper()
     bench = Bench(airframe(PALLET), 300, recorder=paper)
     for i in range(100):
-        bench.hear(HEARTBEAT)
+        bench.receive(HEARTBEAT)
         if i >= 50:
-            bench.hear(common.MAVLink_attitude_message(100 * i, 0.1, 0.0, 0.0, 0, 0, 0))
+            bench.receive(common.MAVLink_attitude_message(100 * i, 0.1, 0.0, 0.0, 0, 0, 0))
         bench.fly(0.1 * (i + 1))
     asked = [time_s for time_s, each in bench.sent("COMMAND_LONG") if each.param1 == common.MAVLINK_MSG_ID_ATTITUDE]
     assert len(asked) == 1

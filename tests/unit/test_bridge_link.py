@@ -42,17 +42,17 @@ BOOTED_S = 1000.0
 
 
 @pytest.mark.parametrize(("synchronised", "of_what_s"), [(True, 0.060), (False, 0.0)])
-def test_an_attitude_is_of_the_time_that_the_autopilot_says_and_is_kept_at_its_arrival(
+def test_an_attitude_is_of_the_time_that_the_autopilot_states_and_is_kept_at_its_arrival(
     synchronised: bool, of_what_s: float
 ) -> None:
     """A radio link delivers it 60 ms late; at 90 deg/s that is five degrees."""
     keeper = Keeper("/attitude")
     bench = Bench(airframe(), 300, recorder=keeper)
     for i in range(1, 101):
-        bench.hear(HEARTBEAT)
+        bench.receive(HEARTBEAT)
         if synchronised:
-            bench.hear(common.MAVLink_system_time_message(0, round((BOOTED_S + bench.now()) * 1e3)))
-        bench.hear(attitude(BOOTED_S + bench.now() - 0.060))
+            bench.receive(common.MAVLink_system_time_message(0, round((BOOTED_S + bench.now()) * 1e3)))
+        bench.receive(attitude(BOOTED_S + bench.now() - 0.060))
         bench.fly(0.1 * i)
     errors_s = [arrived_s - of_what_s - message["time_s"] for arrived_s, message in keeper.kept[20:]]
     # SYSTEM_TIME waits for the next look at the link, every 5 ms; both times have whole milliseconds.
@@ -64,8 +64,8 @@ def test_an_attitude_with_a_time_that_cannot_be_is_of_its_arrival() -> None:
     keeper = Keeper("/attitude")
     bench = Bench(airframe(), 300, recorder=keeper)
     for i in range(1, 51):
-        bench.hear(HEARTBEAT, common.MAVLink_system_time_message(0, round((BOOTED_S + bench.now()) * 1e3)))
-        bench.hear(attitude(7.0))
+        bench.receive(HEARTBEAT, common.MAVLink_system_time_message(0, round((BOOTED_S + bench.now()) * 1e3)))
+        bench.receive(attitude(7.0))
         bench.fly(0.1 * i)
     assert len(keeper.kept) > 40
     assert all(message["time_s"] == arrived_s for arrived_s, message in keeper.kept)
@@ -74,7 +74,7 @@ def test_an_attitude_with_a_time_that_cannot_be_is_of_its_arrival() -> None:
 def test_an_attitude_that_streams_too_slowly_is_asked_for() -> None:
     bench = Bench(airframe(), 300)
     for i in range(1, 41):
-        bench.hear(HEARTBEAT, attitude(0.25 * i))
+        bench.receive(HEARTBEAT, attitude(0.25 * i))
         bench.fly(0.25 * i)
     asked = [each.param1 for _, each in bench.sent("COMMAND_LONG")]
     assert common.MAVLINK_MSG_ID_ATTITUDE in asked
@@ -84,7 +84,7 @@ def test_a_clock_that_jumps_does_not_flood_the_pilot() -> None:
     """Each jump back looks like an autopilot that has started again and has to be sent all that is wrong."""
     bench = Bench(airframe(), 300, absent="c")
     for i in range(1, 301):
-        bench.hear(HEARTBEAT, common.MAVLink_system_time_message(0, 1_000_000 if i % 2 else 2_000_000))
+        bench.receive(HEARTBEAT, common.MAVLink_system_time_message(0, 1_000_000 if i % 2 else 2_000_000))
         bench.fly(0.2 * i)
     assert bench.bridge.link.autopilot_clock.reboots > 100
     texts = bench.texts().count("Range c: no answer (errno 121)")
@@ -96,7 +96,7 @@ def test_a_text_for_an_autopilot_that_started_again_is_late_but_not_lost() -> No
     for i in range(1, 31):
         # It starts again two seconds after it was first received.
         boot_ms = 60_000 + 1000 * i if i < 3 else 1000 * i
-        bench.hear(HEARTBEAT, common.MAVLink_system_time_message(0, boot_ms))
+        bench.receive(HEARTBEAT, common.MAVLink_system_time_message(0, boot_ms))
         bench.fly(1.0 * i)
     times_s = [time_s for time_s, each in bench.sent("STATUSTEXT") if each.text == "Range c: no answer (errno 121)"]
     assert len(times_s) == 2
@@ -123,7 +123,7 @@ class Autopilots:
 
 def about_others(bench: Bench) -> list[str]:
     """Reports, but for the one that all sensors are good."""
-    return [text for text in bench.said() if "good" not in text]
+    return [text for text in bench.reported() if "good" not in text]
 
 
 OWN_HEARTBEAT = common.MAVLink_heartbeat_message(18, common.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)

@@ -162,7 +162,7 @@ def test_the_spread_is_that_of_all_readings_and_not_of_the_points() -> None:
     assert found.spread.value == pytest.approx(np.sqrt((1999 * 2.0**2 + 49 * 0.6**2) / 2048), abs=0.08)
 
 
-def test_few_ranges_are_said_to_be_too_few() -> None:
+def test_few_ranges_are_reported_as_too_few() -> None:
     rng = np.random.default_rng(7)
     one = calibrated(table(point(rng, 100.0, error_cm=3.0)))
     assert (one.form, one.held_out, one.scale) == ("none", (), None)
@@ -173,6 +173,6 @@ def test_few_ranges_are_said_to_be_too_few() -> None:
     assert three.scale is not None
 
 
-def test_nothing_heard_is_no_calibration() -> None:
+def test_no_echo_at_all_is_no_calibration() -> None:
     rng = np.random.default_rng(8)
     assert calibrate(sort_into_points(table(point(rng, 100.0, missed=1.0)), SENSOR)) is None

@@ -39,7 +39,7 @@ def test_backwards_is_backwards(range_cm: float, pieces: list[tuple[float, float
     assert curve.inverse(curve.forward(range_cm)) == pytest.approx(range_cm)
 
 
-def test_arrays_and_numbers_agree_and_what_is_not_heard_stays() -> None:
+def test_arrays_and_numbers_agree_and_no_echo_stays() -> None:
     x = np.array([0.0, 50.0, 99.0, 100.0, 250.0, 800.0])
     assert BENT.forward(x).tolist() == [BENT.forward(float(each)) for each in x]
     assert BENT.inverse(x).tolist() == [BENT.inverse(float(each)) for each in x]
@@ -88,7 +88,7 @@ def test_a_sensor_model_file_has_it(tmp_path: Path) -> None:
         ([{"true_cm": 50, "reading_cm": 52}, {"true_cm": 90, "reading_cm": 60}], "0.5 to 2 times"),
     ],
 )
-def test_mistakes_in_the_file_are_told(tmp_path: Path, knots: list[dict[str, float]], message: str) -> None:
+def test_user_errors_in_the_file_are_reported(tmp_path: Path, knots: list[dict[str, float]], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_sensor_model(sensor_file(tmp_path, knots))
 

@@ -1,4 +1,4 @@
-"""Campaign files and their points: what is read, in which order, and what a person is told to change."""
+"""Campaign files and their points: what is read, in which order, and what the operator is asked to change."""
 
 from dataclasses import fields
 from itertools import pairwise
@@ -28,7 +28,7 @@ def changed_parts(before: Setup, after: Setup) -> list[str]:
     return [each.name for each in fields(Setup) if getattr(before, each.name) != getattr(after, each.name)]
 
 
-def test_bench_campaigns_and_campaigns_of_flights_are_told_apart() -> None:
+def test_bench_campaigns_and_campaigns_of_flights_are_distinguished() -> None:
     assert {"table_4_1", "afternoon", "future"} <= {*BENCH_CAMPAIGNS}
     assert is_of_flights(CONFIGS / "campaigns/flight.yaml")
 
@@ -117,7 +117,7 @@ def test_a_condition_begins_where_the_one_before_stopped(tmp_path: Path) -> None
     assert setup_s(points[2].setup, points[3].setup) == 0.0
 
 
-def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> None:
+def test_the_operator_is_asked_to_change_what_differs_and_nothing_else(tmp_path: Path) -> None:
     hot = {"air_temperature_c": 46, "target_temperature_c": 21, "how": "Blow warm air into the box."}
     source = {"frequencies_khz": [42], "levels_db": [90], "duties": [0.5], "distances_cm": [100]}
     small = campaign(
@@ -131,8 +131,8 @@ def test_a_person_is_told_what_to_change_and_nothing_else(tmp_path: Path) -> Non
         condition(condition="turned", ranges_cm=[60], angles_deg=[0, 1.8], targets=[{"material": "wall"}]),
     )  # fmt: skip
     points = make_plan(small)
-    told = [changes(None, points[0]), *(changes(before, after) for before, after in pairwise(points))]
-    assert told == [
+    listed = [changes(None, points[0]), *(changes(before, after) for before, after in pairwise(points))]
+    assert listed == [
         [
             "Level the sensor.",
             "Connect and mount one alone.",
@@ -208,7 +208,7 @@ def test_two_sensors_in_turn_take_twice_the_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"ranges_cm": {"first": 40, "last": 70, "step": 20}}, "ranges_cm: .*whole steps"),
         ({"ranges_cm": [60, 60]}, "ranges_cm: found 60.0 more than once"),
@@ -223,9 +223,9 @@ def test_two_sensors_in_turn_take_twice_the_time(tmp_path: Path) -> None:
         ({"readings": 0}, "readings"),
     ],
 )
-def test_mistakes_are_named(changed: dict[str, Any], said: str, tmp_path: Path) -> None:
+def test_user_errors_are_named(changed: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = written(tmp_path, condition(**changed))
-    with pytest.raises(ConfigError, match=said) as caught:
+    with pytest.raises(ConfigError, match=message) as caught:
         load_campaign(path)
     assert str(path) in str(caught.value)
 

@@ -1,4 +1,4 @@
-"""The changepoint filter: steps, slopes, wild and missing readings, and a variance that is honest."""
+"""The changepoint filter: steps, slopes, outliers and missing readings, and a variance that is honest."""
 
 import math
 from collections.abc import Sequence
@@ -62,28 +62,28 @@ def test_gaussian_readings_are_followed_at_once_and_others_wait_for_a_second(ste
     assert abs(waits[41] - true_m[41]) < 3 * STD_M
 
 
-@pytest.mark.parametrize("wild_m", [4.0, 2.0, 0.3, 7.4])
-def test_one_wild_reading_moves_nothing(wild_m: float) -> None:
+@pytest.mark.parametrize("outlier_m", [4.0, 2.0, 0.3, 7.4])
+def test_one_outlier_moves_nothing(outlier_m: float) -> None:
     readings = noisy(np.full(45, 3.0))
-    readings[40] = wild_m
+    readings[40] = outlier_m
     out = run(WILD, readings)
     assert np.isnan(out[40, 0])
     assert abs(out[41, 0] - out[39, 0]) < 0.02
     assert not np.isnan(out[41:, 0]).any()
 
 
-@pytest.mark.parametrize("wild_m", [5.0, 3.2])
-def test_one_wild_reading_moves_nothing_where_there_are_many_steps(wild_m: float) -> None:
+@pytest.mark.parametrize("outlier_m", [5.0, 3.2])
+def test_one_outlier_moves_nothing_where_there_are_many_steps(outlier_m: float) -> None:
     """Steps are learned to be frequent, and still take a second reading."""
     true_m = np.repeat(np.tile([3.0, 3.7], 12), 8)
     readings = noisy(true_m)
-    readings[-3] = wild_m
+    readings[-3] = outlier_m
     out = run(WILD, readings)
     assert np.isnan(out[-3, 0])
     assert abs(out[-2, 0] - 3.7) < 3 * STD_M
 
 
-def test_two_wild_readings_that_disagree_move_nothing() -> None:
+def test_two_outliers_that_disagree_move_nothing() -> None:
     readings = noisy(np.full(45, 3.0))
     readings[40:42] = 4.7, 1.1
     out = run(WILD, readings)[:, 0]
@@ -91,7 +91,7 @@ def test_two_wild_readings_that_disagree_move_nothing() -> None:
     assert abs(out[42] - 3.0) < 3 * STD_M
 
 
-def test_the_first_reading_waits_for_a_second_where_there_are_wild_ones() -> None:
+def test_the_first_reading_waits_for_a_second_where_there_are_outliers() -> None:
     assert run(GAUSSIAN, [3.0])[0, 0] == pytest.approx(3.0, abs=1e-4)
     out = run(WILD, [0.5, 3.0, 3.01, 3.0])[:, 0]
     assert np.isnan(out[:2]).all()

@@ -114,7 +114,9 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
         (("--out", "{}/m.yaml", "--date", "today"), "expected a day such as 2026-10-05"),
     ],
 )
-def test_what_cannot_be_written_is_told_before_the_work(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+def test_what_cannot_be_written_is_reported_before_the_work(
+    tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
     write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(6), 100)))
     result = run(tmp_path / "a.csv", "--sensor", SENSOR, *(each.format(tmp_path) for each in options))
     assert result.exit_code == 3
@@ -163,7 +165,7 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_data_that_say_nothing_are_refused(
+def test_data_without_information_are_refused(
     tmp_path: Path, parts: Callable[[np.random.Generator], list[dict[str, NDArray[Any]]]], message: str
 ) -> None:
     write_csv(tmp_path / "a.csv", table(*parts(np.random.default_rng(4))))
@@ -174,7 +176,7 @@ def test_data_that_say_nothing_are_refused(
     assert not (tmp_path / "m.yaml").exists()
 
 
-def test_one_range_gives_what_it_can_and_says_what_it_cannot(tmp_path: Path) -> None:
+def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", table(point(np.random.default_rng(5), 100, n=400, missed=0.05)))
     out = tmp_path / "a folder that" / "is not there" / "m.yaml"
     result = run(tmp_path / "a.csv", "--out", out, "--sensor", SENSOR)

@@ -298,7 +298,7 @@ def test_names_from_the_data_are_escaped(tmp_path: Path) -> None:
     assert "material__b__grit__b_" in names_of(tmp_path)
 
 
-def test_a_folder_that_cannot_be_made_is_told_in_a_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_reported_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     data = measured(most=300)
     data = data.select(data["condition"] == "baseline")

@@ -1,4 +1,4 @@
-"""The commands as a person uses them: help that teaches, mistakes told in a line, exit codes."""
+"""The commands as a person uses them: help that teaches, user errors reported in a line, exit codes."""
 
 import errno
 import json
@@ -91,7 +91,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         (["check", "configs/quad_palet.yaml"], "next to it there is quad_pallet.yaml"),
         (["run", "configs/quad_pallet.yaml", "--link", "udp:1"], "--link:"),
@@ -102,11 +102,13 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["recover", "missing.mcap", "out.mcap"], "cannot be read"),
     ],
 )
-def test_a_mistake_is_one_line_and_exit_code_3(args: list[str], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_user_error_is_one_line_and_exit_code_3(
+    args: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(CONFIGS.parent)
     result = CliRunner().invoke(app, args, catch_exceptions=False)
     assert result.exit_code == 3
-    assert said in result.output
+    assert message in result.output
     assert "Traceback" not in result.output
     assert len(result.output.strip().splitlines()) == 1
 
@@ -155,7 +157,7 @@ def sonar(monkeypatch: pytest.MonkeyPatch) -> EmulatedMB1242:
     return device
 
 
-def test_scan_pings_only_when_it_is_told_to(sonar: EmulatedMB1242) -> None:
+def test_scan_pings_only_with_its_option(sonar: EmulatedMB1242) -> None:
     assert "0x70" in CliRunner().invoke(app, ["scan"], catch_exceptions=False).output
     assert sonar.pings == 0
     assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output

@@ -1,4 +1,4 @@
-"""Other people's names and units, and what is said where a map does not fit."""
+"""Other people's names and units, and what is reported where a map does not fit."""
 
 import gzip
 import time
@@ -91,7 +91,7 @@ def test_rows_are_left_out_by_value(tmp_path: Path) -> None:
         (["missing.yaml"], "no such file"),
     ],
 )
-def test_mistakes_in_options(tmp_path: Path, options: list[str], message: str) -> None:
+def test_user_errors_in_options(tmp_path: Path, options: list[str], message: str) -> None:
     path = written(tmp_path, "dist,b\n1,2\n")
     with pytest.raises((ConfigError, RecordingError), match=message):
         read_mapped(
@@ -114,7 +114,7 @@ def test_mistakes_in_options(tmp_path: Path, options: list[str], message: str) -
         ("columns: {reading_cm: dist}\ncode: {no_echo: [1]}", "Did you mean 'codes'"),
     ],
 )
-def test_mistakes_in_a_map_file(tmp_path: Path, column_map: str, message: str) -> None:
+def test_user_errors_in_a_map_file(tmp_path: Path, column_map: str, message: str) -> None:
     with pytest.raises((ConfigError, RecordingError), match=message):
         mapped(tmp_path, "dist,word,twice,twice\n1,x,2,3\n", column_map)
 

@@ -1,4 +1,4 @@
-"""Airframe files: the shipped ones, and what a person is told of a mistake: file, place, found, expected, nearest."""
+"""Airframe files: the shipped ones, and what is reported of a user error: file, place, found, expected, nearest."""
 
 import copy
 import math
@@ -43,7 +43,7 @@ def write(folder: Path, change: Change) -> Path:
     return path
 
 
-def mistakes(folder: Path, change: Change) -> list[str]:
+def errors_of(folder: Path, change: Change) -> list[str]:
     """The lines of the error, without the file's name in front."""
     path = write(folder, change)
     with pytest.raises(ConfigError) as error:
@@ -162,7 +162,7 @@ def test_what_is_left_out() -> None:
             lambda c: c["temperature"].update(sources=[{"source": "mavlink", "message": "RAW_IMU"}]),
             "temperature.sources[0]: no air temperature in RAW_IMU.temperature; known: SCALED_PRESSURE.temperature, ",
         ),
-        # What only several keys together tell.
+        # What only several keys together show.
         (lambda c: c["sensors"][1].update(address=0x70), "sensors: address 0x70 is given more than once; each needs"),
         (lambda c: c["sensors"][1].update(id=1), "sensors and send.fused: id 1 is given more than once"),
         (lambda c: c["send"]["fused"].update(id=3), "sensors and send.fused: id 3 is given more than once"),
@@ -196,8 +196,8 @@ def test_what_is_left_out() -> None:
         ),
     ],
 )
-def test_a_mistake_is_explained(tmp_path: Path, change: Change, expected: str) -> None:
-    (line,) = mistakes(tmp_path, change)
+def test_a_user_error_is_explained(tmp_path: Path, change: Change, expected: str) -> None:
+    (line,) = errors_of(tmp_path, change)
     assert line.startswith(expected)
 
 
@@ -209,26 +209,26 @@ def test_a_kalman_filter_asks_for_its_package_where_it_would_be_used(
     load_airframe(write(tmp_path, lambda content: content.update(send=single)))
     monkeypatch.setitem(sys.modules, "filterpy", None)
     load_airframe(write(tmp_path, lambda content: None))
-    (line,) = mistakes(tmp_path, lambda content: content.update(send=single))
+    (line,) = errors_of(tmp_path, lambda content: content.update(send=single))
     assert "filters: kalman requires filterpy: pip install 'msp-range[kalman]'" in line
 
 
 def test_known_keys_are_those_of_the_filter_that_is_named(tmp_path: Path) -> None:
-    (line,) = mistakes(tmp_path, lambda c: c.update(filters=[{"filter": "median", "widnow": 3}]))
+    (line,) = errors_of(tmp_path, lambda c: c.update(filters=[{"filter": "median", "widnow": 3}]))
     assert line == "filters[0].widnow: unknown key. Did you mean 'window'? Known keys here: filter, window"
 
 
-def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
+def test_all_user_errors_are_reported_at_once(tmp_path: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         content["vehcile"] = content.pop("vehicle")
         content["sensors"][3]["address"] = 500
 
-    lines = mistakes(tmp_path, change)
+    lines = errors_of(tmp_path, change)
     assert [line.split(":")[0] for line in sorted(lines)] == ["sensors[3].address", "vehcile", "vehicle"]
 
 
-def test_a_mistake_in_a_file_that_is_named_is_told_with_both_places(tmp_path: Path) -> None:
-    (line,) = mistakes(tmp_path, lambda c: c["sensors"][2].update(model="mb1242.yaml"))
+def test_a_user_error_in_a_file_that_is_named_is_reported_with_both_places(tmp_path: Path) -> None:
+    (line,) = errors_of(tmp_path, lambda c: c["sensors"][2].update(model="mb1242.yaml"))
     assert line.startswith(f"{tmp_path / 'mb1242.yaml'}: no such file (named in ")
     assert line.endswith("airframe.yaml: sensors[2])")
 
@@ -266,7 +266,7 @@ def test_a_model_that_several_sensors_name_is_read_once(tmp_path: Path, monkeypa
 
 
 def test_more_sensors_than_a_bus_has_addresses(tmp_path: Path) -> None:
-    (line,) = mistakes(tmp_path, lambda c: c.update(sensors=c["sensors"] * 30))
+    (line,) = errors_of(tmp_path, lambda c: c.update(sensors=c["sensors"] * 30))
     assert line.startswith("sensors: found ")
     assert "at most 117 items" in line
 
@@ -325,13 +325,13 @@ IMPOSSIBLE = [
 
 
 @pytest.mark.parametrize("change", POSSIBLE)
-def test_streams_that_the_autopilot_can_tell_apart(tmp_path: Path, change: Change) -> None:
+def test_streams_that_the_autopilot_can_distinguish(tmp_path: Path, change: Change) -> None:
     load_airframe(write(tmp_path, change))
 
 
 @pytest.mark.parametrize(("change", "expected"), IMPOSSIBLE)
 def test_streams_that_it_would_mix_up_or_not_take(tmp_path: Path, change: Change, expected: str) -> None:
-    (line,) = mistakes(tmp_path, change)
+    (line,) = errors_of(tmp_path, change)
     assert line.startswith(expected)
 
 
@@ -342,7 +342,7 @@ def test_the_narrowest_beam_decides_what_orientation_a_sensor_has(tmp_path: Path
 
 
 def accepts(schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str) -> list[str]:
-    """What a JSON Schema says against a value; of the standard as much as pydantic writes for these files."""
+    """What a JSON Schema has against a value; of the standard as much as pydantic writes for these files."""
     if "$ref" in schema:
         schema = whole["$defs"][schema["$ref"].removeprefix("#/$defs/")]
     options = schema.get("anyOf") or schema.get("oneOf")
@@ -360,11 +360,11 @@ def accepts(schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str) 
         return [f"{at}: {value!r} is not {schema['type']}"]
     if isinstance(value, dict) and schema.get("additionalProperties") is not True:
         properties = schema["properties"]
-        said = [f"{at}.{key}: unknown" for key in value.keys() - properties.keys()]
-        said += [f"{at}.{key}: missing" for key in set(schema.get("required", ())) - value.keys()]
+        errors = [f"{at}.{key}: unknown" for key in value.keys() - properties.keys()]
+        errors += [f"{at}.{key}: missing" for key in set(schema.get("required", ())) - value.keys()]
         for key in value.keys() & properties.keys():
-            said += accepts(properties[key], value[key], whole, f"{at}.{key}")
-        return said
+            errors += accepts(properties[key], value[key], whole, f"{at}.{key}")
+        return errors
     if isinstance(value, list):
         items = schema.get("prefixItems") or [schema.get("items", {})] * len(value)
         return [line for item, each in zip(items, value, strict=True) for line in accepts(item, each, whole, f"{at}[]")]
@@ -391,7 +391,7 @@ def test_the_json_schema_accepts_the_shipped_files_and_describes_every_key(secti
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda c: c.update(vehicl="x"), "quad.vehicl: unknown"),
         (lambda c: c["sensors"][0].pop("id"), "quad.sensors[].id: missing"),
@@ -399,12 +399,12 @@ def test_the_json_schema_accepts_the_shipped_files_and_describes_every_key(secti
         (lambda c: c["filters"][0].update(filter="kalmn"), "quad.filters[].filter: kalmn not in"),
     ],
 )
-def test_the_json_schema_refuses_mistakes(change: Change, said: str) -> None:
+def test_the_json_schema_refuses_user_errors(change: Change, message: str) -> None:
     content = copy.deepcopy(QUAD)
     change(content)
     schema = Airframe.model_json_schema()
-    (line,) = [line for line in accepts(schema, content, schema, "quad") if said.split(":")[0] in line]
-    assert line.startswith(said)
+    (line,) = [line for line in accepts(schema, content, schema, "quad") if message.split(":")[0] in line]
+    assert line.startswith(message)
 
 
 @named(AIRFRAMES)

@@ -1,4 +1,4 @@
-"""The one CSV form: what goes in comes out, and mistakes are told with file, line and column."""
+"""The one CSV form: what goes in comes out, and user errors are reported with file, line and column."""
 
 import os
 from pathlib import Path
@@ -121,7 +121,7 @@ HEADER = "time_s,sensor,reading_cm,target\n"
     [
         ("", "a.csv: empty, expected a header with the columns time_s, sensor, reading_cm"),
         ("time_s,sensor,reading\n", "a.csv:1: the column 'reading_cm' is missing. Is it 'reading'?"),
-        ("time_s;sensor;reading_cm\n", "the column 'time_s' is missing. Columns are told apart by commas."),
+        ("time_s;sensor;reading_cm\n", "the column 'time_s' is missing. Columns are separated by commas."),
         ("time_s,sensor,reading_cm,\n", "a.csv:1: column 4 has no name"),
         ("time_s,sensor,reading_cm,sensor\n", "a.csv:1: the column 'sensor' is there twice"),
         (HEADER + "1,a,2,\n1,a,2\n", "a.csv:3: found 3 cells, expected 4 as in the header"),
@@ -147,13 +147,13 @@ HEADER = "time_s,sensor,reading_cm,target\n"
         ),
     ],
 )
-def test_mistakes_are_told_where_they_are(tmp_path: Path, text: str, message: str) -> None:
+def test_user_errors_are_reported_with_their_place(tmp_path: Path, text: str, message: str) -> None:
     path = written(tmp_path / "a.csv", text)
-    with pytest.raises(RecordingError) as told:
+    with pytest.raises(RecordingError) as raised:
         read_csv(path)
-    assert message in str(told.value)
-    assert str(path) in str(told.value)
-    assert len(str(told.value)) < 1000
+    assert message in str(raised.value)
+    assert str(path) in str(raised.value)
+    assert len(str(raised.value)) < 1000
 
 
 def test_many_rows_of_long_words_would_take_too_much_memory(tmp_path: Path) -> None:

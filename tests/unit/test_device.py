@@ -297,7 +297,7 @@ def test_a_word_that_a_healthy_sensor_gives_is_not_impossible(word: int) -> None
 
 
 @pytest.mark.parametrize("fault", [Fault("silent", 0.0, 1.0, 0.5), Fault("noisy", 0.0, 1.0)])
-def test_chance_has_to_be_given(fault: Fault) -> None:
+def test_a_random_generator_has_to_be_given(fault: Fault) -> None:
     with pytest.raises(ValueError, match=r"random\.Random"):
         EmulatedMB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])
 
@@ -358,7 +358,7 @@ def test_a_device_that_is_not_a_sonar() -> None:
     assert wires.bus.read(0x70, 0) == b""
 
 
-def test_two_sensors_at_one_address_hear_the_same_and_answer_with_the_and() -> None:
+def test_two_sensors_at_one_address_get_the_same_and_answer_with_the_and() -> None:
     near, far = Bench([0x0102]), Bench([0x00F6])
     bus = EmulatedBus([near.sonar, far.sonar], lambda: 0.0)
     bus.write(0x70, RANGE_COMMAND)

@@ -67,7 +67,7 @@ def test_reflection_is_the_textbooks(medium_rayl: float, target_rayl: float, pub
 
 
 def test_hard_surfaces_reflect_alike_and_soft_ones_less() -> None:
-    """The report could not tell plywood, asphalt and concrete apart (figures 4.13 to 4.15)."""
+    """The report could not separate plywood, asphalt and concrete (figures 4.13 to 4.15)."""
     levels_db = {name: Target(material.impedance_rayl).reflection_db(AIR) for name, material in MATERIALS.items()}
     for hard in ("plywood", "asphalt", "concrete", "water"):
         assert -0.02 < levels_db[hard] < 0

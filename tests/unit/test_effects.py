@@ -162,7 +162,7 @@ def test_a_slanting_sensor_reads_the_slant_range() -> None:
         ({"name": "prop_wash", "parameter": {}}, r"effects\[0\].parameter: unknown key. Did you mean 'parameters'\?"),
     ],
 )
-def test_mistakes_in_a_model_file_are_named(entry: dict[str, Any], text: str, tmp_path: Path) -> None:
+def test_user_errors_in_a_model_file_are_named(entry: dict[str, Any], text: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=text):
         Model.of(sensor(entry))
     path = tmp_path / "wrong.yaml"

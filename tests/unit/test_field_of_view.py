@@ -96,14 +96,14 @@ def test_a_wide_angle_behind_a_silent_one_is_no_field_of_view() -> None:
 
 
 @pytest.mark.parametrize(("grows", "verdict"), [(1.0, "slant"), (0.0, "nearest"), (0.5, "unknown")])
-def test_slant_and_nearest_are_told_apart_under_a_calibration(grows: float, verdict: str) -> None:
+def test_slant_and_nearest_are_distinguished_under_a_calibration(grows: float, verdict: str) -> None:
     found = swept(6, {z: (angle, angle) for z, angle in REPORT.items()}, grows=grows, offset=2.0)
     assert found.oblique.verdict == verdict
     assert found.oblique.share_of_slant is not None
     assert found.oblique.share_of_slant.value == pytest.approx(grows, abs=0.1)
 
 
-def test_small_angles_do_not_tell_slant_from_nearest() -> None:
+def test_small_angles_do_not_separate_slant_from_nearest() -> None:
     found = swept(7, {50: (27.0, 27.0)}, angles=[-5.4, -3.6, -1.8, 0.0, 1.8, 3.6, 5.4])
     assert found.oblique.verdict == "unknown"
     assert found.oblique.share_of_slant is None
@@ -115,8 +115,8 @@ def test_no_angles_no_field_of_view() -> None:
     assert find_field_of_view(sort_into_points(parts, SENSOR), IDENTITY) is None
 
 
-def test_an_edge_that_eight_readings_leave_open_is_said_to_be_open() -> None:
-    """4 of 8 at 9 deg: not reliable, though by chance it may be: its likelihood is 1.8 in the logarithm lower."""
+def test_an_edge_that_eight_readings_leave_open_is_reported_as_open() -> None:
+    """4 of 8 at 9 deg: not reliable, though at random it may be: its likelihood is 1.8 in the logarithm lower."""
     rng = np.random.default_rng(10)
     parts = []
     for angle_deg, of_wall in ((-9.0, 4), (-4.5, 8), (0.0, 8), (4.5, 8), (9.0, 4), (13.5, 0), (-13.5, 0)):
@@ -146,7 +146,7 @@ def test_the_sonar_equation_goes_through_the_reports_angles() -> None:
     assert sonar_through([(50.0, 20.0), (100.0, 15.0)], SENSOR, None) is None
 
 
-def test_angles_that_no_piston_has_are_said_to_be_missed() -> None:
+def test_angles_that_no_piston_has_are_reported_as_missed() -> None:
     found = sonar_through([(50.0, 40.0), (100.0, 39.0), (150.0, 10.0), (200.0, 9.0)], SENSOR, 500.0)
     assert found is not None
     assert not found.within_a_step

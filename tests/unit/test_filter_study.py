@@ -148,7 +148,7 @@ def rms(estimate_cm: np.ndarray, runs: ScenarioRuns) -> float:
 # An implementation of the study that shares nothing with the one above: plain lists, `random`, one run.
 
 
-def a_run(scenario: str, chance: random.Random) -> list[float]:
+def a_run(scenario: str, rng: random.Random) -> list[float]:
     if scenario == "fixed":
         return [300.0] * 200
     if scenario == "steps":
@@ -156,8 +156,8 @@ def a_run(scenario: str, chance: random.Random) -> list[float]:
     levels: list[float] = []
     last = 300.0
     while len(levels) < 200:
-        count, level = chance.randint(5, 19), chance.uniform(230.0, 360.0)
-        ramp = chance.random() < 0.5
+        count, level = rng.randint(5, 19), rng.uniform(230.0, 360.0)
+        ramp = rng.random() < 0.5
         levels += [last + (level - last) * step / count if ramp else level for step in range(count)]
         last = level
     return levels[:200]
@@ -186,9 +186,9 @@ def delayed(estimate: list[float], reading: list[float], samples: int) -> list[f
 def table_of(filters: dict[str, Callable[[list[float]], list[float]]], seed: int, sign: int = 1) -> str:
     lines = ["scenario,filter,rms,p90,median,mean,variance"]
     for scenario in ("fixed", "steps", "random"):
-        chance = random.Random(f"{seed} {scenario}")
-        true = a_run(scenario, chance)
-        reading = [float(round(value + chance.gauss(0.0, math.sqrt(3.7811)))) for value in true]
+        rng = random.Random(f"{seed} {scenario}")
+        true = a_run(scenario, rng)
+        reading = [float(round(value + rng.gauss(0.0, math.sqrt(3.7811)))) for value in true]
         for name, one in filters.items():
             error = [sign * (a - b) for a, b in zip(one(reading), true, strict=True)]
             values = (
@@ -278,7 +278,7 @@ def test_a_factor_and_a_delay_together_are_found(tmp_path: Path) -> None:
     assert not found
 
 
-def test_what_nothing_explains_is_said_to_be_unexplained(tmp_path: Path) -> None:
+def test_what_nothing_explains_is_reported_as_unexplained(tmp_path: Path) -> None:
     """Each scenario with another fault."""
     text = table_of({"kalman 2": lambda x: kalman(x, 1.0)}, 8).splitlines()
     other = table_of({"kalman 2": lambda x: [0.5 * value for value in kalman(x, 1.0)]}, 8).splitlines()
@@ -297,18 +297,18 @@ def test_the_command_explains_the_report_and_draws_its_figures(
     with pytest.raises(SystemExit) as ended:
         app(["filters", "--seeds", "10", "--out", str(tmp_path)])
     assert not ended.value.code
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     found = json.loads((tmp_path / "filters.json").read_text())
     explained = {each["filter"]: each for each in found["explanations"]}
     assert found["errors_are_truth_less_estimate"] is True
     for name, late in (("moving average 5", 3), ("moving average 11", 6), ("moving average 15", 8)):
         assert [(each["what"], each["value"]) for each in explained[name]["changes"]] == [("delay", late)]
-        assert f"{name}: {late} samples late" in told
+        assert f"{name}: {late} samples late" in printed
     for name in ("kalman 2", "kalman 3"):
         assert [(each["what"], each["value"]) for each in explained[name]["changes"]] == [("q_factor", 10.0)]
     for name in ("median 3", "median 7", "median 11", "kalman 1"):
         assert explained[name]["changes"] == []
-        assert f"{name}: within the bands as stated" in told
+        assert f"{name}: within the bands as stated" in printed
     assert explained["kalman 3"]["rows"]["steps"]["gap_before"] > 20
     assert explained["kalman 3"]["rows"]["steps"]["gap_after"] < 4
     for number in range(7, 16):
@@ -325,7 +325,7 @@ def test_the_report_s_columns_are_put_in_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "found the columns none"),
         ("scenario,filter,rms\n", "expected scenario, filter, rms, p90"),
@@ -339,12 +339,12 @@ def test_the_report_s_columns_are_put_in_order() -> None:
         ("scenario,filter,rms,p90,median,mean,variance\n", "contains no rows"),
     ],
 )
-def test_mistakes_in_a_table_are_told_in_one_line(tmp_path: Path, text: str, told: str) -> None:
+def test_user_errors_in_a_table_are_reported_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "table.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         read_table(path)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     with pytest.raises(ConfigError, match="cannot be read"):
         read_table(tmp_path / "none.csv")

@@ -124,7 +124,7 @@ def test_kalman_knows_its_own_error() -> None:
 
 
 @pytest.mark.parametrize("model", ["constant", "constant_velocity"])
-def test_kalman_holds_one_wild_reading_back_and_believes_the_second(model: str) -> None:
+def test_kalman_holds_one_outlier_back_and_believes_the_second(model: str) -> None:
     one = kalman(model=model)
     ranges_m = [5.0] * 10 + [2.5] + [5.0] * 5 + [2.5, 2.5, 2.5]
     out = run(one, ranges_m)[:, 0]

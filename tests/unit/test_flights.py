@@ -98,7 +98,7 @@ def test_of_a_flight_flown_twice_the_last_one_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("time_s,range_cm\n1,2", "'true_range_cm' is missing"),
         ("when,true_range_cm\n1,2", "no column time_s"),
@@ -106,15 +106,15 @@ def test_of_a_flight_flown_twice_the_last_one_counts(tmp_path: Path) -> None:
         ("time_s,true_range_cm\n2,2\n3,2", "its times do not overlap"),
     ],
 )
-def test_a_reference_of_no_use_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_a_reference_of_no_use_is_refused(text: str, message: str, tmp_path: Path) -> None:
     reference = tmp_path / "laser.csv"
     reference.write_text(text)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=message):
         archive(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[0], recording(tmp_path, [300]), reference)
     assert not list(tmp_path.glob("out/flights/*"))
 
 
-def test_a_person_is_led_through_and_a_slip_is_told(tmp_path: Path) -> None:
+def test_the_operator_is_led_through_and_a_wrong_answer_is_reported(tmp_path: Path) -> None:
     flown = recording(tmp_path, [250] * 3)
     answers = iter(["nothing.mcap", "", str(flown), "", "s"])
     console = Console(record=True, width=200, file=(tmp_path / "screen").open("w"))

@@ -1,4 +1,4 @@
-"""The ground below four sensors: what it follows, what it leaves out, and what it tells of that."""
+"""The ground below four sensors: what it follows, what it leaves out, and what it reports of that."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ def four(below_m: float = 0.0, oblique: Oblique = "slant", attitude: AttitudeTra
 
 
 def reading(name: str, time_s: float, range_m: float | None, raw: int | None = None, suspect: bool = False) -> Reading:
-    """One with a range, or one that heard nothing; two alike have different raw answers unless they are given."""
+    """One with a range, or one without an echo; two alike have different raw answers unless they are given."""
     if range_m is None:
         return Reading(time_s, name, Status.NO_ECHO, raw=765)
     raw = hash((name, time_s)) & 0x7FFF if raw is None else raw
@@ -95,14 +95,14 @@ def test_hard_acceleration_does_not_silence_it(acceleration_m_s2: float) -> None
         return 20.0 + acceleration_m_s2 * (t * t / 2 if t < 1 else t - 0.5)
 
     out = fly(four(), lambda name, time_s: height_m(time_s), 80, noise(80))
-    told = [i * SLOT_S for i, each in enumerate(out) if each is not None]
-    assert max(late - early for early, late in pairwise(told)) < 0.35
+    times_s = [i * SLOT_S for i, each in enumerate(out) if each is not None]
+    assert max(late - early for early, late in pairwise(times_s)) < 0.35
     assert np.abs(errors_m(out, height_m)).max() < 0.25
 
 
 @pytest.mark.parametrize("off_m", [-2.0, -0.3, 0.5, 3.0])
 @pytest.mark.parametrize("speed_m_s", [0.0, 1.0])
-def test_one_sensor_that_sees_something_else_does_not_move_it_and_is_told_of(off_m: float, speed_m_s: float) -> None:
+def test_one_sensor_that_sees_something_else_does_not_move_it_and_is_reported(off_m: float, speed_m_s: float) -> None:
     def ramp(time_s: float) -> float:
         return 4.0 + speed_m_s * time_s
 
@@ -117,16 +117,16 @@ def test_one_sensor_that_sees_something_else_does_not_move_it_and_is_told_of(off
     assert fusion.object_m("c") is None
 
 
-def test_a_single_wild_reading_does_not_move_it_and_is_no_object() -> None:
+def test_a_single_outlier_does_not_move_it_and_is_no_object() -> None:
     fusion = four()
-    wild_m = noise(80)
-    wild_m[[40, 53, 58]] = [-2.5, 3.0, -0.4]
-    out = fly(fusion, lambda name, time_s: 4.0, 80, wild_m)
+    noise_m = noise(80)
+    noise_m[[40, 53, 58]] = [-2.5, 3.0, -0.4]
+    out = fly(fusion, lambda name, time_s: 4.0, 80, noise_m)
     assert np.abs(errors_m(out[20:], lambda time_s: 4.0)).max() < 0.05
     assert [fusion.object_m(name) for name in NAMES] == 4 * [None]
 
 
-def test_a_step_of_the_ground_is_followed_at_the_third_reading_and_not_told_wrongly_at_the_second() -> None:
+def test_a_step_of_the_ground_is_followed_at_the_third_reading_and_not_sent_wrongly_at_the_second() -> None:
     out = fly(four(), lambda name, time_s: 4.0 if time_s < 4.95 else 3.0, 80, noise(80))
     assert np.abs(errors_m(out[30:51], lambda time_s: 4.0)).max() < 0.06
     assert out[51] is None
@@ -162,7 +162,7 @@ def test_groups_that_ping_together_are_no_motion() -> None:
 
 
 def test_echoes_of_a_group_that_are_out_of_order_make_no_speed() -> None:
-    """Sensors that ping together answer in the order of their ranges, and what heard nothing has the ping's time."""
+    """Sensors that ping together answer in the order of their ranges, and one without an echo has the ping's time."""
     fusion = four()
     for turn in range(50):
         take(fusion, reading("a", 0.1 * turn + 0.020, 3.0))
@@ -211,7 +211,7 @@ def test_a_first_ground_is_sent_while_more_than_half_of_those_that_were_read_agr
     assert out[3:] == [None] * 97, "two against two"
     fusion = four()
     out = fly(fusion, lambda name, time_s: 3.0 if name in "ab" else None, 8)
-    assert [each is None for each in out] == [True] + [False] * 7, "one that hears nothing does not object"
+    assert [each is None for each in out] == [True] + [False] * 7, "one without an echo does not object"
 
 
 def test_one_lost_answer_of_two_against_two_makes_no_majority() -> None:
@@ -234,8 +234,8 @@ def test_a_first_reading_that_does_not_agree_makes_the_others_wait_for_more() ->
 
 def test_one_sensor_alone_needs_two_readings_to_believe_a_step_and_knows_no_objects() -> None:
     fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS)
-    wild = [4.0] * 20 + [2.0] + [4.0] * 9 + [3.0] * 10
-    out = [take(fusion, reading("a", i * SLOT_S, range_m)) for i, range_m in enumerate(wild)]
+    ranges_m = [4.0] * 20 + [2.0] + [4.0] * 9 + [3.0] * 10
+    out = [take(fusion, reading("a", i * SLOT_S, range_m)) for i, range_m in enumerate(ranges_m)]
     assert [i for i, each in enumerate(out) if each is None] == [0, 20, 30]
     assert out[29] is not None
     assert out[29].range_m == pytest.approx(4.0, abs=0.01)
@@ -244,18 +244,18 @@ def test_one_sensor_alone_needs_two_readings_to_believe_a_step_and_knows_no_obje
     assert fusion.object_m("a") is None
 
 
-@pytest.mark.parametrize(("sensors", "told"), [("a", False), ("ab", True), ("abc", True)])
-def test_without_a_reading_two_other_sensors_must_have_seen_the_ground(sensors: str, told: bool) -> None:
+@pytest.mark.parametrize(("sensors", "is_sent"), [("a", False), ("ab", True), ("abc", True)])
+def test_without_a_reading_two_other_sensors_must_have_seen_the_ground(sensors: str, is_sent: bool) -> None:
     fusion = four()
     for i in range(30):
         take(fusion, reading(sensors[i % len(sensors)], i * SLOT_S, 3.0 + 0.5 * i * SLOT_S))
     fused = take(fusion, reading("d", 30 * SLOT_S, None))
-    assert (fused is not None) is told
+    assert (fused is not None) is is_sent
     if fused is not None:
         assert fused.range_m == pytest.approx(4.5, abs=0.03)
 
 
-def test_nothing_is_told_of_what_was_seen_too_long_ago() -> None:
+def test_nothing_is_sent_of_ground_that_was_seen_too_long_ago() -> None:
     def after(gap_s: float, told_s: float = 0.03) -> Fused | None:
         fusion = four()
         fly(fusion, lambda name, time_s: 3.0, 20)
@@ -263,7 +263,7 @@ def test_nothing_is_told_of_what_was_seen_too_long_ago() -> None:
 
     assert after(NEWEST_S - 0.01) is not None
     assert after(NEWEST_S + 0.01) is None
-    # A ranging that is told long after it was made, as after a pause of the program.
+    # A ranging that is reported long after it was made, as after a pause of the program.
     assert after(0.1, told_s=0.3) is None
     fusion = four()
     fly(fusion, lambda name, time_s: 3.0, 20)
@@ -278,8 +278,8 @@ def test_of_two_sensors_one_must_go_on_seeing_the_ground() -> None:
     for i in range(20, 34):
         take(fusion, reading("a", i * SLOT_S, 3.0))
         # The other's last reading was at 1.9 s.
-        told = take(fusion, reading("c", (i + 0.5) * SLOT_S, None)) is not None
-        assert told is ((i + 0.5) * SLOT_S <= 1.9 + HELD_S), i
+        is_sent = take(fusion, reading("c", (i + 0.5) * SLOT_S, None)) is not None
+        assert is_sent is ((i + 0.5) * SLOT_S <= 1.9 + HELD_S), i
 
 
 def test_only_downward_sensors_belong_to_it() -> None:
@@ -289,7 +289,7 @@ def test_only_downward_sensors_belong_to_it() -> None:
 
 
 def test_a_fault_code_that_is_a_range_passes_only_for_ground_that_is_there() -> None:
-    """255 on a vehicle at 2.75 m that hears nothing now and then, and on one that is at 2.55 m."""
+    """255 on a vehicle at 2.75 m that gets no echo now and then, and on one that is at 2.55 m."""
     fusion = four()
     fly(fusion, lambda name, time_s: 2.75, 40, noise(40))
     for i in range(40, 60):
@@ -309,9 +309,9 @@ def test_an_object_whose_distance_does_not_vary_stays_known() -> None:
     draw = np.random.default_rng(3)
     for i in range(120):
         name = NAMES[i % 4]
-        beside = name == "b" and i >= 40
-        range_m = 2.5 if beside else 3.0 + draw.normal(scale=SIGMA_M)
-        take(fusion, reading(name, i * SLOT_S, range_m, raw=250 if beside else None))
+        is_object = name == "b" and i >= 40
+        range_m = 2.5 if is_object else 3.0 + draw.normal(scale=SIGMA_M)
+        take(fusion, reading(name, i * SLOT_S, range_m, raw=250 if is_object else None))
         if i > 52:
             assert fusion.object_m("b") == pytest.approx(0.5, abs=0.06)
 
@@ -465,15 +465,13 @@ def test_recorded_attitudes_are_known_from_when_they_were_received() -> None:
 
 def test_it_is_equivariant_to_an_offset_and_blind_to_the_origin_of_time() -> None:
     def out(higher_m: float, later_s: float) -> list[tuple[float, float] | None]:
-        fusion, wild = four(), np.random.default_rng(9)
-        told = []
+        fusion, rng = four(), np.random.default_rng(9)
+        out = []
         for i in range(300):
-            range_m = (
-                4.0 + 0.3 * math.sin(0.1 * i) + wild.normal(scale=SIGMA_M) + (wild.random() < 0.03) * wild.normal()
-            )
+            range_m = 4.0 + 0.3 * math.sin(0.1 * i) + rng.normal(scale=SIGMA_M) + (rng.random() < 0.03) * rng.normal()
             fused = take(fusion, reading(NAMES[i % 4], later_s + i * SLOT_S, range_m + higher_m, raw=i))
-            told.append(None if fused is None else (fused.range_m - higher_m, fused.climb_m_s))
-        return told
+            out.append(None if fused is None else (fused.range_m - higher_m, fused.climb_m_s))
+        return out
 
     for changed in (out(2.5, 0.0), out(0.0, 1024.0)):
         for one, other in zip(out(0.0, 0.0), changed, strict=True):

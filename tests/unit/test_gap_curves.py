@@ -78,8 +78,8 @@ def test_a_free_form_is_found_in_its_channel_over_its_variable(channel: str) -> 
     assert first.gain > 15.0
 
 
-def test_chances_are_even_where_nothing_is_there_and_a_constant_is_the_base_s() -> None:
-    chances = []
+def test_p_values_are_uniform_where_nothing_is_there_and_a_constant_is_the_base_s() -> None:
+    p_values = []
     for seed in range(4):
         contexts = flown(seed)
         for form in forms(contexts, read(contexts, seed, bias_cm=0.7)):
@@ -87,12 +87,12 @@ def test_chances_are_even_where_nothing_is_there_and_a_constant_is_the_base_s() 
             if form.channel == "bias" and form.variables == ("humidity_pct",):
                 # Of as many knots one number is the offset, which is fitted.
                 assert form.degrees == knots - 1
-            chances.append(np.exp(form.log_p))
-    assert 0.02 < np.mean(np.array(chances) < 0.1) < 0.25
-    assert np.mean(chances) == pytest.approx(0.5, abs=0.12)
+            p_values.append(np.exp(form.log_p))
+    assert 0.02 < np.mean(np.array(p_values) < 0.1) < 0.25
+    assert np.mean(p_values) == pytest.approx(0.5, abs=0.12)
 
 
-def test_what_is_beyond_all_chance_still_has_an_order() -> None:
+def test_p_values_that_underflow_still_have_an_order() -> None:
     contexts = flown(3)
     bias_cm = 50.0 * (number(contexts, "throttle") - 0.5) + 0.1 * (number(contexts, "humidity_pct") - 50.0)
     found = forms(contexts, read(contexts, 3, bias_cm))
@@ -118,7 +118,7 @@ def test_a_formula_is_the_shortest_that_goes_through(curve: object, text: str) -
     assert re.fullmatch(text, formula("throttle", at, values, np.full(12, 0.02)))
 
 
-def test_chance_makes_a_formula_no_longer() -> None:
+def test_noise_makes_a_formula_no_longer() -> None:
     at, rng = np.linspace(0.0, 1.0, 12), np.random.default_rng(4)
     lines = [formula("throttle", at, 3.0 * at + 0.1 * rng.standard_normal(12), np.full(12, 0.1)) for _ in range(40)]
     assert np.mean([re.fullmatch(r"\S+ [+-] \S+ throttle", each) is not None for each in lines]) > 0.5
@@ -151,7 +151,7 @@ def effect_of(contexts: Columns, seed: int) -> FoundEffect:
     return effect
 
 
-def test_an_experiment_that_is_named_tells_the_two_apart() -> None:
+def test_an_experiment_that_is_named_separates_the_two() -> None:
     together = effect_of(one_air(5, 15.0, 15.0), 5)
     names = {together.name, *(other.name for other in together.alternatives)}
     assert {"range_scale", "air_temperature"} <= names

@@ -110,7 +110,7 @@ def test_what_is_not_known_is_null_and_never_nan() -> None:
 
 
 @pytest.mark.parametrize(("content", "message"), [(None, "no such file"), ("{", "gap.json"), ("[1]", "not written by")])
-def test_a_file_that_is_none_is_told(tmp_path: Path, content: str | None, message: str) -> None:
+def test_a_file_that_is_not_one_of_findings_is_reported(tmp_path: Path, content: str | None, message: str) -> None:
     if content is not None:
         (tmp_path / "gap.json").write_text(content, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):

@@ -68,7 +68,7 @@ def test_files_of_one_name_in_several_folders_are_several_runs(tmp_path: Path) -
     assert set(read_readings(paths, MODEL_GIVEN).data["run"]) == {"one/flight", "two/flight"}
 
 
-def test_a_column_may_tell_the_runs(tmp_path: Path) -> None:
+def test_a_column_may_name_the_runs(tmp_path: Path) -> None:
     columns = readings(100)
     columns["battery"] = np.repeat(np.arange(5.0), 20)
     assert np.unique(taken(tmp_path, columns, run_column="battery").data["run"]).tolist() == ["0", "1", "2", "3", "4"]
@@ -86,10 +86,10 @@ def test_a_column_may_tell_the_runs(tmp_path: Path) -> None:
     ],
     ids=["readings in metres", "truth in metres", "ten readings", "no truth"],
 )
-def test_what_cannot_be_compared_is_told_in_a_line(tmp_path: Path, change: Any, message: str) -> None:
-    with pytest.raises(RecordingError, match=message) as told:
+def test_what_cannot_be_compared_is_reported_in_a_line(tmp_path: Path, change: Any, message: str) -> None:
+    with pytest.raises(RecordingError, match=message) as raised:
         taken(tmp_path, change(readings(400)))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_missing_values_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_rows_that_are_there_twice_count_once(tmp_path: Path) -> None:
     assert any("20 duplicate rows are dropped" in each for each in found.messages)
 
 
-def test_times_that_are_equal_are_told(tmp_path: Path) -> None:
+def test_times_that_are_equal_are_reported(tmp_path: Path) -> None:
     columns = readings(400)
     columns["time_s"] = np.floor(columns["time_s"])
     found = taken(tmp_path, columns)
@@ -175,7 +175,7 @@ def test_declared_codes_and_far_offsets_are_no_undeclared_codes(tmp_path: Path) 
     assert read_readings([_written(tmp_path, columns)], MODEL_GIVEN).calibration == ()
 
 
-def test_a_context_that_never_changes_is_told(tmp_path: Path) -> None:
+def test_a_context_that_never_changes_is_reported(tmp_path: Path) -> None:
     columns = readings(400)
     columns["air_temperature_c"] = np.full(400, 21.0) + np.arange(400) * 1e-13
     columns["true_range_cm"] = np.full(400, 150.0)

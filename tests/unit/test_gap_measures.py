@@ -70,7 +70,7 @@ def test_nats_are_the_gain_of_the_right_model() -> None:
     assert found.nats.value == pytest.approx(0.96 * 0.5 * (1.0 / 1.9445) ** 2, rel=0.15)
 
 
-def test_what_the_model_cannot_give_is_told_apart() -> None:
+def test_what_the_model_cannot_give_is_separated() -> None:
     columns = readings(500)
     columns["reading_cm"][:20] = 40000.0
     assert (~usable(MODEL_GIVEN, table_of(columns))).sum() == 20
@@ -138,7 +138,7 @@ def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs()
         assert found.nats.value < 1.3 * drawn.noise_floor["nats"] + 0.002
 
 
-def test_what_chance_adds_to_a_mean_square_is_taken_off() -> None:
+def test_what_noise_adds_to_a_mean_square_is_subtracted() -> None:
     rng = np.random.default_rng(6)
     cells, error = 4000, 0.3
 

@@ -1,4 +1,4 @@
-"""The page of a gap says how it was found, and its pictures keep apart what lies close together."""
+"""The page of a gap states how it was found, and its pictures keep apart what lies close together."""
 
 import html
 import re
@@ -71,25 +71,25 @@ def page_of(findings: GapFindings, folder: Path) -> str:
 
 
 def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path) -> None:
-    told = page_of(FOUND, tmp_path)
-    assert "selected and fitted: monday, tuesday" in told
-    assert "reported values come: wednesday, thursday" in told
-    assert "Family-wise false-positive rate: 0.02" in told
-    assert "p-value of 0.0005" in told
-    assert "msp-range 9.8.7, seed 7" in told
+    text = page_of(FOUND, tmp_path)
+    assert "selected and fitted: monday, tuesday" in text
+    assert "reported values come: wednesday, thursday" in text
+    assert "Family-wise false-positive rate: 0.02" in text
+    assert "p-value of 0.0005" in text
+    assert "msp-range 9.8.7, seed 7" in text
     for digest in ("ab" * 32, "cd" * 32):
-        assert digest in told
+        assert digest in text
 
 
 def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: Path) -> None:
-    told = page_of(FOUND, tmp_path)
-    assert "relative error of the readings 0.8 % 0.7 to 0.9" in told
-    assert "bend (0.3 nats better in total, correlation 0.97)" in told
-    assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in told
-    assert "What to do next: to tell range_scale from bend: ranges in steps of 20 cm." in told
-    assert "its numbers refitted 0.4 -2.7000 +0.1000" in told
-    assert "bend above 0.3 %" in told
-    assert "sigma_cm Standard deviation of a hit" in told
+    text = page_of(FOUND, tmp_path)
+    assert "relative error of the readings 0.8 % 0.7 to 0.9" in text
+    assert "bend (0.3 nats better in total, correlation 0.97)" in text
+    assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in text
+    assert "What to do next: to tell range_scale from bend: ranges in steps of 20 cm." in text
+    assert "its numbers refitted 0.4 -2.7000 +0.1000" in text
+    assert "bend above 0.3 %" in text
+    assert "sigma_cm Standard deviation of a hit" in text
     names = {each.name for each in tmp_path.glob("*.png")}
     assert names == {"lead.png", "residuals.png", "path.png", "pit.png", "autocorrelation.png", "unknown-1.png"}
 
@@ -135,14 +135,14 @@ def test_points_that_would_cover_each_other_are_one() -> None:
     assert np.isnan(apart.centres[2])
 
 
-def test_ends_of_a_slice_have_the_digits_that_tell_them_apart() -> None:
+def test_ends_of_a_slice_have_the_digits_in_which_they_differ() -> None:
     values = np.concatenate([np.linspace(267.50, 267.54, 200), np.linspace(100.0, 120.0, 200)])
     labels = partitions({"true_range_cm": values}, pairs=False)[1].labels
     assert all(re.fullmatch(r"true_range_cm [\d.]+ to [\d.]+", each) for each in labels)
     assert all(len(set(re.findall(r"[\d.]+", each))) == 2 for each in labels)
 
 
-def test_a_model_that_changed_between_steps_is_told(tmp_path: Path) -> None:
+def test_a_model_that_changed_between_steps_is_reported(tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(400, 4))
     model = tmp_path / "given.yaml"
     model.write_text(MODEL.read_text(encoding="utf-8"), encoding="utf-8")
@@ -157,15 +157,15 @@ def test_a_model_that_changed_between_steps_is_told(tmp_path: Path) -> None:
     assert "given.yaml: has changed since 'msp-lab compare'" in named.output
 
 
-def test_a_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_a_file_is_reported(tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(400, 4))
     taken = tmp_path / "taken"
     taken.write_text("", encoding="utf-8")
-    told = CliRunner().invoke(
+    result = CliRunner().invoke(
         app, ["gap", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(taken), "--until", "compare"]
     )
-    assert told.exit_code == 3
-    assert "this folder cannot be created" in told.output
+    assert result.exit_code == 3
+    assert "this folder cannot be created" in result.output
 
 
 def test_what_an_earlier_comparison_left_does_not_stay(tmp_path: Path) -> None:
@@ -174,6 +174,8 @@ def test_what_an_earlier_comparison_left_does_not_stay(tmp_path: Path) -> None:
     out.mkdir()
     for name in ("report.html", "model.yaml", "unknown-2.png", "notes.txt"):
         (out / name).write_text("old", encoding="utf-8")
-    told = CliRunner().invoke(app, ["compare", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(out)])
-    assert told.exit_code == 0, told.output
+    result = CliRunner().invoke(
+        app, ["compare", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(out)]
+    )
+    assert result.exit_code == 0, result.output
     assert {each.name for each in out.iterdir()} == {"gap.json", "notes.txt"}

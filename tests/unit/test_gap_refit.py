@@ -127,7 +127,7 @@ def test_a_share_stays_within_its_bounds_and_is_held_there() -> None:
     assert abs(refit(thermometer, []).base[0]) <= 20.0
 
 
-def test_what_readings_do_not_tell_stays_near_the_file() -> None:
+def test_what_readings_do_not_determine_stays_near_the_file() -> None:
     contexts = flown(5, 60)
     reading_cm = np.rint(np.asarray(contexts["true_range_cm"], dtype=float))
     fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])

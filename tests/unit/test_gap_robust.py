@@ -1,4 +1,4 @@
-"""A few strange rows, blank cells, copies and causes that do not vary change no answer, or are reported."""
+"""A few odd rows, blank cells, copies and causes that do not vary change no answer, or are reported."""
 
 from pathlib import Path
 from typing import Any
@@ -55,10 +55,10 @@ def test_nine_rows_do_not_remove_slant_range() -> None:
     slant_cm = contexts["true_range_cm"] * (1.0 / np.cos(np.radians(contexts["incidence_deg"])) - 1.0)
     reading_cm = read(contexts, 1, slant_cm)
     held_out = np.flatnonzero(split(contexts, reading_cm, np.random.default_rng(1)).held_out)
-    strange = np.random.default_rng([1, 1]).choice(held_out, 9, replace=False)
+    odd = np.random.default_rng([1, 1]).choice(held_out, 9, replace=False)
     # At a tilt where the effect is largest, and read as if there were none.
-    contexts["incidence_deg"][strange] = 25.0
-    reading_cm[strange] = np.rint(contexts["true_range_cm"][strange])
+    contexts["incidence_deg"][odd] = 25.0
+    reading_cm[odd] = np.rint(contexts["true_range_cm"][odd])
     assert "slant_range" in names(named(contexts, reading_cm))
 
 

@@ -112,14 +112,14 @@ def test_a_number_that_cannot_be_negative_is_not() -> None:
     seen = screened(of, information, one_sided)
     assert seen.z[0] == 0.0
     assert seen.z[1] == pytest.approx(40 * 8.0 / np.sqrt(N))
-    # The larger of two numbers that are positive by chance in half of all cases.
+    # The larger of two numbers that are positive at random in half of all cases.
     assert seen.critical == pytest.approx(float(norm.isf(1.0 - np.sqrt(0.95))), abs=0.1)
 
 
 def test_the_critical_value_is_that_of_the_largest() -> None:
     seen = screened(drawn(np.eye(NB + 4), 3), np.eye(NB + 4), TWO_SIDED)
     assert seen.critical == pytest.approx(float(norm.isf(0.5 * (1.0 - 0.95**0.25))), abs=0.1)
-    # Entries that say the same count as one.
+    # Entries with the same scores count as one.
     alike = np.eye(NB + 4)
     alike[NB:, NB:] = 0.999 + 0.001 * np.eye(4)
     seen = screened(drawn(alike, 3), alike, TWO_SIDED)

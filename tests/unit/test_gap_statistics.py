@@ -74,7 +74,7 @@ def test_runs_are_parted_whole_and_evenly() -> None:
     assert not set(parts.runs[parts.training]) & set(parts.runs[parts.held_out])
 
 
-def test_few_runs_are_parted_by_blocks_and_said_so() -> None:
+def test_few_runs_are_split_by_blocks_and_that_is_reported() -> None:
     contexts = flown(1)
     contexts["run"] = np.full(RUNS * ROWS, "one")
     parts = runs.split(contexts, read(contexts, 1), np.random.default_rng(1))

@@ -43,12 +43,12 @@ def test_with_one_way_to_move_it_is_a_kalman_filter(monkeypatch: pytest.MonkeyPa
         np.testing.assert_allclose(ground[:2], mean, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(np.array(ground.covariance)[:2, :2], covariance, rtol=1e-6, atol=1e-12)
     assert known.variance(0.9, 0.0, 0.0) == pytest.approx(0.81 * covariance[0, 0], rel=1e-6)
-    # One place tells nothing of the slope.
+    # One place gives no information on the slope.
     assert ground[2:4] == (0.0, 0.0)
     np.testing.assert_allclose(np.array(ground.covariance)[2:, 2:], SLOPE_STD**2 * np.eye(2))
 
 
-def test_four_corners_tell_the_slope_and_their_variance_says_how_well() -> None:
+def test_four_corners_give_the_slope_and_their_variance_its_accuracy() -> None:
     draw = np.random.default_rng(8)
     rise = np.array([0.08, -0.12])
     squares = []
@@ -91,7 +91,7 @@ def hover(known: GroundFilter, truth_m: np.ndarray, draw: np.random.Generator) -
     return np.array(out)
 
 
-def test_a_calm_vehicle_is_known_to_half_the_noise_and_the_variance_says_so() -> None:
+def test_a_quiet_vehicle_is_known_to_half_the_noise_as_the_variance_states() -> None:
     out = hover(GroundFilter(2.0, R_M2, 0.0, 0.1), np.full(6000, 2.0), np.random.default_rng(1))[100:]
     assert out[:, 0].std() < 0.5 * 0.02
     # Kalman filters of a real vehicle had better be careful: a steady one is the easiest case.

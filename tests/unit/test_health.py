@@ -1,4 +1,4 @@
-"""What a pilot is told of the sensors, and how often."""
+"""What is reported to a pilot of the sensors, and how often."""
 
 import errno
 
@@ -12,7 +12,7 @@ from msp_range.sensors.polling import Ranging
 
 
 class Ear:
-    """A health of one or more sensors, and what it said."""
+    """A health of one or more sensors, and what it reported."""
 
     def __init__(self, *sensors: str) -> None:
         self.heard: list[tuple[Severity, str]] = []
@@ -27,7 +27,7 @@ class Ear:
 OK, SILENT = Status.OK, Status.NO_ANSWER
 
 
-def test_all_good_is_said_once_when_all_are_known() -> None:
+def test_all_good_is_reported_once_when_all_are_known() -> None:
     ear = Ear("a", "b")
     ear.take(OK, OK)
     ear.take(OK, OK, OK, sensor="b")
@@ -41,7 +41,7 @@ def test_all_good_is_said_once_when_all_are_known() -> None:
     assert ear.health.complete
 
 
-def test_three_in_a_row_change_what_is_said_and_fewer_do_not() -> None:
+def test_three_in_a_row_change_what_is_reported_and_fewer_do_not() -> None:
     ear = Ear("a")
     ear.take(OK, OK, OK)
     ear.heard.clear()
@@ -78,7 +78,7 @@ def test_what_the_scene_does_is_no_fault(status: Status) -> None:
     assert ear.health.bad_sensors == []
 
 
-def test_a_sensor_that_never_worked_is_told_of_and_all_good_is_not() -> None:
+def test_a_sensor_that_never_worked_is_reported_and_all_good_is_not() -> None:
     ear = Ear("a", "b")
     ear.take(SILENT, SILENT, SILENT)
     ear.take(OK, OK, OK, sensor="b")
@@ -87,7 +87,7 @@ def test_a_sensor_that_never_worked_is_told_of_and_all_good_is_not() -> None:
     assert [text for _, text in ear.heard][1:] == ["Range a: good again"]
 
 
-def test_a_condition_is_said_when_it_comes_and_when_it_goes() -> None:
+def test_a_condition_is_reported_when_it_comes_and_when_it_goes() -> None:
     ear = Ear("a")
     for _ in range(3):
         ear.health.set("temperature", "no temperature", "temperature is back")
@@ -113,14 +113,14 @@ def test_what_is_wrong_now_can_be_asked_for() -> None:
 
 @pytest.mark.parametrize("pattern", [(OK, SILENT), (SILENT, SILENT, OK), (SILENT, OK, OK, SILENT)])
 def test_a_sensor_that_fails_every_other_time_is_bad(pattern: tuple[Status, ...]) -> None:
-    """No three are alike in a row: it is told once, and it is not good in between."""
+    """No three are alike in a row: it is reported once, and it is not good in between."""
     ear = Ear("a")
     ear.take(*pattern * 50)
     assert ear.heard == [(Severity.ERROR, "Range a: no answer")]
     assert ear.health.complete
 
 
-def test_a_sensor_that_comes_and_goes_is_told_of_less_and_less() -> None:
+def test_a_sensor_that_comes_and_goes_is_reported_less_and_less() -> None:
     ear = Ear("a")
     ear.take(*([SILENT] * 3 + [OK] * 4) * 200)
     assert len(ear.heard) <= 4

@@ -10,7 +10,7 @@ from msp_range.input_file import file_stem, making, open_input, printable, read_
 
 
 def refusal(path: Path | str, most_bytes: int = 1000) -> str:
-    """What is said of a file that cannot be read."""
+    """What is reported of a file that cannot be read."""
     try:
         read_text(path, most_bytes)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The bridge's manners as a MAVLink component, in virtual time, against other components in memory."""
+"""The bridge's protocol behaviour as a MAVLink component, in virtual time, against other components in memory."""
 
 import random
 import tracemalloc
@@ -33,12 +33,12 @@ class Bench:
     def __init__(self, wanted: Mapping[str, float] | None = None, component_id: int = 191, **link: Any) -> None:
         self.clock = VirtualClock(START_S)
         self.transport = MemoryTransport()
-        self.heard: list[Any] = []
+        self.received: list[Any] = []
         self.link = Link(
             self.transport,
             self.clock,
             component_id=component_id,
-            on_message=lambda _, message: self.heard.append(message),
+            on_message=lambda _, message: self.received.append(message),
             wanted=wanted,
             **link,
         )
@@ -129,7 +129,7 @@ class TestHeartbeat:
 
 
 class TestAddress:
-    def test_system_1_until_an_autopilot_is_heard(self, bench: Bench) -> None:
+    def test_system_1_until_a_heartbeat_is_received(self, bench: Bench) -> None:
         bench.run(2.0)
         assert {source(message) for message in bench.sent()} == {(1, 191)}
         assert bench.link.autopilot_system is None
@@ -193,7 +193,7 @@ class TestAddress:
         bench.arrive(first.heartbeat())
         bench.arrive(second.heartbeat(), second.frame(time))
         assert not bench.knows_the_time
-        assert [message.get_srcSystem() for message in bench.heard] == [3]
+        assert [message.get_srcSystem() for message in bench.received] == [3]
 
     def test_an_autopilot_that_has_gone_is_missed(self, met: Bench) -> None:
         met.run(4.5)
@@ -324,7 +324,7 @@ class TestTime:
         bench.run(3.0)
         assert bench.sent("TIMESYNC") == []
 
-    def test_is_the_autopilots_soon_after_it_is_heard(self, bench: Bench) -> None:
+    def test_is_the_autopilots_soon_after_its_first_heartbeat(self, bench: Bench) -> None:
         autopilot = Component(7)
         boot_s = START_S - 250.0
         bench.arrive(autopilot.heartbeat())
@@ -356,7 +356,7 @@ class TestTime:
         bench.arrive(Component(7).frame(dialect.MAVLink_timesync_message(50 * 10**9, request.ts1)))
         assert bench.knows_the_time
 
-    def test_does_not_jump_when_an_autopilot_without_timesync_is_heard(self, bench: Bench) -> None:
+    def test_does_not_jump_at_the_first_heartbeat_of_an_autopilot_without_timesync(self, bench: Bench) -> None:
         bench.run(20.0)
         before_ms = bench.link.autopilot_clock.time_boot_ms(bench.clock.now())
         bench.arrive(Component(7).heartbeat())
@@ -535,7 +535,7 @@ class TestSomebodyElse:
         bench.arrive(Component(3).heartbeat(), Component(3).frame(dialect.MAVLink_system_time_message(0, 90_000)))
         assert bench.link.autopilot_system is None
         assert not bench.link.autopilot_is_present
-        assert bench.heard == []
+        assert bench.received == []
         assert self.texts(bench) == ["Range: autopilot is system 3, file says 7"]
         assert source(bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0)) and bench.sent()[-1]) == (7, 191)
         bench.arrive(Component(3).heartbeat(), Component(7).heartbeat())
@@ -609,10 +609,10 @@ class TestFlood:
         assert decoded == [7] * DECODED_FROM_AUTOPILOT + [8] * DECODED_FROM_OTHERS
 
     def test_what_arrived_in_a_second_of_a_locked_up_bus_is_not_lost(self, met: Bench) -> None:
-        met.heard.clear()
+        met.received.clear()
         met.arrive(Component(7).frame(self.ATTITUDE) * WAITING_FROM_AUTOPILOT)
         met.run(0.05)
-        assert len(met.heard) == WAITING_FROM_AUTOPILOT
+        assert len(met.received) == WAITING_FROM_AUTOPILOT
 
     def test_a_flood_of_others_does_not_hide_the_autopilot(self, met: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
         """20,000 messages a second of every kind that the bridge listens to, and 100 of the autopilot."""
@@ -624,12 +624,12 @@ class TestFlood:
             ground_station.frame(dialect.MAVLink_timesync_message(0, 1)) * 20,
             Component(7, 154).frame(self.ATTITUDE) * 20,
         ]
-        met.heard.clear()
+        met.received.clear()
         decoded = self.decoded(monkeypatch)
         for number in range(200):
             wanted = autopilot.frame(self.ATTITUDE) if number % 2 else b""
             met.arrive(*flood, wanted)
-        assert len(met.heard) == 100
+        assert len(met.received) == 100
         assert len(decoded) <= 200 * (1 + DECODED_FROM_OTHERS)
 
     def test_a_flood_of_the_autopilots_own_hides_no_heartbeat_and_is_not_decoded_late(self, met: Bench) -> None:
@@ -641,11 +641,11 @@ class TestFlood:
                 autopilot.frame(dialect.MAVLink_attitude_message(100 * number + i, 0, 0, 0, 0, 0, 0))
                 for i in range(100)
             ]
-            met.heard.clear()
+            met.received.clear()
             met.arrive(*([autopilot.heartbeat()] if number % 50 == 0 else []), *frames)
-            newest_ms = max((each.time_boot_ms for each in met.heard if each.get_type() == "ATTITUDE"), default=0)
+            newest_ms = max((each.time_boot_ms for each in met.received if each.get_type() == "ATTITUDE"), default=0)
             assert newest_ms >= 100 * number - WAITING_FROM_AUTOPILOT
-            heartbeats += sum(each.get_type() == "HEARTBEAT" for each in met.heard)
+            heartbeats += sum(each.get_type() == "HEARTBEAT" for each in met.received)
             assert len(met.link._from_autopilot) <= WAITING_FROM_AUTOPILOT
         assert heartbeats == 8
 
@@ -674,9 +674,9 @@ class TestFlood:
 
 class TestWhatArrives:
     def test_messages_of_the_autopilot_are_passed_on_with_their_time(self) -> None:
-        heard: list[tuple[float, str]] = []
+        received: list[tuple[float, str]] = []
         transport, clock = MemoryTransport(), VirtualClock(START_S)
-        link = Link(transport, clock, on_message=lambda time_s, message: heard.append((time_s, message.get_type())))
+        link = Link(transport, clock, on_message=lambda time_s, message: received.append((time_s, message.get_type())))
         autopilot = Component(7)
         transport.arrived += autopilot.heartbeat()
         link.service()
@@ -684,7 +684,7 @@ class TestWhatArrives:
         transport.arrived += autopilot.frame(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
         transport.arrived += Component(7, 154).frame(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
         link.service()
-        assert heard == [(START_S, "HEARTBEAT"), (START_S + 2.5, "ATTITUDE")]
+        assert received == [(START_S, "HEARTBEAT"), (START_S + 2.5, "ATTITUDE")]
 
     def test_a_frame_may_come_in_pieces(self, bench: Bench) -> None:
         for byte in Component(7).heartbeat():
@@ -706,7 +706,7 @@ class TestWhatArrives:
     def test_messages_of_ardupilots_own_dialect_do_no_harm(self, met: Bench) -> None:
         autopilot = Component(7, dialect=ardupilotmega)
         met.arrive(autopilot.frame(ardupilotmega.MAVLink_rangefinder_message(1.0, 2.0)), autopilot.heartbeat())
-        assert [message.get_type() for message in met.heard][-1] == "HEARTBEAT"
+        assert [message.get_type() for message in met.received][-1] == "HEARTBEAT"
 
     @given(st.lists(st.binary(max_size=400), max_size=5))
     def test_no_bytes_stop_it(self, chunks: list[bytes]) -> None:

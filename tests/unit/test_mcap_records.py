@@ -104,7 +104,7 @@ def test_one_flipped_byte_anywhere_costs_a_chunk_at_most_and_is_reported(tmp_pat
             assert sum(1 for _ in read) == found.messages
 
 
-def test_the_damage_is_told_apart(tmp_path: Path) -> None:
+def test_kinds_of_damage_are_distinguished(tmp_path: Path) -> None:
     whole = record(tmp_path / "whole.mcap")
     first = whole.index(b"\x04\0\0\0zstd")
 
@@ -219,9 +219,9 @@ def test_topics_that_a_terminal_would_obey_are_left_out(tmp_path: Path) -> None:
 def test_an_attached_file_is_written_nowhere_else(tmp_path: Path, name: str) -> None:
     airframe = packed(Attachment(0, 0, "airframe.yaml", "", b"vehicle: quad\n"))
     path = crafted(tmp_path / "a.mcap", airframe, packed(Attachment(0, 0, name, "", b"text")))
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         load_airframe_from(Recording(path).files, path)
-    assert str(told.value).startswith(f"{path}: ")
+    assert str(raised.value).startswith(f"{path}: ")
 
 
 def test_an_attached_airframe_names_only_files_of_the_recording(tmp_path: Path) -> None:
@@ -244,15 +244,15 @@ def test_times_that_are_none_are_reported_and_can_be_recovered(tmp_path: Path, k
 
 
 @pytest.mark.parametrize(
-    ("messages", "said"),
+    ("messages", "message"),
     [
         ([reading(1.0, raw=100), reading(0.5, raw=100)], "sensor 'left': ping_s goes back from 1.0 to 0.5"),
         ([reading(1.0, raw=70_000)], "sensor 'left' at 1.0 s: raw 70000 is not a number that the sensor's two bytes"),
         ([reading(1.0, raw=-1)], "raw -1 is not a number"),
     ],
 )
-def test_a_record_that_cannot_be_replayed(tmp_path: Path, messages: list[dict[str, Any]], said: str) -> None:
-    with pytest.raises(RecordingError, match=said):
+def test_a_record_that_cannot_be_replayed(tmp_path: Path, messages: list[dict[str, Any]], message: str) -> None:
+    with pytest.raises(RecordingError, match=message):
         recorded_pings(ranges(tmp_path / "a.mcap", *messages))
 
 

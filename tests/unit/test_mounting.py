@@ -34,7 +34,7 @@ def test_a_reading_is_where_the_beam_or_the_perpendicular_meets_the_plane(
     assert view is not None
     slant_m, nearest_m = reads(sensor, angles_rad, 2.5, rise)
     if oblique == "unknown":
-        # Midway in what a reading tells of the height: 1 / r of a height is the mean of the two.
+        # Midway in the information that a reading has on the height: 1 / r of a height is the mean of the two.
         assert 1 / view.expected_m == pytest.approx((1 / slant_m + 1 / nearest_m) / 2, rel=1e-12)
         assert math.sqrt(view.shared_variance_m2) == pytest.approx(abs(slant_m - nearest_m) / 2, rel=0.1)
     else:

@@ -100,7 +100,7 @@ def test_all_sensors_at_255_is_silence_that_is_reported() -> None:
     assert 5.9 < silent_s < 6.9
     assert "Range: no distance to the ground" in bench.texts()
     assert states(bench, 8.0, 20.0) == {common.MAV_STATE_CRITICAL}
-    assert bench.said()[-1] == "Range: distance is back"
+    assert bench.reported()[-1] == "Range: distance is back"
     assert states(bench, 22.0, 25.0) == {common.MAV_STATE_ACTIVE}
 
 
@@ -144,11 +144,11 @@ def test_an_attitude_that_makes_no_sense_is_reported_and_costs_no_distance(roll:
     bench = Bench(airframe(), 300)
     for i in range(150):
         lean = roll if i >= 50 else 0.02
-        bench.hear(HEARTBEAT, common.MAVLink_attitude_message(100 * i, lean, 0.0, 0.0, 0, 0, 0))
+        bench.receive(HEARTBEAT, common.MAVLink_attitude_message(100 * i, lean, 0.0, 0.0, 0, 0, 0))
         bench.fly(0.1 * (i + 1))
     assert set(bench.distances_cm()) == {300}
     assert len(bench.distances_cm(from_s=5.0)) == pytest.approx(100, abs=2)
-    assert bench.said(5.0) == ["Range: attitude makes no sense"]
+    assert bench.reported(5.0) == ["Range: attitude makes no sense"]
 
 
 @pytest.mark.parametrize("std_cm", [6.0, 12.0, 30.0])
@@ -164,30 +164,30 @@ def test_noise_of_all_sensors_is_in_the_deviation_and_much_of_it_a_text(std_cm: 
     assert len(later) > 50
     assert sum(within) > (0.97 if std_cm < 20.0 else 0.85) * len(within)
     if std_cm > 20.0:
-        assert {"Range: readings are noisy", "Range: readings disagree"} & set(bench.said())
+        assert {"Range: readings are noisy", "Range: readings disagree"} & set(bench.reported())
 
 
 def test_readings_of_nothing_but_outliers_are_no_distance() -> None:
     draw = random.Random(5)
 
-    def wild(name: str, time_s: float) -> int:
+    def noisy(name: str, time_s: float) -> int:
         return 400 if time_s < 5.0 else draw.randrange(21, 764)
 
-    bench = Bench(airframe(), wild).fly(105.0)
+    bench = Bench(airframe(), noisy).fly(105.0)
     wrong = [each for each in bench.distances_cm(from_s=6.0) if abs(each - 400) > 50]
     # Each holds for half a second at most: 1 % of the time.
     assert len(wrong) <= 2
-    assert {"Range: readings disagree", "Range: no distance to the ground"} <= set(bench.said(5.0, 8.0))
+    assert {"Range: readings disagree", "Range: no distance to the ground"} <= set(bench.reported(5.0, 8.0))
 
 
-def test_a_single_stream_that_says_nothing_although_its_sensor_answers_is_reported() -> None:
+def test_a_single_silent_stream_whose_sensor_answers_is_reported() -> None:
     vehicle = airframe([sensor("front", 1, 0.0)], send={"sensors": ["front"]})
     faults = {"front": [Fault("saturated", 5.0, 15.0)]}
     bench = Bench(vehicle, 500, faults=faults).fly(20.0)
-    assert bench.said(1.5) == [
+    assert bench.reported(1.5) == [
         "Range: readings disagree",
         "Range front: no distance",
         "Range front: distance is back",
-    ] or ("Range front: no distance" in bench.said(5.0, 8.0))
+    ] or ("Range front: no distance" in bench.reported(5.0, 8.0))
     dead: Any = Bench(vehicle, 500, faults={"front": [Fault("silent", 5.0, 15.0)]}).fly(20.0)
-    assert "Range front: no distance" not in dead.said(), "its fault says it already"
+    assert "Range front: no distance" not in dead.reported(), "its fault says it already"

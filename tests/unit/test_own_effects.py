@@ -1,4 +1,4 @@
-"""Effects of a user's own file: what check-effect says of mistakes in them, and which files are refused."""
+"""Effects of a user's own file: what check-effect reports of user errors in them, and which files are refused."""
 
 from pathlib import Path
 
@@ -67,7 +67,7 @@ def test_an_effect_that_keeps_the_contract_passes() -> None:
         ),
     ],
 )
-def test_a_mistake_is_found_and_explained(before: str, after: str, title: str, found: str, tmp_path: Path) -> None:
+def test_a_user_error_is_found_and_explained(before: str, after: str, title: str, found: str, tmp_path: Path) -> None:
     text = "import numpy as np\n" + EXAMPLE.read_text(encoding="utf-8")
     assert before in text
     own = "sample(self, rng, hits):\n        return super().sample(rng, hits) + 3.0"

@@ -118,7 +118,7 @@ def test_the_error_in_other_air_is_taken_back_by_eq_7() -> None:
     assert found.compensated_error.value == pytest.approx(0.0, abs=0.15)
 
 
-def test_without_a_condition_what_is_varied_tells() -> None:
+def test_without_a_condition_what_is_varied_gives_it() -> None:
     rng = np.random.default_rng(8)
     parts = [
         point(rng, 100, incidence_deg=0.0, n=5),

@@ -29,7 +29,7 @@ ROUND = ("a", "b", "c", "d")
 
 
 class Sonar:
-    """A sensor that answers as long after its ping as it is told, with a range that is a function of the ping."""
+    """A sensor that answers as long after its ping as the test sets, with a range that is a function of the ping."""
 
     address = 0x70
 

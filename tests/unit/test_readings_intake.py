@@ -75,10 +75,12 @@ def test_readings_that_are_in_two_files_are_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_characterised_is_told_in_a_line(tmp_path: Path, content: MeasuredData, message: str) -> None:
-    with pytest.raises(RecordingError, match=message) as told:
+def test_what_cannot_be_characterised_is_reported_in_a_line(
+    tmp_path: Path, content: MeasuredData, message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message) as raised:
         load_readings([written(tmp_path, content)], SENSOR)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_readings_that_the_sensor_cannot_make_are_no_answer(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path: Path) -> None:
 
 
 def test_a_damaged_chunk_that_still_unpacks(tmp_path: Path) -> None:
-    """Only the checksum tells a digit that has changed in a chunk that is not compressed."""
+    """Only the checksum finds a digit that has changed in a chunk that is not compressed."""
     writer = Writer(str(tmp_path / "a.mcap"), compression=CompressionType.NONE)
     writer.start()
     channel = writer.register_channel("/fused", "json", 0)
@@ -170,7 +170,7 @@ def test_a_recording_that_goes_on_is_read_up_to_now(tmp_path: Path) -> None:
 @pytest.mark.parametrize("compression", list(CompressionType))
 @pytest.mark.parametrize("use_chunking", [True, False])
 def test_files_of_other_programs(tmp_path: Path, compression: CompressionType, use_chunking: bool) -> None:
-    """JSON without our metadata, beside a channel in another encoding; with every compression, and without chunks."""
+    """JSON without our metadata, next to a channel in another encoding; with every compression, and without chunks."""
     path = tmp_path / "other.mcap"
     writer = Writer(str(path), compression=compression, use_chunking=use_chunking, index_types=IndexType.ALL)
     writer.start(profile="ros2", library="other")

@@ -317,7 +317,7 @@ def test_on_a_full_disk_what_was_written_is_there(tmp_path: Path, small_disk: in
 
 
 class StoppedDisk:
-    """An os.fdatasync that does not come back until it is told to."""
+    """An os.fdatasync that does not come back until the test lets it."""
 
     def __init__(self) -> None:
         self.entered = threading.Event()

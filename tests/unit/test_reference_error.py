@@ -59,7 +59,7 @@ def test_characterise_gets_the_sensors_own_sigma_back() -> None:
         spread_cm[given] = float(np.median(spreads))
     assert sigma_cm[True] == pytest.approx(OWN_CM, abs=0.06)
     assert spread_cm[True] == pytest.approx(OWN_CM, abs=0.15)
-    # The mean of both variances is in it where nothing is said of the reference.
+    # The mean of both variances is in it where nothing is known of the reference.
     assert sigma_cm[False] == pytest.approx(np.sqrt(OWN_CM**2 + 0.625 * NOISE_CM**2), abs=0.1)
     assert p_value[True] > 0.02 > p_value[False]
 

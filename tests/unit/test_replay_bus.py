@@ -101,7 +101,7 @@ def test_after_the_last_reading_and_where_there_was_no_sensor() -> None:
     assert refused(bus, "read", RIGHT)
 
 
-def test_late_pings_lose_nothing_and_are_told() -> None:
+def test_late_pings_lose_nothing_and_are_reported() -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(0.01 * count, 20 + count, 0.02) for count in range(5)]}, clock)
     words = []

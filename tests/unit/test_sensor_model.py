@@ -1,4 +1,4 @@
-"""The sensor model file: the shipped one, and the mistakes that people make in it."""
+"""The sensor model file: the shipped one, and user errors in it."""
 
 import copy
 import math
@@ -115,7 +115,7 @@ def test_effects_and_evidence_may_be_absent(tmp_path: Path) -> None:
         (lambda c: c.update(effects=["scale"]), r"effects\[0\]: found 'scale'; expected .*dict"),
     ],
 )
-def test_a_mistake_is_explained(tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
+def test_a_user_error_is_explained(tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
     path = write(tmp_path, change)
     with pytest.raises(ConfigError, match=message) as error:
         load_sensor_model(path)

@@ -143,7 +143,7 @@ def test_where_no_echo_is_predicted_the_last_angle_is_held() -> None:
         BreakawayTable((0.5, 1.0, 1.5, 2.0), (25.0, 24.9, 24.8, 12.0)),
     ],
 )
-def test_a_table_that_the_equation_cannot_tell_of_is_held(table: BreakawayTable) -> None:
+def test_a_table_that_the_equation_cannot_describe_is_held(table: BreakawayTable) -> None:
     beam = extended_beam(table, MAXIMUM_M, FREQUENCY_HZ)
     assert (beam.ranges_m, beam.half_angles_deg) == (table.ranges_m, table.half_angles_deg)
     assert beam.known_to_m == table.ranges_m[-1]

@@ -21,7 +21,7 @@ class First:
     working
         Sensors that are in order.
     climb_m_s
-        What a barometer says all the time; None: there is none.
+        What a barometer reads all the time; None: there is none.
     """
 
     def __init__(self, working: int, climb_m_s: float | None = None) -> None:
@@ -95,12 +95,12 @@ def test_heights_of_one_ground_lie_on_a_line_that_a_vehicle_can_climb(
     ("names", "working", "needed"),
     [
         ("aaaaaa", 1, 2),
-        # Others are in order and hear nothing.
+        # Others are in order and have no echo.
         ("aaaaaa", 2, 4),
         ("aaaaaa", 4, 4),
         ("ababab", 2, 2),
         ("ababab", 3, 2),
-        # Two of four are no more than those that hear nothing.
+        # Two of four are no more than those without an echo.
         ("ababab", 4, 4),
         ("ababab", 5, 4),
         ("abcabc", 4, 3),
@@ -251,7 +251,7 @@ def test_of_two_against_two_the_barometer_takes_those_that_climb_with_it() -> No
 
 
 def test_a_barometer_that_has_just_begun_is_not_used() -> None:
-    """Its first value says nothing of the rate: heights that climb make a ground by their own line, of three."""
+    """Its first value gives no rate: heights that climb make a ground by their own line, of three."""
     begin = First(3)
     begin.motion.on_pressure_height(FIRST_S, 100.0)
     assert first([begin.see(SLOT_S * i, "abc"[i], 4.0 + 0.3 * i) for i in range(3)]) == 3

@@ -1,4 +1,4 @@
-"""A sensor that keeps its answer: when the vehicle's motion shows that it is stuck, and when it may be calm ground."""
+"""A sensor that keeps its answer: when the vehicle's motion shows that it is stuck, and when it may be even ground."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ from msp_range.fusion.stuck import StuckWatch
 from msp_range.fusion.vertical import VerticalMotion
 
 SILENT = VerticalMotion()
-"""A barometer that says nothing."""
+"""A barometer without a rate."""
 
 
 def verdicts(raws: list[int], heights_m: list[float | None]) -> list[bool]:
@@ -69,7 +69,7 @@ def test_by_the_barometer_alone_it_takes_five_answers_and_a_climb_that_is_sure()
     assert climbing(0.36, 5) == [False] * 5
     assert climbing(0.44, 5) == [False] * 4 + [True]
     assert climbing(-0.44, 5) == [False] * 4 + [True]
-    assert climbing(5.0, 5) == [False] * 4 + [True], "fewer answers alike are chance, however fast it climbs"
+    assert climbing(5.0, 5) == [False] * 4 + [True], "fewer answers alike are random, however fast it climbs"
     assert climbing(0.0, 100) == [False] * 100
 
 

@@ -58,7 +58,7 @@ def test_what_is_meant(text: str, expected: NetworkUrl | SerialUrl) -> None:
         ("/dev/ttyACM0,", "baud rate ''", "57600, 115200", "serial:/dev/serial/by-id/"),
     ],
 )
-def test_what_is_wrong_is_said(text: str, found: str, expected: str, example: str) -> None:
+def test_what_is_wrong_is_reported(text: str, found: str, expected: str, example: str) -> None:
     with pytest.raises(ValueError, match="link ") as caught:
         parse_url(text)
     message = str(caught.value)

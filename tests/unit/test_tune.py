@@ -1,4 +1,4 @@
-"""Q and R from recordings: given back as they were put in, by the filter's own innovations, and clear mistakes."""
+"""Q and R from recordings: given back as they were put in, by the filter's own innovations, and clear user errors."""
 
 import math
 from pathlib import Path
@@ -76,10 +76,10 @@ def test_q_and_r_are_given_back_within_their_intervals(acceleration_std_m_s2: fl
     assert inside >= 2 * count - 4
 
 
-def test_wild_readings_change_nothing_and_a_step_is_not_wild() -> None:
+def test_outliers_change_nothing_and_a_step_is_no_outlier() -> None:
     track = flight(0.3, 0.02, 400, 5)
-    wild = [(t, z - 2.0 if i % 25 == 7 else z) for i, (t, z) in enumerate(track)]
-    found, clean = tune([wild], VELOCITY, 3.9), tune([track], VELOCITY, 3.9)
+    outlying = [(t, z - 2.0 if i % 25 == 7 else z) for i, (t, z) in enumerate(track)]
+    found, clean = tune([outlying], VELOCITY, 3.9), tune([track], VELOCITY, 3.9)
     assert found.outliers == 16
     for one, other in zip(found.fitted, clean.fitted, strict=True):
         assert one.value == pytest.approx(other.value, rel=0.15)
@@ -88,7 +88,7 @@ def test_wild_readings_change_nothing_and_a_step_is_not_wild() -> None:
     assert without_outliers(track[:3]) == track[:3]
 
 
-def test_what_the_readings_do_not_tell_has_no_interval() -> None:
+def test_what_the_readings_do_not_determine_has_no_interval() -> None:
     """A vehicle that only moves: a constant model puts all into Q, and R may be anything small."""
     track = [(0.1 * i, 1.0 + 0.3 * i) for i in range(200)]
     tuned = tune([track], CONSTANT, 3.9)
@@ -131,11 +131,11 @@ def test_the_line_that_is_printed_is_one_of_an_airframe_file(tmp_path: Path) -> 
     assert "process_variance_cm2" in out
 
 
-def test_mistakes_are_told_in_a_line(tmp_path: Path) -> None:
+def test_user_errors_are_reported_in_a_line(tmp_path: Path) -> None:
     short = recording(tmp_path / "short.mcap", {"front_left": flight(0.4, 0.03, 20, 1)}, [])
     nothing = recording(tmp_path / "nothing.mcap", {}, [])
     (tmp_path / "text.mcap").write_text("hello")
-    for path, says in (
+    for path, words in (
         (tmp_path / "none.mcap", "no such file"),
         (tmp_path / "text.mcap", "not an MCAP recording"),
         (nothing, "no readings with a range"),
@@ -145,5 +145,5 @@ def test_mistakes_are_told_in_a_line(tmp_path: Path) -> None:
         assert code == 3
         assert out == ""
         assert str(path) in error
-        assert says in error
+        assert words in error
         assert len(error.strip().splitlines()) == 1

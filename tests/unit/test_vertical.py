@@ -1,4 +1,4 @@
-"""Climb by accelerometer and barometer: what it knows, how sure it is of it, and what it does not believe."""
+"""Climb by accelerometer and barometer: what it knows, its variance, and what it does not believe."""
 
 import math
 from collections.abc import Callable

@@ -261,7 +261,7 @@ def test_the_newest_reading_must_be_off_the_ground_and_have_a_range() -> None:
 )
 def test_a_sensor_that_is_alone_must_see_a_step_twice_in_a_row(readings: list[str], lower_m: float | None) -> None:
     assert step(sight(*readings)) == (None if lower_m is None else pytest.approx(lower_m))
-    # Sensors that hear nothing do not help.
+    # Sensors without an echo do not help.
     assert step(sight(*readings), sight("nothing", "nothing")) == (None if lower_m is None else pytest.approx(lower_m))
 
 
@@ -281,7 +281,7 @@ def test_where_only_sensors_that_repeat_themselves_hold_the_ground_the_others_ma
     assert step(sight("ground", "ground", 0.45), sight("ground", "ground", -0.10, newest_s=9.8), *stuck) is None
     # Half a metre away something was passed over: no motion that began at the ground.
     assert step(sight("ground", "ground", 0.75), sight("ground", "ground", 0.45, newest_s=9.8), *stuck) is None
-    # Two against two: over calm ground good sensors repeat themselves too.
+    # Two against two: over even ground good sensors repeat themselves too.
     assert step(sight("ground", "ground", 0.75), sight("ground", "ground", 0.70, newest_s=9.8), *stuck) is None
     # One that does not repeat itself holds the ground: nobody climbs.
     healthy = sight("ground", "ground", newest_s=9.7)

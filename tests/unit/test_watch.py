@@ -71,7 +71,7 @@ def test_a_median_that_does_not_fit_the_reference(read_cm: int, doubted: bool) -
     assert any("the reference is 120 cm" in doubt for doubt in watch.warnings()) == doubted
 
 
-def test_beyond_the_beam_nothing_is_said_of_the_reference() -> None:
+def test_beyond_the_beam_nothing_is_reported_of_the_reference() -> None:
     watch, _ = watched(*[765] * 30, 400, 401)
     assert not any("reference" in doubt for doubt in watch.warnings())
 

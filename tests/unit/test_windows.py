@@ -35,7 +35,7 @@ def test_the_fused_stream_lives_at_every_polling(sensors: int, interval_s: float
     assert all(abs(distance_cm - 300) < 8 for _, distance_cm in sent)
     assert max(late - early for (early, _), (late, _) in pairwise(sent)) < 2.1 * max(interval_s, 0.08)
     if interval_s <= 0.5:
-        assert [text for text in bench.said() if "distance" in text or "disagree" in text] == []
+        assert [text for text in bench.reported() if "distance" in text or "disagree" in text] == []
 
 
 @pytest.mark.parametrize(("sensors", "interval_s"), [(1, 2.0), (4, 2.0), (8, 0.2)])

@@ -35,16 +35,16 @@ class File(Section):
     """some entries"""
 
 
-def mistake(tmp_path: Path, text: str | bytes) -> str:
-    """What is said of a file of this content, without its path."""
+def error_of(tmp_path: Path, text: str | bytes) -> str:
+    """What is reported of a file of this content, without its path."""
     path = tmp_path / "a.yaml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     started_s = time.process_time()
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as raised:
         load(path, File)
     assert time.process_time() - started_s < 1.0
-    assert str(told.value).startswith(str(path))
-    return str(told.value).replace(str(path), "a.yaml")
+    assert str(raised.value).startswith(str(path))
+    return str(raised.value).replace(str(path), "a.yaml")
 
 
 def laughs(levels: int) -> str:
@@ -60,7 +60,7 @@ def merges(levels: int) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[" * 100_000, "a.yaml:1:33: not valid YAML: found more than 32 mappings and lists inside each other"),
         ("{a: " * 100_000, "found more than 32 mappings and lists inside each other"),
@@ -95,16 +95,16 @@ def merges(levels: int) -> str:
         ("", "a.yaml: found nothing, expected a mapping with the keys number, whole, text, entries"),
     ],
 )
-def test_each_has_a_line_with_its_place(tmp_path: Path, text: str | bytes, said: str) -> None:
-    assert said in mistake(tmp_path, text)
+def test_each_has_a_line_with_its_place(tmp_path: Path, text: str | bytes, message: str) -> None:
+    assert message in error_of(tmp_path, text)
 
 
-def test_only_the_first_mistakes_of_many_are_reported_and_each_is_short(tmp_path: Path) -> None:
-    lines = mistake(tmp_path, "entries: [" + "{nam: 1}, " * 5000 + "]").split("\n")
+def test_only_the_first_user_errors_of_many_are_reported_and_each_is_short(tmp_path: Path) -> None:
+    lines = error_of(tmp_path, "entries: [" + "{nam: 1}, " * 5000 + "]").split("\n")
     assert lines[0] == "a.yaml: entries[0].nam: unknown key. Did you mean 'name'? Known keys here: name"
     assert len(lines) == 21
     assert lines[-1] == "a.yaml: and 980 more"
-    (long,) = mistake(tmp_path, f"{'k' * 100_000}: 1").split("\n")
+    (long,) = error_of(tmp_path, f"{'k' * 100_000}: 1").split("\n")
     assert len(long) < 1100
 
 
@@ -118,7 +118,7 @@ def test_files_of_the_project_are_read_as_by_the_package(tmp_path: Path) -> None
     paths = sorted(CONFIGS.rglob("*.yaml"))
     assert len(paths) > 30
     for path in paths:
-        # repr tells 1 from 1.0 and from True.
+        # repr distinguishes 1, 1.0 and True.
         assert repr(read_yaml(path)) == repr(yaml.safe_load(path.read_text()))
     # What the package writes comes back, also text that looks like a number.
     words = ["010", "08", "0x7", "1e5", "12:30", "2026-10-05", "yes", "~", "<<", "=", "1_0", "a: b", "#"]
