@@ -177,14 +177,15 @@ def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> Ping:
     while True:
         now_s = clock.now()
         try:
-            decoded = sensor.device.answer(now_s - pinged_s)
+            decoded = sensor.device.answer()
         except BusError:
             if now_s >= pinged_s + timing.deadline_s:
                 return Ping(None, now_s - pinged_s, 0.0)
             clock.sleep_until(min(now_s + POLL_INTERVAL_S, pinged_s + timing.deadline_s))
             continue
-        echo_s = 0.5 * (decoded.range_m or 0.0) * timing.echo_s_per_m
-        return Ping(decoded, clock.now() - pinged_s, echo_s)
+        answered_s = clock.now() - pinged_s
+        decoded = decoded.arrived_after(answered_s)
+        return Ping(decoded, answered_s, sensor.reading(0.0, decoded).time_s)
 
 
 def _ranges(pings: Sequence[Ping]) -> list[float]:

@@ -44,12 +44,23 @@ class Decoded(NamedTuple):
         The answer as a number; None if there was none.
     suspect
         The value is a valid range, but also a known fault code.
+    earliest_s
+        Shortest time from a ping to this answer [s]; one that comes sooner is not the answer to that ping.
     """
 
     status: Status
     range_m: float | None
     raw: int | None
     suspect: bool = False
+    earliest_s: float = 0.0
+
+    def arrived_after(self, since_ping_s: float) -> "Decoded":
+        """The answer, if it can have come within this time after its ping [s]; otherwise an impossible one.
+
+        The time is the longest possible, from before the ping's write until after the answer was read: on a busy
+        computer a transfer returns long after it was on the bus, and a program stands still between two of them.
+        """
+        return self if since_ping_s >= self.earliest_s else Decoded(Status.IMPOSSIBLE, None, self.raw)
 
 
 class RangeSensor(Protocol):
@@ -64,8 +75,8 @@ class RangeSensor(Protocol):
         """Start a measurement; raises BusError if the sensor does not acknowledge."""
         ...
 
-    def answer(self, since_ping_s: float) -> Decoded:
-        """The measurement's result, at most ``since_ping_s`` after the ping; raises BusError while there is none."""
+    def answer(self) -> Decoded:
+        """The measurement's result; raises BusError while there is none."""
         ...
 
 
@@ -171,8 +182,8 @@ class Driver(ABC):
         """Start a measurement; raises BusError if the sensor does not acknowledge."""
 
     @abstractmethod
-    def answer(self, since_ping_s: float) -> Decoded:
-        """The measurement's result, at most ``since_ping_s`` after the ping; raises BusError while there is none."""
+    def answer(self) -> Decoded:
+        """The measurement's result; raises BusError while there is none."""
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:

@@ -110,7 +110,7 @@ class LidarLiteV3(Driver):
         """Start a measurement."""
         self._bus.write(self.address, COMMAND_MEASURE)
 
-    def answer(self, since_ping_s: float) -> Decoded:
+    def answer(self) -> Decoded:
         """Read the result of the last measurement; raises BusError (EBUSY) while the sensor is busy."""
         status = _registers(self._bus, self.address, STATUS, 1)[0]
         if status & BUSY:
@@ -137,7 +137,7 @@ class LidarLiteV3(Driver):
             while True:
                 clock.sleep_until(clock.now() + POLL_INTERVAL_S)
                 try:
-                    decoded = sensor.answer(clock.now() - pinged_s)
+                    decoded = sensor.answer()
                     break
                 except BusError as error:
                     if error.errno != errno.EBUSY:

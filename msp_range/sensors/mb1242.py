@@ -109,18 +109,16 @@ class MB1242(Driver):
         self._bus.write(self.address, COMMAND_RANGE)
         self._pinged = True
 
-    def answer(self, since_ping_s: float) -> Decoded:
+    def answer(self) -> Decoded:
         """Read the result of the last ping.
 
-        An answer that arrives sooner than its own echo could is not the answer to this ping (the sensor lost its power
-        and sends part information, or repeats the previous answer), so its status is impossible.
+        An answer that arrives sooner than its own echo could is not the answer to this ping: the sensor lost its power
+        and sends part information, or repeats the previous answer.
         """
         decoded = decode(self._bus.read(self.address, ANSWER_BYTES), pinged=self._pinged)
-        if decoded.raw is not None and not decoded.status.is_fault:
-            earliest_s = EARLIEST_ANSWER_S + decoded.raw * ECHO_S_PER_CM
-            if since_ping_s < earliest_s:
-                return Decoded(Status.IMPOSSIBLE, None, decoded.raw)
-        return decoded
+        if decoded.raw is None or decoded.status.is_fault:
+            return decoded
+        return decoded._replace(earliest_s=EARLIEST_ANSWER_S + decoded.raw * ECHO_S_PER_CM)
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:

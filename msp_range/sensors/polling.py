@@ -144,8 +144,7 @@ class Poller:
             late = BusError(errno.ETIME, "read", sensor.device.address)
             return self._no_answer(sensor, pending.ping_s, now_s, late)
         try:
-            # The longest that it can have taken: on a busy computer a write may return long after the sensor had it.
-            decoded = sensor.device.answer(now_s - pending.from_s)
+            decoded = sensor.device.answer()
         except BusError as error:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
             deadline_s = pending.ping_s + timing.deadline_s
@@ -156,11 +155,9 @@ class Poller:
             self._pending.remove(pending)
             return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)
         self._pending.remove(pending)
-        range_m = decoded.range_m
-        echo_s = pending.ping_s if range_m is None else pending.ping_s + 0.5 * range_m * timing.echo_s_per_m
-        std_m = sensor.std_at(range_m)
-        reading = Reading(echo_s, sensor.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)
-        return Ranging(reading, pending.ping_s, self._clock.now())
+        answered_s = self._clock.now()
+        decoded = decoded.arrived_after(answered_s - pending.from_s)
+        return Ranging(sensor.reading(pending.ping_s, decoded), pending.ping_s, answered_s)
 
     def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
         """The failed measurement; None if the bus has to be reopened first, in a separate step."""

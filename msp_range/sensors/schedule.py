@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from msp_range.reading import Reading
-from msp_range.sensors.base import RangeSensor
+from msp_range.sensors.base import Decoded, RangeSensor
 
 DEAD_AFTER = 3
 """Number of successive faults after which a sensor's turns are given to the others; the pilot then gets a text
@@ -58,11 +58,15 @@ class PolledSensor:
     std_m: float | None = None
     std_growth: float = 0.0
 
-    def std_at(self, range_m: float | None) -> float | None:
-        """Standard deviation of a reading of this range [m]; None without a range."""
-        if range_m is None or self.std_m is None:
-            return None
-        return math.hypot(self.std_m, self.std_growth * range_m) if self.std_growth else self.std_m
+    def reading(self, ping_s: float, decoded: Decoded) -> Reading:
+        """The reading of an answer to a ping: its time is that of the echo, after half the time of flight."""
+        range_m, std_m = decoded.range_m, self.std_m
+        if range_m is None:
+            return Reading(ping_s, self.name, decoded.status, raw=decoded.raw, suspect=decoded.suspect)
+        if std_m is not None and self.std_growth:
+            std_m = math.hypot(std_m, self.std_growth * range_m)
+        echo_s = ping_s + 0.5 * range_m * self.timing.echo_s_per_m
+        return Reading(echo_s, self.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)
 
 
 @dataclass(frozen=True, slots=True)

@@ -230,12 +230,11 @@ def test_the_pings_of_a_group_follow_each_other_at_once_and_so_do_their_reads() 
 )
 def test_an_answer_that_comes_before_its_own_echo_could_is_impossible(reading_cm: int, earliest_s: float) -> None:
     clock = VirtualClock()
-    with scripted_bus(
-        clock, write(FRONT, RANGE), read(FRONT, encode(reading_cm)), read(FRONT, encode(reading_cm))
-    ) as bus:
+    with scripted_bus(clock, write(FRONT, RANGE), read(FRONT, encode(reading_cm))) as bus:
         sensor = MB1242(bus, FRONT)
         sensor.ping()
-        soon, later = sensor.answer(earliest_s - 1e-4), sensor.answer(earliest_s + 1e-4)
+        answer = sensor.answer()
+    soon, later = answer.arrived_after(earliest_s - 1e-4), answer.arrived_after(earliest_s + 1e-4)
     assert (soon.status, soon.range_m, soon.raw) == (Status.IMPOSSIBLE, None, reading_cm)
     assert later.status in (Status.OK, Status.NO_ECHO)
 
@@ -246,7 +245,7 @@ def test_what_is_read_without_a_ping_is_part_information() -> None:
         clock, read(FRONT, b"\x01\x2c"), write(FRONT, RANGE, errno=NACK), read(FRONT, b"\x01\x2c")
     ) as bus:
         sensor = MB1242(bus, FRONT)
-        assert sensor.answer(0.1).status is Status.PART_INFO
+        assert sensor.answer().status is Status.PART_INFO
         with pytest.raises(OSError, match="errno 121"):
             sensor.ping()
-        assert sensor.answer(0.1).status is Status.PART_INFO
+        assert sensor.answer().status is Status.PART_INFO

@@ -54,18 +54,25 @@ def test_the_fused_message_goes_out_on_each_turn_while_a_sensor_works(dead: str)
 
 @pytest.mark.parametrize("late_s", [0.005, 0.020, 0.030])
 @pytest.mark.parametrize("reading_cm", [20, 100, 400])
-def test_on_a_busy_computer_a_write_that_returns_late_makes_no_answer_impossible(
-    late_s: float, reading_cm: int
-) -> None:
-    """A sensor has its ping when the write is on the bus, and not when the program runs again."""
+@pytest.mark.parametrize("late", ["write", "read"])
+def test_a_busy_computer_makes_no_answer_impossible(late_s: float, reading_cm: int, late: str) -> None:
+    """A sensor has its ping when the write is on the bus, and may answer while the program waits for its turn."""
     bench = Bench(airframe(), reading_cm)
-    write = bench.bus.write
+    write, read = bench.bus.write, bench.bus.read
+
+    def stand_still(verb: str) -> None:
+        if verb == late:
+            bench.clock.sleep_until(bench.clock.now() + late_s)
 
     def late_write(address: int, data: bytes) -> None:
         write(address, data)
-        bench.clock.sleep_until(bench.clock.now() + late_s)
+        stand_still("write")
 
-    bench.bus.write = late_write  # type: ignore[method-assign]
+    def late_read(address: int, count: int) -> bytes:
+        stand_still("read")
+        return read(address, count)
+
+    bench.bus.write, bench.bus.read = late_write, late_read  # type: ignore[method-assign]
     bench.fly(5.0)
     assert bench.reported() == ["Range: all 4 sensors good"]
     assert {reason for name in "abcd" for reason in bench.rejected(name)} <= {"unconfirmed"}

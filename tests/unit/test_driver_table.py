@@ -24,8 +24,8 @@ class Doubled(MB1242):
     part = "a doubled sensor"
     default_address = 0x20
 
-    def answer(self, since_ping_s):
-        decoded = super().answer(since_ping_s)
+    def answer(self):
+        decoded = super().answer()
         return decoded._replace(range_m=None if decoded.range_m is None else decoded.range_m / 2)
 
 

@@ -47,7 +47,7 @@ def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(1.0, 258, 0.035), RecordedPing(2.0, 300, 0.037)]}, clock)
     assert bus.next_ping_s(LEFT) == 1.0
-    assert MB1242(bus, LEFT).answer(1.0).status is Status.PART_INFO
+    assert MB1242(bus, LEFT).answer().status is Status.PART_INFO
     clock.sleep_until(1.0)
     bus.write(LEFT, COMMAND_RANGE)
     assert bus.next_ping_s(LEFT) == 2.0

@@ -159,9 +159,9 @@ class _RecordedSensor:
         self.pinged = True
         self.neighbour = self._pings.record(self._name)
 
-    def answer(self, since_ping_s: float) -> Decoded:
+    def answer(self) -> Decoded:
         """Return the result of the ranging."""
-        return self._device.answer(since_ping_s)
+        return self._device.answer()
 
 
 def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock: Clock) -> Iterator[KnownRanging]:

@@ -30,7 +30,7 @@ class Acme(Driver):
         """Start a ranging."""
         self._bus.write(self.address, RANGE_COMMAND)
 
-    def answer(self, since_ping_s: float) -> Decoded:
+    def answer(self) -> Decoded:
         """Read the result; raises BusError while the sensor ranges."""
         return decode(int.from_bytes(self._bus.read(self.address, 2), "big"))
 
@@ -41,7 +41,7 @@ class Acme(Driver):
         try:
             sensor.ping()
             clock.sleep_until(clock.now() + 2 * RANGING_S)
-            decoded = sensor.answer(2 * RANGING_S)
+            decoded = sensor.answer()
         except BusError as error:
             return stranger(address, f"no answer to the range command (errno {error.errno})")
         return FoundDevice(address, not decoded.status.is_fault, f"answers {decoded.raw} mm")
