@@ -236,10 +236,17 @@ def test_a_missed_echo_takes_the_whole_cycle() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reading_cm", "offset_cm", "word"), [(258, -80, 178), (258, 40.4, 298), (40, -80, 20), (765, 9, 765)]
+    ("reading_cm", "offset_cm", "word"),
+    [(258, -80, 178), (258, 40.4, 298), (40, -80, 20), (765, 9, 765), (765, -80, 765)],
 )
 def test_an_offset_stays_within_what_the_sensor_can_answer(reading_cm: int, offset_cm: float, word: int) -> None:
     assert Bench([reading_cm], [Fault("offset", 0.0, FOR_EVER, offset_cm=offset_cm)]).range() == word
+
+
+@pytest.mark.parametrize(("kind", "word"), [("offset", 255), ("noisy", 255), ("no_echo", 765)])
+def test_a_reading_that_may_be_no_echo_has_no_error_on_top(kind: str, word: int) -> None:
+    """Two sensors without an echo, both off by 34 cm, would agree on 2.21 m."""
+    assert Bench([255], [Fault(kind, 0.0, FOR_EVER, offset_cm=-34.0)]).range() == word
 
 
 def test_noise_has_its_spread_and_leaves_no_echo_alone() -> None:

@@ -142,6 +142,8 @@ class RangeFinder:
         Shortest reading, and the one of no echo [cm].
     default_timing : Timing
         Of its kind.
+    no_echo_codes : frozenset
+        Readings that may as well say that there was no echo [cm]: errors of the ranging leave them alone.
     fault_kinds : frozenset
         Those of `FAULT_KINDS` that this kind of sensor can show.
 
@@ -154,6 +156,7 @@ class RangeFinder:
     minimum_cm: int
     no_echo_cm: int
     default_timing: DeviceTiming
+    no_echo_codes: frozenset[int] = frozenset()
     fault_kinds = frozenset(FAULT_KINDS)
 
     def __init__(
@@ -255,7 +258,7 @@ class RangeFinder:
         for fault in self.faults:
             if fault.kind in _MISRANGINGS and self._fault_strikes(fault, now_s):
                 error_cm = _MISRANGINGS[fault.kind](fault, self._chance)
-                if reading_cm != self.no_echo_cm:
+                if error_cm == math.inf or reading_cm not in (self.no_echo_cm, *self.no_echo_codes):
                     # Within what the sensor can answer; no echo stays no echo.
                     reading_cm = round(min(max(reading_cm + error_cm, self.minimum_cm), self.no_echo_cm))
         return reading_cm

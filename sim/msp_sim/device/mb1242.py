@@ -13,6 +13,9 @@ ADDRESS_COMMAND = b"\xaa\xa5"
 ILLEGAL_ADDRESSES_8BIT = frozenset({0, 80, 164, 170})
 """New addresses, in 8-bit form, that the sensor ignores."""
 MINIMUM_CM, NO_ECHO_CM = 20, 765
+SATURATED_CM = 255
+"""No echo sometimes arrives as this distance [cm]. With the error of a faulty ranging on top, the same error of two
+sensors would give them a common distance where neither has an echo."""
 PART_INFO = b"\x01\x2c"
 """What is read before the first ranging. The real bytes are not documented: these look like 300 cm."""
 TIMING = DeviceTiming(ready_s=0.020, s_per_cm=58e-6, no_echo_s=0.067, address_change_s=0.125)
@@ -39,6 +42,7 @@ class EmulatedMB1242(RangeFinder):
 
     minimum_cm = MINIMUM_CM
     no_echo_cm = NO_ECHO_CM
+    no_echo_codes = frozenset({SATURATED_CM})
     default_timing = TIMING
 
     def power_cycle(self) -> None:
