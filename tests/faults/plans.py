@@ -45,7 +45,7 @@ TURNS = {
     "airframe": AIRFRAMES,
 }
 """Kinds that take turns in a group."""
-ROWS_BY_TURN = ("one", "airframe")
+ROWS_BY_TURN = ("one", "temperature", "airframe")
 """Groups whose kinds have a row of the table each."""
 STRIDE = 37
 """Indices that follow each other are of groups this far apart, so that a short campaign has flights of all; any number

@@ -3,8 +3,10 @@
 Lines of flights.jsonl enter; tables leave, as lists of cells with the headings first.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from statistics import stdev
 from typing import Any
 
 from rich import box
@@ -54,6 +56,13 @@ class Sum:
         """One sum over another [%]; None: there was no time."""
         total = self.total(whole)
         return 100.0 * self.total(part) / total if total else None
+
+    def share_with_error(self, part: str, whole: str) -> str:
+        """A share [%] and its standard error: flights differ, the moments of a flight do not."""
+        verdicts = [line["verdict"] for line in self.lines]
+        shares = [100.0 * each[part] / each[whole] for each in verdicts if each[whole] > 0.0]
+        error = f" ± {stdev(shares) / math.sqrt(len(shares)):.1f}" if len(shares) > 1 else ""
+        return _percent(self.share(part, whole)) + error
 
     @property
     def false_objects(self) -> int:
@@ -131,7 +140,7 @@ def goals_table(lines: Sequence[Line]) -> Cells:
     if some.lines:
         sources = [[line for line in some.lines if line["facts"]["source"] == source] for source in SOURCES]
         each = ", ".join(
-            f"{name} {_percent(Sum(of).share('covered_s', 'valid_s'))}"
+            f"{name} {Sum(of).share_with_error('covered_s', 'valid_s')}"
             for name, of in zip(SOURCES, sources, strict=True)
             if of
         )
