@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import BreakawayAngle, Findings, IntervalEstimate
+from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData
 from msp_lab.characterise.page.text import half_interval, sentence
@@ -58,22 +58,8 @@ def _field_of_view(findings: Findings, rows: PictureData, range_cm: float) -> Dr
     angle = next((each for each in view.angles if each.range_cm == range_cm), None) if view is not None else None
     if not points:
         raise Absent(sentence(findings.absent.get("field_of_view", f"the readings at {range_cm:g} cm were not judged")))
-    points = sorted(points, key=lambda point: point.incidence_deg)
-    middle = min(points, key=lambda point: abs(point.incidence_deg))
     half_deg = angle.half_angle.value if angle is not None else 0.0
-    shown = Sweep(
-        range_cm=range_cm,
-        incidence_deg=incidence[chosen],
-        reading_cm=rows.reading_cm[chosen],
-        missed=rows.missed[chosen],
-        angle_deg=np.array([point.incidence_deg for point in points]),
-        reliable=np.array([point.reliable.value for point in points]),
-        **_sides(angle),
-        reference_deg=None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm),
-        reference="" if rows.reference is None else rows.reference.name,
-        nearest_half_angle_deg=half_deg,
-        stretch=middle.nearest_cm / range_cm,
-    )
+    shown = Sweep(range_cm, incidence[chosen], rows.reading_cm[chosen], rows.missed[chosen])
     caption = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. "
     if angle is not None:
         none = "not found: no angle is reliable to both sides"
@@ -83,28 +69,10 @@ def _field_of_view(findings: Findings, rows: PictureData, range_cm: float) -> Dr
     if view is not None:
         caption += f" Reliable: {view.criterion.rstrip('.')}."
     return Drawn(
-        draw_sweep(shown), caption, f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked."
+        draw_sweep(shown, points, angle, rows.reference),
+        caption,
+        f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked.",
     )
-
-
-def _sides(angle: BreakawayAngle | None) -> dict[str, float | None]:
-    """Both sides' last reliable angles, signed, and the next ones that were tried."""
-
-    def side(estimate: IntervalEstimate | None, sign: float) -> tuple[float | None, float | None]:
-        # 0 stands for a side on which no angle is reliable.
-        if estimate is None or estimate.value == 0.0:
-            return None, None
-        end = estimate.high
-        return sign * estimate.value, None if end is None or end <= estimate.value else sign * end
-
-    negative, negative_end = side(angle.negative if angle else None, -1.0)
-    positive, positive_end = side(angle.positive if angle else None, 1.0)
-    return {
-        "negative_deg": negative,
-        "positive_deg": positive,
-        "negative_end_deg": negative_end,
-        "positive_end_deg": positive_end,
-    }
 
 
 def _sonar(findings: Findings, rows: PictureData) -> Drawn:

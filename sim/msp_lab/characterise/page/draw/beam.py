@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import BreakawayAngle, IntervalEstimate, SonarFit
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, IntervalEstimate, SonarFit
 from msp_lab.characterise.page.draw.errors import with_reach
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
@@ -41,77 +41,74 @@ class Sweep:
         Of each reading, shape (n,); NaN for a reading: no answer.
     missed
         Which readings are codes for no echo, shape (n,).
-    angle_deg, reliable
-        Angles tried and the share of reliable readings at each, shape (m,).
-    negative_deg, positive_deg
-        Last reliable angle to either side, negative and positive [deg]; None: not known.
-    negative_end_deg, positive_end_deg
-        Next angle that was tried, where it is not reliable any more; None: none was tried.
-    reference_deg, reference
-        A reference's half angle at this range, and its name; None: there is none.
-    nearest_half_angle_deg
-        Half angle of the beam in which the nearest point of the wall is taken.
-    stretch
-        Reading for each true centimetre, by the calibration and the air's temperature; 1 leaves the curves as they are.
     """
 
     range_cm: float
     incidence_deg: _Array
     reading_cm: _Array
     missed: NDArray[np.bool_]
-    angle_deg: _Array
-    reliable: _Array
-    negative_deg: float | None
-    positive_deg: float | None
-    negative_end_deg: float | None
-    positive_end_deg: float | None
-    reference_deg: float | None
-    nearest_half_angle_deg: float
-    stretch: float = 1.0
-    reference: str = ""
 
 
-def draw_sweep(sweep: Sweep) -> Figure:
-    """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
+def draw_sweep(
+    sweep: Sweep,
+    points: Sequence[AnglePoint],
+    breakaway: BreakawayAngle | None,
+    reference: ReferenceNumbers | None,
+) -> Figure:
+    """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable.
+
+    Parameters
+    ----------
+    sweep
+        The readings.
+    points, breakaway
+        What was found at each angle, at least two, and the breakaway angle.
+    reference
+        Earlier numbers to mark; None: nothing is marked.
+    """
     figure = new_figure(4.5)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
-    widest = float(np.max(np.abs(sweep.angle_deg)))
+    points = sorted(points, key=lambda point: point.incidence_deg)
+    angle_deg = np.array([point.incidence_deg for point in points])
+    reliable = 100.0 * np.array([point.reliable.value for point in points])
+    half_deg = 0.0 if breakaway is None else breakaway.half_angle.value
+    widest = float(np.max(np.abs(angle_deg)))
     theta = np.radians(np.linspace(-widest, widest, 241))
-    base_cm = sweep.range_cm * sweep.stretch
+    # As calibration and air stretch what is read straight ahead.
+    base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
     slant_cm = base_cm / np.cos(theta)
-    beyond = np.maximum(np.abs(theta) - np.radians(sweep.nearest_half_angle_deg), 0.0)
+    beyond = np.maximum(np.abs(theta) - np.radians(half_deg), 0.0)
     nearest_cm = base_cm / np.cos(beyond)
     low, high = min(base_cm, sweep.range_cm) - 4.0, max(float(np.max(slant_cm)), sweep.range_cm) + 5.0
 
-    _shares(top, sweep, low, high)
+    _shares(top, sweep, angle_deg, low, high)
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ", zorder=4)
-    if sweep.nearest_half_angle_deg > 0.0:
-        label = f"nearest point in a beam of ±{sweep.nearest_half_angle_deg:.1f}°"
+    if half_deg > 0.0:
+        label = f"nearest point in a beam of ±{half_deg:.1f}°"
         top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4, label=label)
     top.set_ylim(low, high)
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
-    edges = edges_between(sweep.angle_deg.tolist())
+    edges = edges_between(angle_deg.tolist())
     width = 0.86 * float(np.min(np.diff(edges)))
-    bottom.bar(sweep.angle_deg, 100.0 * sweep.reliable, width=width, color=OURS, alpha=0.75, zorder=2)
-    bottom.bar(
-        sweep.angle_deg,
-        100.0 * (1.0 - sweep.reliable),
-        width=width,
-        bottom=100.0 * sweep.reliable,
-        color=PALE,
-        zorder=2,
-    )
+    bottom.bar(angle_deg, reliable, width=width, color=OURS, alpha=0.75, zorder=2)
+    bottom.bar(angle_deg, 100.0 - reliable, width=width, bottom=reliable, color=PALE, zorder=2)
     bottom.set_ylim(0.0, 100.0)
     bottom.set_yticks([0, 50, 100])
     bottom.set_ylabel("reliable [%]")
     bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
-    _breakaway(top, bottom, sweep)
-    ticks = sweep.angle_deg
+    _mark_breakaway(top, bottom, breakaway)
+    reference_deg = None if reference is None else reference.half_angle_deg.get(sweep.range_cm)
+    if reference is not None and reference_deg is not None:
+        for sign in (-1, 1):
+            for axes in (top, bottom):
+                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":", linewidth=2.0, zorder=5)
+        top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"{reference.name}'s ±{reference_deg:g}°")
+    ticks = angle_deg
     if ticks.size > 15:
         ticks = ticks[np.abs(np.rint(ticks / 3.6) * 3.6 - ticks) < 0.05] if np.any(ticks % 1.0) else ticks[::2]
-    bottom.set_xticks(ticks if ticks.size else sweep.angle_deg)
+    bottom.set_xticks(ticks if ticks.size else angle_deg)
     bottom.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
@@ -120,12 +117,12 @@ def draw_sweep(sweep: Sweep) -> Figure:
     return figure
 
 
-def _shares(top: Axes, sweep: Sweep, low: float, high: float) -> None:
+def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, low: float, high: float) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
-    edges = edges_between(sweep.angle_deg.tolist())
+    edges = edges_between(angle_deg.tolist())
     room = 0.86 * float(np.min(np.diff(edges)))
     lefts, bottoms, widths = [], [], []
-    for angle in sweep.angle_deg.tolist():
+    for angle in angle_deg.tolist():
         here = np.isclose(sweep.incidence_deg, angle, atol=1e-6)
         readings = sweep.reading_cm[here & ~sweep.missed & np.isfinite(sweep.reading_cm)]
         values, counts = np.unique(readings[(readings > low) & (readings < high)], return_counts=True)
@@ -147,14 +144,16 @@ def _shares(top: Axes, sweep: Sweep, low: float, high: float) -> None:
     )
 
 
-def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
-    labelled = False
-    for last, end in (
-        (sweep.negative_deg, sweep.negative_end_deg),
-        (sweep.positive_deg, sweep.positive_end_deg),
-    ):
-        if last is None:
+def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -> None:
+    """Each side's last reliable angle, and the stretch up to the next one that was tried."""
+    sides = [] if breakaway is None else [(-1.0, breakaway.negative), (1.0, breakaway.positive)]
+    labelled = ended = False
+    for sign, side in sides:
+        # 0 stands for a side on which no angle is reliable.
+        if side is None or side.value == 0.0:
             continue
+        last, end = sign * side.value, None if side.high is None or side.high <= side.value else sign * side.high
+        ended |= end is not None
         for axes in (top, bottom):
             if end is not None:
                 axes.axvspan(min(last, end), max(last, end), color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
@@ -175,13 +174,8 @@ def _breakaway(top: Axes, bottom: Axes, sweep: Sweep) -> None:
         labelled = True
     if labelled:
         top.plot([], [], "-", color=INK, linewidth=1.3, label="breakaway: last reliable angle")
-    if any(each is not None for each in (sweep.negative_end_deg, sweep.positive_end_deg)):
+    if ended:
         top.fill_between([], [], [], color=ORANGE, alpha=0.22, linewidth=0, label="up to the next angle tried")
-    if sweep.reference_deg is not None:
-        for sign in (-1, 1):
-            for axes in (top, bottom):
-                axes.axvline(sign * sweep.reference_deg, color=REFERENCE, linestyle=":", linewidth=2.0, zorder=5)
-        top.plot([], [], ":", color=REFERENCE, linewidth=2.0, label=f"{sweep.reference}'s ±{sweep.reference_deg:g}°")
 
 
 def draw_beam(
