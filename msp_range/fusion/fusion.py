@@ -194,7 +194,7 @@ class Fusion:
         if reading.raw is None:
             return reading
         height_m = None if self._filter is None else self._filter.height_m - self._steps_m
-        stuck = sensor.stuck.update(reading.raw, height_m, self._motion, self._time_s)
+        stuck = sensor.stuck.update(reading.raw, reading.range_m, height_m, self._motion, self._time_s)
         if not stuck or reading.range_m is None:
             return reading
         return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)

@@ -20,6 +20,10 @@ STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 3.0
 """Or while the vehicle has climbed or sunk by this much [m], and so many standard deviations, by its barometer: then
 all sensors may be stuck. A vehicle that follows a slope to a centimetre over that height looks the same; it answers
 something else again within a reading or two."""
+ANEW_READINGS, ANEW_M = 3, 0.05
+"""A stuck sensor answers anew after so many other answers in a row, or with one that is nearer than this to the answer
+that it kept [m], as a good one does with its noise. With fewer, one missed echo lets a sensor that is held at its
+minimum give that for the ground again; more report for longer that a sensor is stuck that no longer is."""
 MARK_EACH_S, MARKS = 2.0, 3
 """Its climb is taken from the first of the answers and from the last few seconds, in which the barometer has drifted
 less: between marks [s], and how many are kept."""
@@ -30,7 +34,9 @@ class StuckWatch:
 
     def __init__(self) -> None:
         self._raw: int | None = None
+        self._range_m: float | None = None
         self._times = 0
+        self._others = 0
         self._since_m = 0.0
         self._marks: deque[tuple[float, Mark]] = deque(maxlen=MARKS)
         self._first: Mark | None = None
@@ -39,15 +45,17 @@ class StuckWatch:
     @property
     def repeated(self) -> bool:
         """Whether the newest answer is one of many alike."""
-        return self._times >= REPEATED_READINGS
+        return self._times >= REPEATED_READINGS and not self._others
 
-    def update(self, raw: int, height_m: float | None, motion: VerticalMotion, time_s: float) -> bool:
+    def update(
+        self, raw: int, range_m: float | None, height_m: float | None, motion: VerticalMotion, time_s: float
+    ) -> bool:
         """Whether the sensor is stuck, by its newest answer.
 
         Parameters
         ----------
-        raw
-            The answer as it came.
+        raw, range_m
+            The answer as it came, and the range that it stands for, if any [m].
         height_m
             How high the vehicle is by all sensors [m]: over any level, without the steps of the ground. None: not
             known.
@@ -55,9 +63,13 @@ class StuckWatch:
             How the vehicle moves by its barometer, and the time of the answer [s].
         """
         if raw != self._raw:
-            self._raw, self._times, self._stuck = raw, 0, False
+            self._others += 1
+            if self._stuck and self._others < ANEW_READINGS and not self._is_near(range_m):
+                return False
+            self._raw, self._range_m, self._times, self._stuck = raw, range_m, 0, False
             self._marks.clear()
             self._first = None
+        self._others = 0
         if self._times == 0 or height_m is None:
             self._since_m = height_m or 0.0
         if not self._marks or time_s - self._marks[-1][0] >= MARK_EACH_S:
@@ -74,3 +86,6 @@ class StuckWatch:
                 abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m) for climb in climbs if climb
             )
         return self._stuck
+
+    def _is_near(self, range_m: float | None) -> bool:
+        return range_m is not None and self._range_m is not None and abs(range_m - self._range_m) < ANEW_M

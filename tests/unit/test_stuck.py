@@ -13,7 +13,7 @@ def verdicts(raws: list[int], heights_m: list[float | None]) -> list[bool]:
     """One answer each 0.4 s, with the height by all sensors."""
     watch = StuckWatch()
     return [
-        watch.update(raw, height_m, SILENT, 0.4 * i)
+        watch.update(raw, raw / 100, height_m, SILENT, 0.4 * i)
         for i, (raw, height_m) in enumerate(zip(raws, heights_m, strict=False))
     ]
 
@@ -33,6 +33,15 @@ def test_it_stays_stuck_when_the_vehicle_comes_back_and_until_it_answers_somethi
     assert verdicts([300] * 4 + [301] * 4, [3.0, 3.1, 3.2, 3.3, 3.3, 3.35, 3.4, 3.5])[4:] == [False, False, False, True]
 
 
+def test_one_or_two_outliers_release_no_stuck_sensor_and_three_answers_or_its_noise_do() -> None:
+    """A missed echo of a sensor that is held at its minimum is no answer that is new."""
+    heights_m: list[float | None] = [3.0, 3.1, *[3.2] * 9]
+    stuck = [False, False, True]
+    assert verdicts([300] * 3 + [765, 300, 765, 150, 300], heights_m) == [*stuck, False, True, False, False, True]
+    assert verdicts([300] * 3 + [765, 150, 320, 300, 300], heights_m) == stuck + [False] * 5
+    assert verdicts([300] * 3 + [304, 300, 300], heights_m) == stuck + [False] * 3
+
+
 def test_over_calm_ground_the_same_answer_is_no_fault() -> None:
     assert not any(verdicts([300] * 50, [3.0 + 0.05 * (i % 3) for i in range(50)]))
 
@@ -47,7 +56,7 @@ def test_heights_before_and_after_a_lost_ground_are_not_compared() -> None:
 def test_answers_are_called_repeated_from_the_fifth_alike_on() -> None:
     watch, repeated = StuckWatch(), []
     for raw in [300] * 6 + [301] * 5:
-        watch.update(raw, 3.0, SILENT, 0.0)
+        watch.update(raw, raw / 100, 3.0, SILENT, 0.0)
         repeated.append(watch.repeated)
     assert repeated == [False] * 4 + [True] * 2 + [False] * 4 + [True]
 
@@ -60,7 +69,7 @@ def climbing(climb_m_s: float, answers: int, seconds: float = 0.4) -> list[bool]
             motion.on_acceleration(time_s, 0.0)
             motion.on_pressure_height(time_s, 50.0 + climb_m_s * time_s)
             time_s += 0.05
-        out.append(watch.update(300, None, motion, 20.0 + seconds * i))
+        out.append(watch.update(300, 3.0, None, motion, 20.0 + seconds * i))
     return out
 
 
@@ -87,7 +96,7 @@ def first_stuck_m(height_m: Callable[[float], float], raw: Callable[[float], int
             motion.on_acceleration(time_s, 0.0)
             motion.on_pressure_height(time_s, height_m(time_s))
             time_s += 0.05
-        if watch.update(raw(answer_s), None, motion, answer_s):
+        if watch.update(raw(answer_s), raw(answer_s) / 100, None, motion, answer_s):
             return height_m(answer_s)
         answer_s += 0.4
     return None
