@@ -10,6 +10,9 @@ from msp_range.fusion.vertical import Known, VerticalMotion
 TURNS = 3
 """Readings in a row of every working sensor that must be without an echo where no ground is known. Fewer take a soft
 landing place for the sky, more are late after a restart in cruise."""
+RANGES = 2
+"""So many readings in a row with a range end it, however many sensors had no echo before: of eight that ping half a
+second apart most still had none when a descent has gone on for four seconds. One is often an outlier; more are late."""
 MARGIN_M = 0.3
 """A climb that ends this far below the maximum counts as one to it [m]: sensors lose the ground a little sooner."""
 CLIMB_SIGMAS = 3.0
@@ -35,12 +38,14 @@ class AboveMaximum:
         self._maximum_m = maximum_m
         self._motion = motion
         self._no_echo: dict[str, int] = {}
+        self._ranges = 0
         self._last: Known | None = None
 
     def note(self, sensor: str, no_echo: bool, works: bool) -> None:
-        """Count a sensor's readings in a row without an echo; a sensor at fault does not count."""
+        """Count readings in a row: each sensor's without an echo, and all that have a range; faults do not count."""
         if works:
             self._no_echo[sensor] = self._no_echo.get(sensor, 0) + 1 if no_echo else 0
+            self._ranges = 0 if no_echo else self._ranges + 1
         else:
             self._no_echo.pop(sensor, None)
 
@@ -52,7 +57,7 @@ class AboveMaximum:
         """Whether the vehicle is above the maximum: most working sensors have no echo, and it may have got there."""
         counts = self._no_echo.values()
         silent = sum([count > 0 for count in counts])
-        if not silent or 2 * silent <= len(counts):
+        if not silent or 2 * silent <= len(counts) or self._ranges >= RANGES:
             return False
         if self._last is None:
             if min(counts) < TURNS:

@@ -210,6 +210,22 @@ def test_a_restart_in_cruise_over_ground_that_one_sensor_sees_is_not_above_the_m
     assert set(bench.distances_cm()) == {700}
 
 
+def test_a_descent_seen_by_two_of_eight_slow_sensors_is_no_longer_above_the_maximum() -> None:
+    """The others last pinged up to 3.6 s before, when they had no echo."""
+
+    def height_m(time_s: float) -> float:
+        return 6.5 + min(0.9 * max(time_s - 10.0, 0.0), 2.5) - 0.9 * max(time_s - 40.0, 0.0)
+
+    vehicle = airframe([sensor(f"s{i}", i) for i in range(1, 9)], polling={"ping_interval_s": 0.45})
+    readings = Bench(vehicle, lambda name, time_s: round(100 * height_m(time_s)) if height_m(time_s) < 7.4 else 765)
+    bench = with_barometer(readings, 45.5, height_m)
+    sent = [(height_m(time_s), each.current_distance) for time_s, each in bench.sent()]
+    above_m = [true_m for true_m, sent_cm in sent if sent_cm == ABOVE_CM]
+    assert len(above_m) > 60
+    assert min(above_m) > 6.9
+    assert sent[-1][1] == pytest.approx(100 * height_m(45.5), abs=50)
+
+
 @pytest.mark.parametrize("noise_cm", [0.0, 0.5, 1.0, 1.5, 3.0])
 def test_a_pair_that_jumps_does_not_take_the_ground_from_a_pair_that_repeats_itself(noise_cm: float) -> None:
     """Good sensors repeat themselves over even ground, and are not stuck for that."""
