@@ -49,7 +49,7 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0) -> Array:
 
 def forms(contexts: Columns, reading_cm: Array) -> list[CandidateCurve]:
     fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
-    return scan(curves_of(contexts), fitted.here.by, fitted.scores, fitted.here.shares, None)
+    return scan(curves_of(contexts), fitted.here, fitted.scores, None)
 
 
 def hidden(channel: str, contexts: Columns, seed: int) -> Array:
@@ -183,3 +183,26 @@ def test_a_column_of_words_of_ones_own_is_a_value_for_each() -> None:
     many = [alone.sample_one({"true_range_cm": 100.0, "anchor": each}) for each in ["a2", "a9", None] for _ in range(9)]
     assert np.median(many[:9]) == pytest.approx(130.0, abs=2.0)
     assert np.median(many[9:]) == pytest.approx(100.0, abs=2.0)
+
+
+def test_a_step_is_found_where_it_is_and_written_as_one() -> None:
+    contexts = flown(22)
+    reading_cm = hidden("bias", contexts, 22)
+    best = forms(contexts, reading_cm)[0]
+    assert (best.channel, best.variables, best.degrees) == ("bias", ("throttle",), 1)
+    assert np.mean(np.asarray(best.knots[0])) == pytest.approx(0.6, abs=0.05)
+    rng = np.random.default_rng(1)
+    (found,) = name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng).unknown
+    size, place = map(float, re.findall(r"\+ ([0-9.]+) \[throttle > ([0-9.]+)\]", found.formula)[0])
+    assert (size, place) == (pytest.approx(0.8, abs=0.3), pytest.approx(0.6, abs=0.05))
+    # It is drawn over the whole column, not between its two knots alone.
+    assert found.curve[-1][0] - found.curve[0][0] > 0.6
+
+
+def test_what_differs_from_run_to_run_has_as_many_values_as_runs() -> None:
+    contexts = flown(23)
+    run = np.unique(contexts["run"], return_inverse=True)[1]
+    contexts["pressure_hpa"] = np.random.default_rng(23).uniform(950.0, 1030.0, 20)[run] + 0.01 * np.arange(N) / N
+    fine = {len(knots[0]) for names, knots in curves_of(contexts).curves if names == ("pressure_hpa",)}
+    coarse = {len(knots[0]) for names, knots in curves_of(contexts, run).curves if names == ("pressure_hpa",)}
+    assert (max(fine), max(coarse)) == (12, 6)

@@ -17,7 +17,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import WORD_COLUMNS, Contribution, Effect, Parameter, Scene
-from msp_sim.effects.curve import FIELDS
+from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import ModelRows
 from msp_sim.model.slopes import score_of_component, score_of_fault
@@ -110,14 +110,17 @@ class SelectedTerm:
     def key(self) -> Key:
         """Name, and the sensor, run or target that it is of."""
         if self.active.shape is not None:
-            return f"curve {self.active.shape[0]} {self.active.shape[1]}", None
+            kind = "ripple" if isinstance(self.active.shape[2][0], Ripple) else "curve"
+            return f"{kind} {self.active.shape[0]} {self.active.shape[1]}", None
         return self.active.effect.name, self.active.of
 
     @property
     def label(self) -> str:
         """For a person."""
         if self.active.shape is not None:
-            return f"{self.active.shape[0]} over {' and '.join(self.active.shape[1])}"
+            ripple = self.active.shape[2][0]
+            what = f"ripple of {ripple.period:.3g}" if isinstance(ripple, Ripple) else self.active.shape[0]
+            return f"{what} over {' and '.join(self.active.shape[1])}"
         return self.active.effect.name
 
     @property

@@ -15,9 +15,9 @@ from scipy.sparse import csr_matrix
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import CHANNELS
+from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
 from msp_sim.effects.base import REFERENCE_STD
-from msp_sim.effects.curve import CurveChannel, hats
+from msp_sim.effects.curve import CurveChannel, Knots, hats
 
 _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
@@ -38,23 +38,30 @@ class CandidateCurve:
         Degrees of freedom.
     log_p
         log of the probability of as much where nothing is missing, not corrected for the number of curves.
+    search_nats
+        What the search over periods gains by random variation [nat].
     """
 
     channel: CurveChannel
     variables: tuple[str, ...]
-    knots: tuple[tuple[Any, ...], ...]
+    knots: tuple[Knots, ...]
     gain: float
     degrees: int
     log_p: float
+    search_nats: float = 0.0
 
     @property
-    def pair_cost_nats(self) -> float:
-        """What a curve over two variables has to be less likely [nat]."""
-        return rules.PAIR_COST_NATS if len(self.variables) > 1 else 0.0
+    def cost_nats(self) -> float:
+        """What a ripple, or a curve over two variables, has to be less likely [nat]."""
+        return self.search_nats + (rules.PAIR_COST_NATS if len(self.variables) > 1 else 0.0)
 
 
-def variables_of(contexts: Mapping[str, Any]) -> dict[str, list[tuple[Any, ...]]]:
-    """Columns that vary, with their knots, the coarse ones first."""
+def variables_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None) -> dict[str, list[tuple[Any, ...]]]:
+    """Columns that vary, with their knots, the coarse ones first.
+
+    A column that hardly varies inside runs (`unit` numbers them) has as many values as there are runs, so fewer knots.
+    """
+    runs = 0 if unit is None else int(np.unique(unit).size)
     found: dict[str, list[tuple[Any, ...]]] = {}
     for name, column in contexts.items():
         if name in NO_VARIABLES:
@@ -66,9 +73,34 @@ def variables_of(contexts: Mapping[str, Any]) -> dict[str, list[tuple[Any, ...]]
                 found[name] = [tuple(words)]
         elif values.dtype.kind == "f":
             sizes = [knots for count in rules.KNOTS if len(knots := _knots(values, count)) >= 2]
+            if unit is not None and _share_between(values, unit) > rules.BETWEEN_RUNS_SHARE:
+                sizes = [knots for knots in sizes if len(knots) - 1 <= max(runs // rules.CURVE_RUNS_PER_DEGREE, 1)]
             if sizes:
                 found[name] = list(dict.fromkeys(sizes))
     return found
+
+
+def _share_between(values: _Array, unit: NDArray[np.intp]) -> float:
+    """Share of a column's variance that lies between runs."""
+    known = np.isfinite(values)
+    values, unit = values[known], unit[known]
+    if not values.size:
+        return 0.0
+    counts = np.maximum(np.bincount(unit), 1)
+    inside = values - (np.bincount(unit, values) / counts)[unit]
+    return 1.0 - float(inside.var()) / max(float(values.var()), 1e-300)
+
+
+def _steps(values: _Array) -> list[tuple[float, float]]:
+    """Pairs of knots so close to each other that the curve steps from one value to another between them."""
+    known = np.unique(values[np.isfinite(values)])
+    if known.size < 2 * rules.STEPS:
+        return []
+    share = np.linspace(0.0, 1.0, rules.STEPS + 2)[1:-1]
+    places = np.unique(np.quantile(values[np.isfinite(values)], share))
+    half = 1e-4 * float(np.ptp(known))
+    digits = 1 - int(np.floor(np.log10(half)))
+    return [(round(float(each) - half, digits), round(float(each) + half, digits)) for each in places]
 
 
 def _knots(values: _Array, count: int) -> tuple[float, ...]:
@@ -99,12 +131,15 @@ class CurveWeights:
     weights: tuple[_Array, ...]
 
 
-def curves_of(contexts: Mapping[str, Any]) -> CurveWeights:
-    """Every column that varies, and every pair of them."""
-    places = variables_of(contexts)
+def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None) -> CurveWeights:
+    """Every column that varies, as a curve and as a step, and every pair of them; `unit` numbers the runs."""
+    places = variables_of(contexts, unit)
     asked: list[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]] = [
         ((name,), (knots,)) for name, sizes in places.items() for knots in sizes
     ]
+    for name in places:
+        column = np.asarray(contexts[name])
+        asked += [((name,), (pair,)) for pair in (_steps(column) if column.dtype.kind == "f" else [])]
     for count in rules.PAIR_KNOTS:
         coarse = {
             name: sizes[0] if isinstance(sizes[0][0], str) else _knots(np.asarray(contexts[name], dtype=float), count)
@@ -132,9 +167,8 @@ def curves_of(contexts: Mapping[str, Any]) -> CurveWeights:
 
 def scan(
     asked: CurveWeights,
-    slopes: _Array,
+    here: ChannelSlopes,
     nuisance: _Array,
-    shares: _Array,
     unit: NDArray[np.intp] | None,
     channels_asked: Sequence[CurveChannel] = CHANNELS,
 ) -> list[CandidateCurve]:
@@ -144,12 +178,10 @@ def scan(
     ----------
     asked
         Curves that can be asked for, on n readings.
-    slopes
-        Of each reading by the channels, which come first as in `BASE`, (n, 7).
+    here
+        Slopes of n readings by the channels at the fit.
     nuisance
         Scores of all that is fitted and not held at a bound, (n, numbers).
-    shares
-        Shares of short, missed and random readings at the fit, (n, 3).
     unit
         Run of each reading, where the run is the unit of evidence.
     channels_asked
@@ -159,17 +191,18 @@ def scan(
     own = own / np.sqrt((own**2).sum(axis=0))
     inner = np.linalg.pinv(own.T @ own, rcond=1e-8, hermitian=True)
     sums = own.sum(axis=0)
+    carries = here.carry is not None
     units = None if unit is None else _ones(unit)
     own_of_units = None if units is None else units @ own
     found = []
     for channel in channels_asked:
-        slope = slopes[:, CHANNELS.index(channel)]
+        slope = here.by[:, CHANNELS.index(channel)]
         if not np.any(slope):
             continue
         events = float(slope @ slope)
         expected = slope**2
         if channel in ODDS_CHANNELS:
-            share = shares[:, ODDS_CHANNELS.index(channel)]
+            share = here.shares[:, ODDS_CHANNELS.index(channel)]
             expected = share * (1.0 - share) * events / float((share * (1.0 - share)).sum())
         # What is rare varies as the fit says where it never came, and as it came where it came more often.
         variance = 0.5 * (slope**2 + expected)
@@ -178,16 +211,22 @@ def scan(
         for (variables, knots), weight in zip(asked.curves, asked.weights, strict=True):
             if weight.shape[1] > rules.MAX_KNOTS[channel] or events < rules.MIN_EVENTS_PER_KNOT * weight.shape[1]:
                 continue
-            total, *cross = sloped.T @ weight
+            if carries and channel in ("bias", "spread"):
+                score = np.column_stack([here.score(CHANNELS.index(channel), each) for each in weight.T])
+                total, cross = score.sum(axis=0), own.T @ score
+                squares, sums_of_units = score.T @ score, None if units is None else units @ score
+            else:
+                total, *cross = sloped.T @ weight
+                squares = (weight * variance[:, None]).T @ weight
+                sums_of_units = None if of_units is None else of_units @ weight
             carried = inner @ np.array(cross)
-            squares = (weight * variance[:, None]).T @ weight
-            by_unit = None if of_units is None else of_units @ weight - own_of_units @ carried
+            by_unit = None if sums_of_units is None else sums_of_units - own_of_units @ carried
             statistic, degrees = _statistic(
                 total - carried.T @ sums, squares, squares - np.array(cross).T @ carried, by_unit
             )
             log_p = log_p_of(statistic, degrees) if degrees else 0.0
             found.append(CandidateCurve(channel, variables, knots, 0.5 * statistic, degrees, log_p))
-    return sorted(found, key=lambda each: each.log_p + each.pair_cost_nats)
+    return sorted(found, key=lambda each: each.log_p + each.cost_nats)
 
 
 def _ones(unit: NDArray[np.intp]) -> csr_matrix:

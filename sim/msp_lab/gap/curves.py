@@ -17,7 +17,7 @@ from msp_lab.gap.candidates import SelectedTerm, change_of
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, loss
+from msp_lab.gap.problem import Problem, State, free_curves, free_forms, loss
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import applies, make_curve_term
@@ -30,7 +30,7 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     """
     problem.report("searching what no effect explains", 0.5)
     for _ in range(min(most, rules.MAX_CURVES)):
-        forms = free_curves(problem, state)
+        forms = free_forms(problem, state)
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_curve(problem, state, forms, singles)
         if found is None and state.by_run:
@@ -86,7 +86,7 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
     numbers = sum(1 + len(each.candidate.shape) for each in named if each.candidate is not None)
     p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
     least = 0.5 * float(chi2.isf(p_value, max(form.degrees - numbers, 1))) - 0.5 * max(len(named) - 1, 0)
-    better = loss(problem, state.fit, there) > form.pair_cost_nats + least
+    better = loss(problem, state.fit, there) > form.cost_nats + least
     return there if better else state
 
 
@@ -120,13 +120,13 @@ def _bias_cm(problem: Problem, term: SelectedTerm) -> NDArray[np.float64]:
 
 def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
     """Whether random variation shows as much, in any of so many curves, with less than the rule's probability."""
-    return form.degrees > 0 and form.log_p + form.pair_cost_nats < np.log(rules.CURVE_P) - np.log(asked)
+    return form.degrees > 0 and form.log_p + form.cost_nats < np.log(rules.CURVE_P) - np.log(asked)
 
 
 def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
     values = [0.0] * int(np.prod([len(each) for each in form.knots]))
-    active = make_curve_term(form.channel, list(form.variables), [list(each) for each in form.knots], values)
+    active = make_curve_term(form.channel, form.variables, form.knots, values)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]
     fit = problem.refit([each.active for each in terms], state.fit.base)

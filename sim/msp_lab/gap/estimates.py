@@ -17,6 +17,7 @@ from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
+from msp_lab.gap.labels import unit_of
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, State
 from msp_lab.gap.refit import JointFit, knot_weights
@@ -24,10 +25,15 @@ from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.curve import Ripple, hats
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
+STEP_SHARE = 0.01
+"""Two knots that are closer than this share of the column's span are a step, and are written as one."""
+RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
+"""Periods of a ripple that are drawn, and points of its curve: it goes on like that."""
 
 
 @dataclass(frozen=True)
@@ -197,15 +203,38 @@ def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepa
             f"a table of {len(values)} values over {' and '.join(variables)}, {values.min():.3g} to {values.max():.3g}"
         )
         return UnknownEffect(channel, variables, text, gained.nats_per_reading)
+    if isinstance(knots[0], Ripple):
+        return _ripple(active, knots[0].period, widened, gained)
     if isinstance(knots[0][0], str):
         text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
         return UnknownEffect(channel, variables, text, gained.nats_per_reading)
     at = np.array(knots[0], dtype=float)
+    place = np.asarray(readings.scene[variables[0]], dtype=float)
+    low, high = float(np.nanmin(place)), float(np.nanmax(place))
+    if at.size == 2 and at[1] - at[0] < STEP_SHARE * (high - low):
+        text = f"{values[0]:.3g} + {values[1] - values[0]:.3g} [{variables[0]} > {at.mean():.4g}]".replace("+ -", "- ")
+        at, values, half = np.array([low, *at, high]), np.repeat(values, 2), np.repeat(half, 2)
+    else:
+        text = formula(variables[0], at, values, half / 2.0)
     points = np.column_stack([at, values, values - half, values + half]).tolist()
-    text = formula(variables[0], at, values, half / 2.0)
     return UnknownEffect(
         channel, variables, text, gained.nats_per_reading, tuple((x, y, low, high) for x, y, low, high in points)
     )
+
+
+def _ripple(active: Term, period: float, widened: _Array, gained: Gain) -> UnknownEffect:
+    """A ripple in words, and three periods of it for drawing."""
+    assert active.shape is not None
+    channel, (variable,), _ = active.shape
+    values = np.array(list(active.values.values()))
+    at = np.linspace(0.0, RIPPLE_DRAWN * period, RIPPLE_POINTS)
+    weights = hats({variable: at}, [variable], [Ripple(period)])
+    curve = weights @ values
+    half = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", weights, widened, weights), 0.0))
+    points = np.column_stack([at, curve, curve - half, curve + half]).tolist()
+    text = f"ripple of {period:.3g} {unit_of(variable)} over {variable}, amplitude {np.hypot(*values):.2g} cm"
+    drawn = tuple((x, y, low, high) for x, y, low, high in points)
+    return UnknownEffect(channel, (variable,), text, gained.nats_per_reading, drawn, period=period)
 
 
 def calibrated(problem: Problem, state: State, training: JointFit, held_out: HeldOutFit) -> list[CalibrationFinding]:

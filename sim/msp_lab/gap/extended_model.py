@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.prepared import LEAST_SHARE
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
+from msp_sim.effects.curve import Ripple
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Model, Term
 
@@ -67,7 +68,8 @@ def entry_of(term: Term) -> dict[str, Any]:
     entry: dict[str, Any] = {"name": term.effect.name}
     if term.shape is not None:
         channel, variables, knots = term.shape
-        entry |= {"channel": channel, "variables": list(variables), "knots": [list(own) for own in knots]}
+        places = [{"period": own.period} if isinstance(own, Ripple) else list(own) for own in knots]
+        entry |= {"channel": channel, "variables": list(variables), "knots": places}
         return entry | {"values": [float(value) for value in term.values.values()]}
     if term.of is not None:
         entry["of"] = term.of

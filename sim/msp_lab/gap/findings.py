@@ -182,6 +182,8 @@ class UnknownEffect:
         What was found, in words for a pilot.
     next_step
         What to do next.
+    period
+        Of a ripple, in the unit of its variable; None: it is a curve.
     """
 
     channel: str
@@ -192,6 +194,7 @@ class UnknownEffect:
     likely_causes: tuple[tuple[str, str], ...] = ()
     plain: str = ""
     next_step: str = ""
+    period: float | None = None
 
 
 @dataclass(frozen=True)

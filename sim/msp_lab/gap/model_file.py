@@ -72,11 +72,13 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str) -
 def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
     """The entries of the added effects with intervals and evidence; those of the given model stay."""
     effects = {(each.name, each.of): each for each in findings.effects}
-    curves = {(each.channel, each.variables): each for each in findings.unknown}
+    curves = {(each.channel, each.variables, each.period): each for each in findings.unknown}
     found = []
     for entry in entries:
         effect = effects.get((entry["name"], entry.get("of")))
-        curve = curves.get((entry.get("channel", ""), tuple(entry.get("variables", ()))))
+        knots = entry.get("knots", [None])[0]
+        period = knots["period"] if isinstance(knots, dict) else None
+        curve = curves.get((entry.get("channel", ""), tuple(entry.get("variables", ())), period))
         if effect is not None and "evidence" not in entry:
             values = {name: _value(name, value, effect) for name, value in entry.get("parameters", {}).items()}
             entry = {**entry, "parameters": values, "evidence": _of_effect(effect, findings)}

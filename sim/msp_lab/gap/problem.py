@@ -19,6 +19,7 @@ from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
+from msp_lab.gap.ripples import ripples
 from msp_lab.gap.runs import Dependence, dependence, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
 from msp_sim.effects.curve import CurveChannel
@@ -89,7 +90,7 @@ class Problem:
             neighbours = dependence(fit_base(some).here.by[:, 0], unit[thin], _time_s(some_contexts))
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z:
                 some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
-        curves = curve_scan.curves_of(some_contexts)
+        curves = curve_scan.curves_of(some_contexts, unit[thin])
         return cls(
             model,
             contexts,
@@ -325,4 +326,10 @@ def free_curves(
     """Curves that explain what is left, the least likely by random variation first."""
     unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
     fit = state.fit
-    return curve_scan.scan(problem.curves, fit.here.by, fit.scores[:, ~fit.held], fit.here.shares, unit, channels)
+    return curve_scan.scan(problem.curves, fit.here, fit.scores[:, ~fit.held], unit, channels)
+
+
+def free_forms(problem: Problem, state: State) -> list[CandidateCurve]:
+    """Curves and ripples that explain what is left, the least likely by random variation first."""
+    found = [*free_curves(problem, state), *ripples(problem.some_contexts, state.fit.here)]
+    return sorted(found, key=lambda each: each.log_p + each.cost_nats)

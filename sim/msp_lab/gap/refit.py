@@ -6,7 +6,6 @@ with the outer product of the scores, damped so that none makes the fit worse.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import change_of
 from msp_lab.gap.prepared import BASE, CHANNELS, ChannelSlopes, Prepared, channel_slopes
 from msp_sim.effects.base import Parameter, Scene
-from msp_sim.effects.curve import FIELDS, hats
+from msp_sim.effects.curve import FIELDS, Knots, hats
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term, applies
 from msp_sim.model.slopes import log_prob
@@ -266,7 +265,7 @@ def _slope(
     return slope
 
 
-def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]]) -> _Array:
+def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
     """Weights of a curve's knots, worked out once for a scene."""
     key = shape[1:]
     if key not in scene.kept:

@@ -225,6 +225,12 @@ Fewer: shapes end in the wrong one."""
 KNOTS = (2, 3, 6, 12)
 """Curves of one variable are asked with so many knots. From a straight line on, each twice as fine. More: each is one
 more test, and faster ripples are seen."""
+STEPS = 15
+"""A step from one value to another is asked at so many places of each column, at even shares of the readings. A step at
+any other place keeps nine tenths of its evidence. More: each is one more test, and closer ones are alike."""
+BETWEEN_RUNS_SHARE = 0.9
+"""A column with more of its variance between runs has as many values as there are runs. What is left inside runs is a
+tenth. Higher: curves go through single runs; lower: what varies inside runs has coarse curves."""
 PAIR_KNOTS = (2, 3)
 """The same for each of two variables. Nine values are as many as an outlier class can hold. More: slower."""
 MAX_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
@@ -242,6 +248,18 @@ number of pairs. Lower: pairs hide single causes."""
 CURVE_P = 0.02
 """A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.05 in
 all and curves a share of it. Higher: false curves."""
+RIPPLE_CYCLES = 5.0
+"""Ripples are asked up to a period of which the readings hold so many. Curves of 12 knots see what is slower. Lower:
+bends and a slow wander are named ripples."""
+RIPPLE_NEIGHBOURS = 40
+"""The power of a frequency is compared with so many independent ones on either side. Their mean is then known to 16 %,
+and 22 nats count as 18. More: noise that changes over frequency counts as alike; fewer: less power."""
+RIPPLE_MIN_NEIGHBOURS = 10
+"""Ripples are asked where there are so many independent frequencies. Of fewer no mean is known. Lower: false ripples in
+short tables."""
+RIPPLE_MIN_READINGS = 200
+"""Ripples are asked of at least so many readings. The largest of 100 frequencies of 200 readings is a ripple of half a
+sigma. Fewer: single readings make a ripple."""
 CURVES_REFITTED = 6
 """So many of the likeliest curves are refitted until one keeps its promise. Scores of rare outliers promise too much.
 More: slower."""

@@ -1,10 +1,11 @@
 """An unknown effect as a curve: one channel as a function of one or two context columns.
 
-`curve` makes an `Effect` from knots and values. It describes how the readings depend on a context, without a physical
-cause.
+`curve` makes an `Effect` from knots and values, or from a period and two amplitudes. It describes how the readings
+depend on a context, without a physical cause.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -27,7 +28,21 @@ MAX_VALUE = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "rando
 _Array = NDArray[np.float64]
 
 
-def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> Effect:
+@dataclass(frozen=True)
+class Ripple:
+    """In place of knots: the two values are the amplitudes of a cosine and a sine of this period."""
+
+    period: float
+
+    def __len__(self) -> int:
+        return 2
+
+
+Knots: TypeAlias = Sequence[Any] | Ripple
+"""Places of a curve's values over one variable: increasing numbers, words, or a period."""
+
+
+def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Knots]) -> Effect:
     """A curve as an effect; its parameters are its values at the knots.
 
     Linear between knots and constant beyond them. Over two variables it is bilinear, with values row by row. For a
@@ -40,7 +55,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     variables
         One or two context columns.
     knots
-        Knots of each variable, increasing.
+        Knots of each variable, increasing, or the period of a ripple.
 
     Examples
     --------
@@ -52,7 +67,7 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     count = int(np.prod([len(each) for each in knots]))
     unit = "cm" if channel == "bias" else "1"
     names = [f"value_{i}" for i in range(count)]
-    shape = (tuple(variables), tuple(tuple(each) for each in knots))
+    shape = (tuple(variables), tuple(each if isinstance(each, Ripple) else tuple(each) for each in knots))
 
     def apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
         at = np.array([values[name] for name in names])
@@ -73,18 +88,25 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Seque
     )
 
 
-def hats(scene: Any, variables: Sequence[str], knots: Sequence[Sequence[Any]]) -> _Array:
-    """Interpolation weights of the knots for each row, shape (n, knots); for two variables products of both."""
+def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> _Array:
+    """Interpolation weights of the knots for each row, shape (n, knots); for two variables products of both.
+
+    Of a ripple its cosine and sine, which are 0 where the variable is unknown.
+    """
     weights: _Array | None = None
     for variable, places in zip(variables, knots, strict=True):
-        own = _hats(variable, np.atleast_1d(scene[variable]), places)
+        own = _hats(np.atleast_1d(scene[variable]), places)
         weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
     if weights is None:
         raise ValueError("a curve needs at least one variable")
     return weights if np.ndim(scene[variables[0]]) else weights[0]
 
 
-def _hats(variable: str, values: NDArray[Any], places: Sequence[Any]) -> _Array:
+def _hats(values: NDArray[Any], places: Knots) -> _Array:
+    if isinstance(places, Ripple):
+        turned = np.exp(2j * np.pi * np.where(np.isfinite(values), values, 0.0) / places.period)
+        weights: _Array = np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
+        return weights
     if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
     knots = np.asarray(places, dtype=np.float64)

@@ -20,7 +20,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE, WORD_COLUMNS, Effect, Scene
-from msp_sim.effects.curve import CURVE, MAX_VALUE, curve
+from msp_sim.effects.curve import CURVE, MAX_VALUE, Knots, Ripple, curve
 from msp_sim.effects.own import find_effect
 from msp_sim.model.history import HISTORY_COLUMNS, History
 from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
@@ -40,14 +40,16 @@ class Term:
     effect: Effect
     values: Mapping[str, float]
     of: str | None = None
-    shape: tuple[str, tuple[str, ...], tuple[tuple[Any, ...], ...]] | None = None
+    shape: tuple[str, tuple[str, ...], tuple[Knots, ...]] | None = None
     """For a curve: channel, variables and knots."""
 
     @property
     def stream(self) -> str:
         """Name of the term; it also selects its random stream."""
         if self.shape is not None:
-            return f"{self.effect.name} of {self.shape[0]} over {' and '.join(self.shape[1])}"
+            ripple = self.shape[2][0]
+            what = f"ripple of {ripple.period:g}" if isinstance(ripple, Ripple) else self.effect.name
+            return f"{what} of {self.shape[0]} over {' and '.join(self.shape[1])}"
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
 
 
@@ -324,9 +326,12 @@ def make_curve_term(
         raise ConfigError(f"{place}.channel: found {channel!r}, expected one of {', '.join(MAX_VALUE)}")
     if not isinstance(variables, list | tuple) or not 1 <= len(variables) <= 2:
         raise ConfigError(f"{place}.variables: found {variables!r}, expected one or two context columns")
+    if isinstance(knots, list | tuple):
+        knots = [Ripple(each["period"]) if _is_ripple(each) else each for each in knots]
     if not isinstance(knots, list | tuple) or len(knots) != len(variables) or not all(map(_are_knots, knots)):
         raise ConfigError(
-            f"{place}.knots: found {knots!r}, expected for each variable two or more increasing numbers, or words"
+            f"{place}.knots: found {knots!r}, expected for each variable two or more increasing numbers, or words, "
+            "or a mapping with the 'period' of a ripple"
         )
     count = int(np.prod([len(each) for each in knots]))
     if (
@@ -337,12 +342,22 @@ def make_curve_term(
         raise ConfigError(
             f"{place}.values: found {values!r}, expected {count} numbers within +-{MAX_VALUE[channel]:g}, one per knot"
         )
-    shape = (str(channel), tuple(str(each) for each in variables), tuple(tuple(each) for each in knots))
+    places = tuple(each if isinstance(each, Ripple) else tuple(each) for each in knots)
+    shape = (str(channel), tuple(str(each) for each in variables), places)
     effect = curve(channel, shape[1], shape[2])
     return Term(effect, {f"value_{i}": float(value) for i, value in enumerate(values)}, None, shape)
 
 
+def _is_ripple(places: Any) -> bool:
+    if not isinstance(places, dict) or set(places) != {"period"}:
+        return False
+    period = places["period"]
+    return isinstance(period, int | float) and not isinstance(period, bool) and 0.0 < period < np.inf
+
+
 def _are_knots(places: Any) -> bool:
+    if isinstance(places, Ripple):
+        return True
     if not isinstance(places, list | tuple) or not places:
         return False
     if all(isinstance(each, str) for each in places):

@@ -1,0 +1,114 @@
+"""Ripples over range and time are found with their period, and noise that wanders slowly is none."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from msp_lab.gap.extended_model import to_sensor
+from msp_lab.gap.naming import name_effects
+from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.refit import refit
+from msp_lab.gap.ripples import ripples
+from msp_lab.gap.runs import split
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.yaml_file import ConfigError
+from msp_sim.effects.curve import Ripple
+from msp_sim.model.model import Model, load_model
+from msp_sim.model.sampler import Sampler
+from tests.support.measured import MODEL as FILE
+from tests.support.measured import sensor
+
+Array = NDArray[np.float64]
+MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
+N, RUNS = 2400, 12
+
+
+def flown(seed: int) -> dict[str, Any]:
+    """Twelve runs of 200 readings, up and down a slope."""
+    rng = np.random.default_rng(seed)
+    run = np.arange(N) * RUNS // N
+    time_s = 0.1 * (np.arange(N) % (N // RUNS)) + 0.01 * rng.random(N)
+    return {
+        "time_s": time_s,
+        "run": np.array([f"run{k:02d}" for k in run]),
+        "true_range_cm": 200.0 + 140.0 * np.sin(2.0 * np.pi * (time_s / rng.uniform(15.0, 40.0, RUNS)[run] + run / 7)),
+        "time_in_run_s": time_s,
+    }
+
+
+def read(contexts: dict[str, Any], seed: int, bias_cm: Array | float) -> Array:
+    return np.array(sensor().readings((np.asarray(contexts["true_range_cm"]) + bias_cm).tolist(), seed))
+
+
+def found(contexts: dict[str, Any], reading_cm: Array) -> list[tuple[str, float, float]]:
+    """Variable, period and log probability of each ripple, the likeliest first."""
+    forms = ripples(contexts, refit(Prepared.of(MODEL, contexts, reading_cm), []).here)
+    return [
+        (each.variables[0], each.knots[0].period, each.log_p + each.cost_nats)
+        for each in forms
+        if isinstance(each.knots[0], Ripple)
+    ]
+
+
+@pytest.mark.parametrize(("column", "period"), [("true_range_cm", 23.1), ("time_in_run_s", 1.7)])
+def test_a_ripple_is_found_with_its_period(column: str, period: float) -> None:
+    contexts = flown(1)
+    wave_cm = 0.6 * np.sin(2.0 * np.pi * contexts[column] / period + 0.4)
+    variable, at, log_p = found(contexts, read(contexts, 1, wave_cm))[0]
+    assert (variable, at) == (column, pytest.approx(period, rel=0.01))
+    assert log_p < np.log(1e-5)
+
+
+def test_noise_that_wanders_slowly_is_no_ripple() -> None:
+    likeliest = []
+    for seed in range(20):
+        contexts = flown(seed)
+        rng = np.random.default_rng([seed, 1])
+        wander_cm = 0.8 * np.concatenate(
+            [
+                np.interp(contexts["time_s"][:200], np.arange(0.0, 40.0, 5.0), rng.standard_normal(8))
+                for _ in range(RUNS)
+            ]
+        )
+        likeliest.append(found(contexts, read(contexts, seed, wander_cm))[0][2])
+    assert min(likeliest) > np.log(0.003)
+
+
+def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
+    contexts = flown(2)
+    wave_cm = 1.2 * np.cos(2.0 * np.pi * contexts["true_range_cm"] / 23.1 + 1.0)
+    reading_cm, rng = read(contexts, 2, wave_cm), np.random.default_rng(1)
+    named = name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+    assert [(each.channel, each.variables) for each in named.unknown] == [("bias", ("true_range_cm",))]
+    ripple = named.unknown[0]
+    assert ripple.formula.startswith("ripple of 23.")
+    amplitude_cm = float(ripple.formula.partition("cm over true_range_cm, amplitude ")[2].removesuffix(" cm"))
+    assert amplitude_cm == pytest.approx(1.2, abs=0.4)
+    # The curve that is drawn has the phase that was hidden.
+    at, curve = np.array(ripple.curve).T[:2]
+    assert np.corrcoef(curve, np.cos(2.0 * np.pi * at / 23.1 + 1.0))[0, 1] > 0.95
+
+
+def test_a_ripple_in_a_model_file_flies(tmp_path: Path) -> None:
+    model = MODEL.adding_curve("bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(to_sensor(model).model_dump(mode="json")))
+    loaded = load_model(tmp_path / "model.yaml")
+    assert loaded.effects[-1].shape == ("bias", ("true_range_cm",), (Ripple(40.0),))
+    alone = Sampler(loaded, np.random.default_rng(1))
+    for at_cm, expected_cm in ((210.0, 235.0), (230.0, 205.0), (220.0, 220.0)):
+        one = np.median([alone.sample_one({"true_range_cm": at_cm}) for _ in range(25)])
+        many = np.median(loaded.sample({"true_range_cm": np.full(25, at_cm)}, np.random.default_rng(1)))
+        assert (one, many) == (pytest.approx(expected_cm, abs=2.0), pytest.approx(expected_cm, abs=2.0))
+
+
+def test_a_period_that_is_none_is_refused(tmp_path: Path) -> None:
+    model = MODEL.adding_curve("bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
+    content = to_sensor(model).model_dump(mode="json")
+    content["effects"][0]["knots"] = [{"period": -1}]
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigError, match=r"effects\[0\].knots: .*or a mapping with the 'period' of a ripple"):
+        load_model(tmp_path / "model.yaml")
