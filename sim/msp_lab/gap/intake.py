@@ -18,6 +18,7 @@ from msp_lab.gap.findings import CalibrationFinding, ReadingsFile
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import step_of
+from msp_lab.readings.suspicious import suspicious
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE_STD
@@ -88,7 +89,7 @@ def read_readings(
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
     constant = _constant(data)
-    messages = (*loaded.messages, *left_out, *copies, *filled, *_suspicious(data))
+    messages = (*loaded.messages, *left_out, *copies, *filled, *suspicious(loaded.data))
     messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"]))
     return Readings(data, sources, (*calibration, *codes), messages, constant)
 
@@ -138,34 +139,6 @@ def _filled(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
             columns[name] = column
             messages.append(f"{name}: {count} blank cells are interpolated in time from the others of their run.")
     return MeasuredData(columns), messages
-
-
-def _suspicious(data: MeasuredData) -> list[str]:
-    """What looks like another unit or another direction of time."""
-    found = []
-    if "incidence_deg" in data:
-        angle = np.abs(data["incidence_deg"][~np.isnan(data["incidence_deg"])])
-        if angle.size and 0.05 < float(angle.max()) <= np.pi / 2.0:
-            found.append(
-                f"incidence_deg is at most {float(angle.max()):.2f}: if it is in radians, convert it with --map."
-            )
-    if "range_rate_cm_s" in data and len(data) > rules.MIN_COPIED:
-        same = (data["run"][1:] == data["run"][:-1]) & (data["sensor"][1:] == data["sensor"][:-1])
-        step_s = np.diff(data["time_s"])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.diff(data["true_range_cm"]) / step_s
-        rate = data["range_rate_cm_s"][1:]
-        known = same & (step_s > 0.0) & (step_s < 1.0) & np.isfinite(slope) & np.isfinite(rate)
-        if known.sum() > rules.MIN_COPIED and _correlation(slope[known], rate[known]) < rules.BACKWARDS:
-            found.append(
-                "true_range_cm falls where range_rate_cm_s is positive: time runs backwards or the sign is wrong."
-            )
-    return found
-
-
-def _correlation(one: NDArray[Any], other: NDArray[Any]) -> float:
-    varies = np.std(one) > 0.0 and np.std(other) > 0.0
-    return float(np.corrcoef(one, other)[0, 1]) if varies else 0.0
 
 
 def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:

@@ -70,9 +70,6 @@ pass a filter. Lower: a few readings look like a grid."""
 MIN_COPIED = 20
 """Two runs of at least so many equal readings and true ranges are copies of one. Independent noise of one centimetre
 repeats 20 readings in fewer than one case of 1e9. Fewer: short runs at one place are dropped as copies."""
-BACKWARDS = -0.5
-"""A rate of the range that correlates with the true range's change by less is reported as backwards. Right ones
-correlate by nearly 1 and unrelated ones by 0. It changes a message and nothing else."""
 MIN_KNOWN_SHARE = 0.3
 """Blank cells of a slow column are interpolated in runs that have this share of it. With fewer the neighbours are too
 far; without interpolation an effect that needs the column does nothing on blank rows, and 30 % of blanks hid a
