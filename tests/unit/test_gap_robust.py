@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures
+from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, Settings
 from msp_lab.gap.intake import read_readings
 from msp_lab.gap.naming import NamedModel, name_effects
 from msp_lab.gap.runs import split
 from msp_lab.gap.verdict import verdict
+from msp_lab.gap.workflow import Comparison, add, compare, name
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import Model
@@ -22,6 +23,10 @@ from tests.unit.test_gap_findings import EFFECT
 Array = NDArray[np.float64]
 MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
 N, RUNS = 1400, 14
+
+
+def quiet(what: str, share: float) -> None:
+    """Report nothing."""
 
 
 def flown(seed: int) -> dict[str, Any]:
@@ -64,21 +69,42 @@ def test_nine_rows_do_not_remove_slant_range() -> None:
 
 def test_a_temperature_with_blank_cells_is_named_as_without(tmp_path: Path) -> None:
     contexts = flown(2)
+    # Fast enough that the rows before and after say nothing of a blank one.
+    contexts["air_temperature_c"] = np.round(np.random.default_rng([2, 2]).uniform(0.0, 35.0, N), 1)
     reading_cm = read(contexts, 2, contexts["true_range_cm"] * (22.5 - contexts["air_temperature_c"]) * 0.0017)
     contexts["air_temperature_c"][np.random.default_rng([2, 1]).random(N) < 0.3] = np.nan
     write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": reading_cm})
-    readings = read_readings([tmp_path / "flights.csv"], MODEL)
-    assert any("blank cells are interpolated" in each for each in readings.messages)
-    columns = dict(readings.data.columns)
-    assert "air_temperature" in names(named(columns, columns.pop("reading_cm")))
+    comparison = Comparison.of(read_readings([tmp_path / "flights.csv"], MODEL), MODEL, Settings("model.yaml"))
+    findings, models = name(comparison, compare(comparison, "2026-01-01", quiet), quiet)
+    assert [each.name for each in findings.effects] == ["air_temperature"]
+    share = findings.effects[0].parameters["share"]
+    assert share.low < 1.0 < share.high
+    assert any("air_temperature_c: 4" in each and "without it are left out" in each for each in findings.messages)
+    gap = add(comparison, findings, models, quiet).gap
+    assert gap is not None
+    assert gap.bias_cm.after < 0.3 < gap.bias_cm.before
+
+
+def test_blank_cells_of_what_does_nothing_leave_nothing_out(tmp_path: Path) -> None:
+    contexts = flown(8)
+    slant_cm = contexts["true_range_cm"] * (1.0 / np.cos(np.radians(contexts["incidence_deg"])) - 1.0)
+    reading_cm = read(contexts, 8, slant_cm)
+    contexts["air_temperature_c"][np.random.default_rng([8, 1]).random(N) < 0.5] = np.nan
+    contexts["humidity_pct"] = np.where(np.arange(N) < 100, 50.0, np.nan)
+    write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": reading_cm})
+    comparison = Comparison.of(read_readings([tmp_path / "flights.csv"], MODEL), MODEL, Settings("model.yaml"))
+    findings, models = name(comparison, compare(comparison, "2026-01-01", quiet), quiet)
+    assert "slant_range" in {each.name for each in findings.effects}
+    assert comparison.known_to(models.training_fit) is comparison
+    assert not any("left out" in each for each in findings.messages)
+    assert any("humidity_pct is blank in most readings" in each for each in findings.messages)
 
 
 def test_copies_radians_and_backward_time_are_reported(tmp_path: Path) -> None:
     contexts = flown(3)
     reading_cm = read(contexts, 3)
     last, first = contexts["run"] == "run13", contexts["run"] == "run00"
-    for name in ("true_range_cm",):
-        contexts[name][last] = contexts[name][first]
+    contexts["true_range_cm"][last] = contexts["true_range_cm"][first]
     reading_cm[last] = reading_cm[first]
     contexts["incidence_deg"] = np.radians(contexts["incidence_deg"])
     contexts["true_range_cm"] = np.sort(contexts["true_range_cm"])
@@ -118,3 +144,35 @@ def test_one_run_has_no_offsets_between_runs() -> None:
     drift_cm = np.repeat(np.random.default_rng([5, 1]).uniform(-4.0, 4.0, 60), N // 60 + 1)[:N]
     found = named(contexts, read(contexts, 5, drift_cm))
     assert "run_offsets" not in names(found)
+
+
+def test_a_target_that_stands_still_does_not_show_stale_readings() -> None:
+    """Noise that hardly changes from reading to reading repeats whole centimetres by itself."""
+    contexts = flown(6)
+    rng = np.random.default_rng([6, 1])
+    contexts["true_range_cm"] = np.repeat(rng.uniform(60.0, 350.0, N // 50), 50)
+    slow_cm = np.concatenate([np.cumsum(rng.normal(0.0, 0.25, 50)) for _ in range(N // 50)])
+    assert "stale" not in names(named(contexts, np.rint(contexts["true_range_cm"] + slow_cm)))
+    # The same share of repeats before a wall that moves is a sensor's.
+    contexts = flown(6)
+    reading_cm = read(contexts, 6)
+    again = rng.random(N) < 0.3
+    again[:: N // RUNS] = False
+    for row in np.flatnonzero(again).tolist():
+        reading_cm[row] = reading_cm[row - 1]
+    assert "stale" in names(named(contexts, reading_cm))
+
+
+def test_repeats_are_those_of_the_file_and_not_of_its_rounding(tmp_path: Path) -> None:
+    contexts = flown(7)
+    fine_cm = np.round(contexts["true_range_cm"] + np.random.default_rng(7).normal(0.0, 0.4, N), 1)
+    fine_cm[1::4] = fine_cm[::4]
+    write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": fine_cm})
+    found = read_readings([tmp_path / "flights.csv"], MODEL).data
+    order = np.lexsort((contexts["time_s"], contexts["run"]))
+    exact = np.zeros(N, dtype=bool)
+    exact[1:] = (fine_cm[order][1:] == fine_cm[order][:-1]) & (
+        contexts["run"][order][1:] == contexts["run"][order][:-1]
+    )
+    assert (found["reading_cm"] == found["previous_reading_cm"]).tolist() == exact.tolist()
+    assert np.nanmax(np.abs(found["previous_reading_cm"][1:] - np.rint(fine_cm)[:-1])[~exact[1:]]) <= 1.0

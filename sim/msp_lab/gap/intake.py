@@ -25,8 +25,8 @@ from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
-SLOW = ("air_temperature_c", "target_temperature_c", "humidity_pct", "uptime_s")
-"""Columns that change little between neighbouring readings, so that a blank cell is known from those around it."""
+SAME_CM = 1e-6
+"""Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,10 @@ def read_readings(
     )
     data, left_out = _compared_rows(data)
     data, copies = _without_copies(data)
-    data, filled = _filled(data)
     data, calibration = _on_grid(data, model)
     data, codes = _without_codes(data, model)
     constant = _constant(data)
-    messages = (*loaded.messages, *left_out, *copies, *filled, *suspicious(loaded.data))
+    messages = (*loaded.messages, *left_out, *copies, *suspicious(loaded.data))
     messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"]))
     return Readings(data, sources, (*calibration, *codes), messages, constant)
 
@@ -120,25 +119,11 @@ def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     return (data if kept.all() else data.select(kept)), messages
 
 
-def _filled(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
-    """Fill blank cells of what changes slowly from those before and after them in the run; other blanks stay."""
-    columns, messages = dict(data.columns), []
-    for name in SLOW:
-        if name not in columns or not np.isnan(columns[name]).any():
-            continue
-        column, count = columns[name].copy(), 0
-        for run in np.unique(data["run"]):
-            rows = np.flatnonzero(data["run"] == run)
-            known = rows[~np.isnan(column[rows])]
-            blank = rows[np.isnan(column[rows])]
-            if known.size >= rules.MIN_KNOWN_SHARE * rows.size and blank.size:
-                order = known[np.argsort(data["time_s"][known], kind="stable")]
-                column[blank] = np.interp(data["time_s"][blank], data["time_s"][order], column[order])
-                count += blank.size
-        if count:
-            columns[name] = column
-            messages.append(f"{name}: {count} blank cells are interpolated in time from the others of their run.")
-    return MeasuredData(columns), messages
+def _previous_on_grid(reading_cm: NDArray[np.float64], previous_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Previous readings in whole centimetres, equal to the rounded readings only where they repeat exactly."""
+    whole_cm = np.rint(previous_cm)
+    differs = (np.rint(reading_cm) == whole_cm) & (np.abs(reading_cm - previous_cm) > SAME_CM)
+    return whole_cm + np.where(differs, np.where(previous_cm < reading_cm, -1.0, 1.0), 0.0)
 
 
 def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:
@@ -153,7 +138,7 @@ def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[Calib
         + ("" if step is None else f" (their step is {step:g} cm)")
         + f", as {model.sensor.name} reads; they are rounded first, so less than a centimetre is not visible"
     )
-    columns = {**data.columns, "reading_cm": whole, PREVIOUS: np.rint(data[PREVIOUS])}
+    columns = {**data.columns, "reading_cm": whole, PREVIOUS: _previous_on_grid(reading_cm, data[PREVIOUS])}
     return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=1.0, after=step, unit="cm")]
 
 

@@ -22,6 +22,7 @@ from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import Split, numbered, previous
 from msp_lab.gap.selection import Selection, select, settled
 from msp_lab.gap.validation import Gain, Validated, gain, validated
+from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -123,7 +124,7 @@ def name_effects(
         Reports what is being done, and which share of it is done.
     """
     reading_cm = np.rint(np.asarray(reading_cm, dtype=np.float64))
-    columns = {**contexts, "previous_reading_cm": previous(contexts, reading_cm)}
+    columns = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)
     training = np.flatnonzero(split.training)
     problem = Problem.of(

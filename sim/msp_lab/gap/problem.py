@@ -20,8 +20,10 @@ from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.ripples import ripples
-from msp_lab.gap.runs import Dependence, dependence, spacing_s
+from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
+from msp_lab.readings.intake import PREVIOUS
+from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term
 
@@ -83,7 +85,7 @@ class Problem:
     ) -> "Problem":
         """Prepare training readings; the parameters are as the attributes."""
         candidates, untestable = candidates_of(model, contexts)
-        thin = slice(None, None, -(-reading_cm.size // rules.TRAINING_ROWS))
+        thin = _thin(reading_cm.size)
         some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
         some = Prepared.of(model, some_contexts, reading_cm[thin])
         if some.spacing_s is None:
@@ -132,6 +134,17 @@ class Problem:
             return evidence_nats(smaller, larger, None, self.scale)
         return evidence_nats(smaller, larger, self.some_unit, self.scale, self.dependence(larger))
 
+    def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
+        """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
+
+        A sensor before a wall that stands still repeats itself, whether it reports old readings or not.
+        """
+        true_cm = np.asarray(self.contexts[TRUE_RANGE], dtype=np.float64)
+        moved_cm = np.abs(true_cm - previous(self.contexts, true_cm))[_thin(true_cm.size)]
+        with np.errstate(invalid="ignore"):
+            moves = moved_cm >= self.some.rows.sigma_cm
+        return self.scale * float((larger.here.log_p - smaller.here.log_p)[moves].sum())
+
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
         return refit(self.some, terms, base)
@@ -174,6 +187,11 @@ class State:
     def keys(self) -> frozenset[tuple[str, str | None]]:
         """Which terms it has."""
         return frozenset(each.key for each in self.terms)
+
+
+def _thin(readings: int) -> slice:
+    """Every k-th of so many readings, at most `TRAINING_ROWS`."""
+    return slice(None, None, max(1, -(-readings // rules.TRAINING_ROWS)))
 
 
 def _time_s(contexts: Mapping[str, Any]) -> _Array | None:
@@ -269,6 +287,8 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         if candidate.linear and fit.effects[-1].values[candidate.parameter.name] > rules.MAX_COMPONENT_SHARE:
             continue
         gained = problem.evidence_nats(state.fit, fit, state.by_run)
+        if PREVIOUS in candidate.effect.requires:
+            gained = min(gained, problem.gain_where_truth_moves(state.fit, fit))
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
     return sorted(found, key=lambda each: -each.gain_nats)
 

@@ -71,9 +71,8 @@ MIN_COPIED = 20
 """Two runs of at least so many equal readings and true ranges are copies of one. Independent noise of one centimetre
 repeats 20 readings in fewer than one case of 1e9. Fewer: short runs at one place are dropped as copies."""
 MIN_KNOWN_SHARE = 0.3
-"""Blank cells of a slow column are interpolated in runs that have this share of it. With fewer the neighbours are too
-far; without interpolation an effect that needs the column does nothing on blank rows, and 30 % of blanks hid a
-temperature. Higher: more rows count as without the effect."""
+"""A column with blank cells is asked where it is known, if that is this share of the readings. Fewer are another table.
+Higher: more columns with blanks are not asked; lower: few readings decide on the others."""
 
 # Cells of context, and the free fit of five numbers in each.
 

@@ -5,7 +5,7 @@ leaves: with any dependence the unit of evidence is the run and not the reading.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,10 @@ class Split:
     held_out_runs: tuple[str, ...]
     messages: tuple[str, ...] = ()
     of_blocks: bool = False
+
+    def take(self, rows: NDArray[np.bool_]) -> "Split":
+        """The split of some of the readings."""
+        return replace(self, training=self.training[rows], held_out=self.held_out[rows], runs=self.runs[rows])
 
 
 def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Generator, run_column: str = "run") -> Split:

@@ -4,7 +4,7 @@ Readings and a model enter; `GapFindings` and models leave. Runs are split once,
 training runs effects are selected and fitted, on the held-out runs every gap is measured.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.age import reading_age
 from msp_lab.gap.causes import possible_causes
+from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, PathStep, Settings
 from msp_lab.gap.intake import Readings
 from msp_lab.gap.measures import HeldOutReadings, Measures, Replicates, measure, replicates, usable
-from msp_lab.gap.naming import ExtendedModels, name_effects
+from msp_lab.gap.naming import ExtendedModels, NamedModel, name_effects
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.runs import Split, split
 from msp_lab.gap.slices import ranked, remeasured
@@ -99,6 +100,16 @@ class Comparison:
             (*readings.messages, *messages, *parts.messages),
         )
 
+    def known_to(self, model: Model) -> "Comparison":
+        """The comparison on those held-out readings of which the columns are known that a model's effects need."""
+        contexts = self.held_out.contexts
+        rows = KnownRows.of(model, self.data).needed(model, contexts).rows
+        if rows.all():
+            return self
+        return replace(
+            self, held_out=self.held_out.take(rows), partitions=[each.take(rows) for each in self.partitions]
+        )
+
 
 @dataclass(frozen=True)
 class MeasuredGap:
@@ -176,17 +187,15 @@ def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
 
 def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:
     """Name what is missing, with alternatives, on the training runs; the held-out runs validate it."""
-    settings = comparison.settings
-    named = name_effects(
-        comparison.model,
-        {key: column for key, column in comparison.data.items() if key != "reading_cm"},
-        comparison.data["reading_cm"],
-        comparison.split,
-        np.random.default_rng([settings.seed, 2]),
-        alpha=settings.alpha,
-        max_terms=settings.max_effects,
-        report=lambda what, share: report(what, 0.2 + 0.6 * share),
-    )
+    known = KnownRows.of(comparison.model, comparison.data)
+    named = _named(comparison, known.rows, known.unasked, report)
+    needed = known.needed(named.models.held_out_fit, comparison.data)
+    if needed.rows.sum() > known.rows.sum():
+        # Columns that no effect needs may be blank, so that there are more readings.
+        unneeded = [*known.unasked, *(each for each in known.columns if each not in needed.columns)]
+        named = replace(_named(comparison, needed.rows, unneeded, report), not_testable=named.not_testable)
+        needed = needed.needed(named.models.held_out_fit, comparison.data)
+    blank = [f"{each} is blank in most readings, so nothing is asked of it." for each in known.unasked]
     findings = replace(
         findings,
         effects=named.effects,
@@ -195,15 +204,36 @@ def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tup
         not_testable=named.not_testable,
         detectable=named.detectable,
         p_value=named.p_value,
-        messages=(*findings.messages, *named.messages, *(f"{term} was dropped: {why}." for term, why in named.dropped)),
+        messages=(
+            *findings.messages,
+            *named.messages,
+            *filter(None, (needed.message, *blank)),
+            *(f"{term} was dropped: {why}." for term, why in named.dropped),
+        ),
     )
     return findings, named.models
+
+
+def _named(comparison: Comparison, rows: NDArray[np.bool_], without: Sequence[str], report: Progress) -> NamedModel:
+    """What is missing, from some of the readings and without some of the columns."""
+    settings = comparison.settings
+    return name_effects(
+        comparison.model,
+        {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
+        comparison.data["reading_cm"][rows],
+        comparison.split.take(rows),
+        np.random.default_rng([settings.seed, 2]),
+        alpha=settings.alpha,
+        max_terms=settings.max_effects,
+        report=lambda what, share: report(what, 0.2 + 0.6 * share),
+    )
 
 
 def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, report: Progress) -> GapFindings:
     """Measure the gap that is left with what was named, and reach a verdict."""
     report("measuring what is left of the gap", 0.82)
     model = models.training_fit
+    comparison = comparison.known_to(model)
     after = MeasuredGap.of(model, comparison, np.random.default_rng([comparison.settings.seed, 3]))
     report("measuring the gap after each step", 0.95)
     scores = [(step.added, _log_score(step.model, comparison.held_out)) for step in models.path if step.added]
