@@ -17,10 +17,12 @@ from scipy.special import gammaincc, gammaln
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
 from msp_sim.effects.base import REFERENCE_STD
-from msp_sim.effects.curve import CurveChannel, Knots, hats
+from msp_sim.effects.curve import CurveChannel, Knots, Ripple, hats
 
 _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
+STEP_HALF = 1e-4
+"""Half the distance of the two knots of a step, as a share of the column's span: hardly a reading is between them."""
 ODDS_CHANNELS = ("short", "missed", "random")
 
 
@@ -91,16 +93,26 @@ def _share_between(values: _Array, unit: NDArray[np.intp]) -> float:
     return 1.0 - float(inside.var()) / max(float(values.var()), 1e-300)
 
 
-def _steps(values: _Array) -> list[tuple[float, float]]:
-    """Pairs of knots so close to each other that the curve steps from one value to another between them."""
-    known = np.unique(values[np.isfinite(values)])
-    if known.size < 2 * rules.STEPS:
+def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[float, float]]:
+    """Pairs of knots so close to each other that the curve steps from one value to another between them.
+
+    They are at even shares of the readings, between two shares.
+    """
+    known = values[np.isfinite(values)]
+    if np.unique(known).size < 2 * rules.STEPS:
         return []
-    share = np.linspace(0.0, 1.0, rules.STEPS + 2)[1:-1]
-    places = np.unique(np.quantile(values[np.isfinite(values)], share))
-    half = 1e-4 * float(np.ptp(known))
+    places = np.unique(np.quantile(known, np.linspace(low, high, rules.STEPS + 2)[1:-1]))
+    half = STEP_HALF * float(np.ptp(known))
     digits = 1 - int(np.floor(np.log10(half)))
     return [(round(float(each) - half, digits), round(float(each) + half, digits)) for each in places]
+
+
+def is_step(form: CandidateCurve, values: _Array) -> bool:
+    """Whether a curve steps from one value to another over these values."""
+    (knots,) = form.knots if len(form.knots) == 1 else ((),)
+    if isinstance(knots, Ripple) or len(knots) != 2 or isinstance(knots[0], str):
+        return False
+    return bool(knots[1] - knots[0] < 4.0 * STEP_HALF * np.nanmax(np.abs(values - np.nanmin(values))))
 
 
 def _knots(values: _Array, count: int) -> tuple[float, ...]:
@@ -139,7 +151,7 @@ def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None)
     ]
     for name in places:
         column = np.asarray(contexts[name])
-        asked += [((name,), (pair,)) for pair in (_steps(column) if column.dtype.kind == "f" else [])]
+        asked += [((name,), (pair,)) for pair in (steps_of(column) if column.dtype.kind == "f" else [])]
     for count in rules.PAIR_KNOTS:
         coarse = {
             name: sizes[0] if isinstance(sizes[0][0], str) else _knots(np.asarray(contexts[name], dtype=float), count)
@@ -147,7 +159,13 @@ def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None)
         }
         names = [name for name, knots in coarse.items() if 2 <= len(knots) <= 4]
         asked += [((a, b), (coarse[a], coarse[b])) for a, b in combinations(names, 2)]
-    asked = list(dict.fromkeys(asked))
+    return weights_of(contexts, list(dict.fromkeys(asked)))
+
+
+def weights_of(
+    contexts: Mapping[str, Any], asked: Sequence[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]]
+) -> CurveWeights:
+    """Curves over these variables with these knots, and the weights of the knots for each reading."""
     single: dict[tuple[str, tuple[Any, ...]], _Array] = {}
     weights = []
     for variables, knots in asked:

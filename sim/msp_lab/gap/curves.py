@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from msp_lab.gap import rules
+from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import SelectedTerm, change_of
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, free_forms, loss
+from msp_lab.gap.problem import Problem, State, free_curves, loss
+from msp_lab.gap.ripples import ripples
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import applies, make_curve_term
@@ -30,9 +31,9 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     """
     problem.report("searching what no effect explains", 0.5)
     for _ in range(min(most, rules.MAX_CURVES)):
-        forms = free_forms(problem, state)
+        forms = free_curves(problem, state)
         singles = sum(len(each.variables) == 1 for each in forms)
-        found = _likeliest_curve(problem, state, forms, singles)
+        found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
         if found is None and state.by_run:
             found = _curve_between_runs(problem, state, singles)
         if found is None:
@@ -43,16 +44,35 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     return state
 
 
+def _likeliest_ripple(problem: Problem, state: State) -> State | None:
+    """With the likeliest ripple, if it is unlikely by random variation; no curve can describe one."""
+    found = ripples(problem.some_contexts, state.fit.here)
+    return _likeliest_curve(problem, state, found, len(found))
+
+
 def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve], asked: int) -> State | None:
     """With the first of the likeliest curves that gains after a refit what its score promises."""
     for form in forms[: rules.CURVES_REFITTED]:
         if not _is_unlikely(form, asked):
             return None
-        there = _with_curve(problem, state, form)
+        there = _with_curve(problem, state, _placed(problem, state, form))
         statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
         if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
             return there
     return None
+
+
+def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCurve:
+    """A step at the likeliest place between the two that were asked next to it; other curves as they are."""
+    column = np.asarray(problem.some_contexts[form.variables[0]])
+    if column.dtype.kind != "f" or not curve_scan.is_step(form, column):
+        return form
+    at = float(np.mean(column[np.isfinite(column)] <= np.mean(np.asarray(form.knots[0]))))
+    near = curve_scan.steps_of(column, max(at - 1.0 / rules.STEPS, 0.0), min(at + 1.0 / rules.STEPS, 1.0))
+    asked = curve_scan.weights_of(problem.some_contexts, [(form.variables, (each,)) for each in near])
+    fit, unit = state.fit, problem.some_unit if state.by_run else None
+    best = curve_scan.scan(asked, fit.here, fit.scores[:, ~fit.held], unit, (form.channel,))
+    return best[0] if best and best[0].log_p < form.log_p else form
 
 
 def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | None:

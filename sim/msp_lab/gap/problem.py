@@ -19,7 +19,6 @@ from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.ripples import ripples
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
@@ -347,9 +346,3 @@ def free_curves(
     unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
     fit = state.fit
     return curve_scan.scan(problem.curves, fit.here, fit.scores[:, ~fit.held], unit, channels)
-
-
-def free_forms(problem: Problem, state: State) -> list[CandidateCurve]:
-    """Curves and ripples that explain what is left, the least likely by random variation first."""
-    found = [*free_curves(problem, state), *ripples(problem.some_contexts, state.fit.here)]
-    return sorted(found, key=lambda each: each.log_p + each.cost_nats)
