@@ -19,6 +19,7 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.sampler import Sampler
+from tests.support.curves import with_curve
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 
@@ -94,7 +95,7 @@ def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
 
 
 def test_a_ripple_in_a_model_file_flies(tmp_path: Path) -> None:
-    model = MODEL.adding_curve("bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
+    model = with_curve(MODEL, "bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(to_sensor(model).model_dump(mode="json")))
     loaded = load_model(tmp_path / "model.yaml")
     assert loaded.effects[-1].shape == ("bias", ("true_range_cm",), (Ripple(40.0),))
@@ -106,7 +107,7 @@ def test_a_ripple_in_a_model_file_flies(tmp_path: Path) -> None:
 
 
 def test_a_period_that_is_none_is_refused(tmp_path: Path) -> None:
-    model = MODEL.adding_curve("bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
+    model = with_curve(MODEL, "bias", ["true_range_cm"], [Ripple(40.0)], [0.0, 25.0])
     content = to_sensor(model).model_dump(mode="json")
     content["effects"][0]["knots"] = [{"period": -1}]
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content))

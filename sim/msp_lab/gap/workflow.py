@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.age import reading_age
-from msp_lab.gap.causes import possible_causes
 from msp_lab.gap.blank_cells import KnownRows
+from msp_lab.gap.causes import possible_causes
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, PathStep, Settings
 from msp_lab.gap.intake import Readings
