@@ -204,7 +204,7 @@ def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepa
         )
         return UnknownEffect(channel, variables, text, gained.nats_per_reading)
     if isinstance(knots[0], Ripple):
-        return _ripple(active, knots[0].period, widened, gained)
+        return _ripple(active, knots[0].period, widened, gained, readings)
     if isinstance(knots[0][0], str):
         text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
         return UnknownEffect(channel, variables, text, gained.nats_per_reading)
@@ -222,12 +222,13 @@ def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepa
     )
 
 
-def _ripple(active: Term, period: float, widened: _Array, gained: Gain) -> UnknownEffect:
-    """A ripple in words, and three periods of it for drawing."""
+def _ripple(active: Term, period: float, widened: _Array, gained: Gain, readings: Prepared) -> UnknownEffect:
+    """A ripple in words, and some periods of it in the middle of the readings, where its phase is known best."""
     assert active.shape is not None
     channel, (variable,), _ = active.shape
     values = np.array(list(active.values.values()))
-    at = np.linspace(0.0, RIPPLE_DRAWN * period, RIPPLE_POINTS)
+    middle = float(np.nanmedian(readings.scene[variable]))
+    at = middle + period * np.linspace(-0.5 * RIPPLE_DRAWN, 0.5 * RIPPLE_DRAWN, RIPPLE_POINTS)
     weights = hats({variable: at}, [variable], [Ripple(period)])
     curve = weights @ values
     half = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", weights, widened, weights), 0.0))
