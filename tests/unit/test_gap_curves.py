@@ -194,7 +194,8 @@ def test_a_step_is_found_where_it_is_and_written_as_one() -> None:
     rng = np.random.default_rng(1)
     (found,) = name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng).unknown
     size, place = map(float, re.findall(r"\+ ([0-9.]+) \[throttle > ([0-9.]+)\]", found.formula)[0])
-    assert (size, place) == (pytest.approx(0.8, abs=0.3), pytest.approx(0.6, abs=0.05))
+    assert size == pytest.approx(0.8, abs=0.3)
+    assert place == pytest.approx(0.6, abs=0.05)
     # It is drawn over the whole column, not between its two knots alone.
     assert found.curve[-1][0] - found.curve[0][0] > 0.6
 
