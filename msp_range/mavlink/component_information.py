@@ -29,6 +29,7 @@ class ComponentInformationBasic(dialect.MAVLink_message):  # type: ignore[misc]
         "serial_number",
     )
     array_lengths = (0, 0, 0, 32, 32, 24, 24, 32)
+    lengths = (1,) * len(ordered_fieldnames)
     unpacker = _WIRE
     crc_extra = CRC_EXTRA
     instance_field = None

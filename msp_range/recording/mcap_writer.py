@@ -64,8 +64,9 @@ class McapWriter:
         self._channels: list[bytes] = []
         self._chunk: list[bytes] = []
         self._chunk_bytes = 0
-        self._in_chunk: dict[int, list[int]] = {}
-        """Channel -> time [ns] and place in the chunk of each of its messages, one after the other."""
+        self._times_ns: list[int] = []
+        self._in_chunk: dict[int, bytearray] = {}
+        """Channel -> time [ns] and place in the chunk of each of its messages, as the index has them."""
         self._message_counts: dict[int, int] = {}
         self._first_ns, self._last_ns = 2**64, 0
         self._chunks = 0
@@ -106,10 +107,11 @@ class McapWriter:
 
     def add_message(self, channel: int, time_ns: int, data: bytes) -> None:
         """Write one message into the chunk in progress."""
-        places = self._in_chunk.get(channel)
-        if places is None:
-            places = self._in_chunk[channel] = []
-        places += time_ns, self._chunk_bytes
+        index = self._in_chunk.get(channel)
+        if index is None:
+            index = self._in_chunk[channel] = bytearray()
+        index += _TWO_U64.pack(time_ns, self._chunk_bytes)
+        self._times_ns.append(time_ns)
         self._put(_MESSAGE_HEAD.pack(_MESSAGE, _MESSAGE_FIELD_BYTES + len(data), channel, 0, time_ns, time_ns) + data)
         if self._chunk_bytes > CHUNK_BYTES:
             self._end_chunk()
@@ -150,8 +152,7 @@ class McapWriter:
         if not self._in_chunk:
             return
         content = b"".join(self._chunk)
-        times_ns = [time_ns for places in self._in_chunk.values() for time_ns in places[::2]]
-        first_ns, last_ns = min(times_ns), max(times_ns)
+        first_ns, last_ns = min(self._times_ns), max(self._times_ns)
         packed = self._compressor.compress(content)
         checksum = zlib.crc32(content)
         fields = _CHUNK_FIELDS.pack(first_ns, last_ns, len(content), checksum) + _text(COMPRESSION)
@@ -159,13 +160,12 @@ class McapWriter:
         start = self._file.tell()
         indexes, index_places = [], []
         indexes_at = start + len(chunk)
-        for channel, places in self._in_chunk.items():
+        for channel, index in self._in_chunk.items():
             index_places.append(_COUNT.pack(channel, indexes_at))
-            number = len(places)
-            index = _U16.pack(channel) + _U32.pack(8 * number) + Struct(f"<{number}Q").pack(*places)
-            indexes.append(_record(_MESSAGE_INDEX, index))
+            indexes.append(_record(_MESSAGE_INDEX, _U16.pack(channel) + _block([index])))
             indexes_at += len(indexes[-1])
-            self._message_counts[channel] = self._message_counts.get(channel, 0) + number // 2
+            count = len(index) // _TWO_U64.size
+            self._message_counts[channel] = self._message_counts.get(channel, 0) + count
         self._file.write(b"".join([chunk, *indexes]))
         self._chunk_indexes += _record(
             _CHUNK_INDEX,
@@ -177,7 +177,7 @@ class McapWriter:
         )
         self._first_ns, self._last_ns = min(self._first_ns, first_ns), max(self._last_ns, last_ns)
         self._chunks += 1
-        self._chunk, self._chunk_bytes, self._in_chunk = [], 0, {}
+        self._chunk, self._chunk_bytes, self._times_ns, self._in_chunk = [], 0, [], {}
 
     def _statistics(self) -> bytes:
         return _STATISTICS_FIELDS.pack(
