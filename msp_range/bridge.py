@@ -260,7 +260,7 @@ class Bridge:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
         clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s))
-        steps = [self._on_ranging(ranging) for ranging in poller.step()]
+        steps = list(map(self._on_ranging, poller.step()))
         now_s = clock.now()
         outbox.send_due(now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:

@@ -100,8 +100,11 @@ class AirTemperature:
 
     def _settle(self, track: TemperatureTrack, now_s: float) -> None:
         """Decide whether to use a jump, if that is possible now."""
-        jump, good, new = track.jump, track.good(now_s), track.reported(now_s)
-        if jump is None or good is None or new is None:
+        jump = track.jump
+        if jump is None:
+            return
+        good, new = track.good(now_s), track.reported(now_s)
+        if good is None or new is None:
             return
         others = [
             other for _, each in self._tracks if each is not track and (other := each.reported(now_s)) is not None

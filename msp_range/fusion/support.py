@@ -107,13 +107,10 @@ class GroundSupport:
             return False
         votes = tally(self._sights, time_s, windows)
         self._established |= votes.ground >= min(2, votes.voters) and votes.ground > votes.against
-        # An answer that was lost just now is no sensor that is out of order.
-        ranging = [sight for sight in self._sights if sight.newest(time_s - windows.held_s) is not None]
-        in_order = [sight for sight in self._sights if sight.works or sight.read_s == float("-inf")]
-        self._proven |= 2 * votes.ground > len({*ranging, *in_order})
+        has_most = self._proven or self._has_most(votes.ground, time_s)
         if not self._established or self._on_trial or votes.ground < 1 or now_s - time_s > STALE_S:
             return False
-        if votes.ground < votes.against or (not self._proven and 2 * votes.ground <= len(ranging)):
+        if votes.ground < votes.against or not has_most:
             return False
         if votes.ground == votes.against and not votes.moving:
             return False
@@ -121,3 +118,11 @@ class GroundSupport:
             return False
         all_off = len(self._off_m) >= min(OFF_IN_A_ROW, votes.voters)
         return was_ground or (votes.ground >= 2 and not self._two_agree and not all_off)
+
+    def _has_most(self, ground: int, time_s: float) -> bool:
+        """Whether so many are most of the sensors that give ranges; of all in order, the ground is proven from now."""
+        # An answer that was lost just now is no sensor that is out of order.
+        ranging = [sight for sight in self._sights if sight.newest(time_s - self._windows.held_s) is not None]
+        in_order = [sight for sight in self._sights if sight.works or sight.read_s == float("-inf")]
+        self._proven = 2 * ground > len({*ranging, *in_order})
+        return 2 * ground > len(ranging)

@@ -98,11 +98,9 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     """
     kind: Any = type(message)
     fields, arrays_at = _fields(kind)
-    values = fields(message)
-    if arrays_at:
-        values = list(values)
-        for at in arrays_at:
-            values[at : at + 1] = values[at]
+    values = [*fields(message)]
+    for at in arrays_at:
+        values[at : at + 1] = values[at]
     payload: bytes = kind.unpacker.pack(*values).rstrip(b"\0") or b"\0"  # without zeros at the end, but not empty
     id_low, id_high = kind.id & 0xFFFF, kind.id >> 16
     body = _HEADER.pack(len(payload), 0, 0, sequence, system, component, id_low, id_high) + payload
@@ -118,7 +116,7 @@ def checked_again(frame: bytes) -> bytes:
 
 @cache
 def _fields(kind: Hashable) -> tuple[Callable[[Any], tuple[Any, ...]], list[int]]:
-    """What gets the fields of a kind of message in their order on the wire, and which are arrays, the last one first."""
+    """A getter of a message's fields in their order on the wire, and the places of arrays among them, last one first."""
     message: Any = kind
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=False))
     # pymavlink keeps a text as it was given under another name, and has it as a str under its own.

@@ -137,7 +137,9 @@ class Link:
         """Process received messages, and send what is due."""
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
-        self._sort(now_s, self._frames.read(self.transport.receive()))
+        frames = self._frames.read(self.transport.receive())
+        if frames:
+            self._sort(now_s, frames)
         for waiting, count in (
             (self._from_autopilot, DECODED_FROM_AUTOPILOT),
             (self._from_others, DECODED_FROM_OTHERS),

@@ -201,7 +201,7 @@ def _text(text: str) -> bytes:
     return _U32.pack(len(data)) + data
 
 
-def _block(parts: Iterable[bytes]) -> bytes:
+def _block(parts: Iterable[bytes | bytearray]) -> bytes:
     """Parts with the bytes of all of them in front."""
     data = b"".join(parts)
     return _U32.pack(len(data)) + data

@@ -8,7 +8,7 @@ effect does not change a reading whose context is unknown (a missing column or a
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,8 +125,7 @@ def _is_known(values: Any) -> Any:
     return True if known.all() else known
 
 
-@dataclass(frozen=True)
-class Contribution:
+class Contribution(NamedTuple):
     """What an effect changes in the distribution of n readings; None leaves that part unchanged.
 
     Attributes

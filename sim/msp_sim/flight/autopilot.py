@@ -169,8 +169,6 @@ class LoopbackAutopilot:
         return now_s >= self._first_heartbeat_s
 
     def _send_due(self, now_s: float) -> None:
-        if now_s < min(self._due_s.values()):
-            return
         boot_ms = round((now_s - self._boot_s) * 1e3)
         pose = None
         for what, due_s in self._due_s.items():
@@ -209,17 +207,19 @@ class LoopbackAutopilot:
         """
         before, self._sampled = self._sampled, pose
         elapsed_s = (pose.time_s - before.time_s) or math.inf
-        north, east, down = [
-            (now_m_s - before_m_s) / elapsed_s
-            for now_m_s, before_m_s in zip(pose.velocity_ned_m_s, before.velocity_ned_m_s, strict=True)
-        ]
-        net = (north, east, down - GRAVITY_M_S2)
-        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
-        x, y, z = [
-            dot(axis, net) + bias + self._noise(ACCELEROMETER_STD_M_S2)
-            for axis, bias in zip(zip(*rotation, strict=True), self._force_bias, strict=True)
-        ]
-        return x, y, z
+        (north, east, down), (north_before, east_before, down_before) = pose.velocity_ned_m_s, before.velocity_ned_m_s
+        net = (
+            (north - north_before) / elapsed_s,
+            (east - east_before) / elapsed_s,
+            (down - down_before) / elapsed_s - GRAVITY_M_S2,
+        )
+        x_axis, y_axis, z_axis = zip(*rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad), strict=True)
+        bias_x, bias_y, bias_z = self._force_bias
+        return (
+            dot(x_axis, net) + bias_x + self._noise(ACCELEROMETER_STD_M_S2),
+            dot(y_axis, net) + bias_y + self._noise(ACCELEROMETER_STD_M_S2),
+            dot(z_axis, net) + bias_z + self._noise(ACCELEROMETER_STD_M_S2),
+        )
 
     def _noise(self, std: float) -> float:
         return self._draw.gauss(0.0, std) if self._draw else 0.0

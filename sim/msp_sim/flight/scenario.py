@@ -105,6 +105,8 @@ class Thermometer(Section):
 
     def reading_c(self, time_s: float, air_c: Callable[[float], float]) -> float:
         """Reading at a time of the flight [deg C]; ``air_c`` gives the air temperature at the vehicle at a time [s]."""
+        if not self.faults:
+            return air_c(time_s) + self.warmer_by_c
         active = [fault for fault in self.faults if fault.from_s <= time_s < fault.to_s]
         frozen_s = [fault.from_s for fault in active if fault.kind == "freeze"]
         jumps_c = [fault.by_c for fault in active if fault.kind == "jump"]

@@ -6,7 +6,7 @@ catalogue passes (`tests/property/test_effects.py`), and ``msp-lab check-effect`
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
@@ -135,7 +135,7 @@ class Trial:
         scene = Scene(self.base.sensor, contexts(200, 1, self.effect.columns))
         with np.errstate(all="ignore"):
             change = self.effect.apply(scene, strong_values(self.effect, STRENGTHS[0]))
-        return {each.name for each in fields(change) if getattr(change, each.name) is not None}
+        return {name for name, value in change._asdict().items() if value is not None}
 
     def channels(self) -> set[str]:
         """Channels that the effect changes."""

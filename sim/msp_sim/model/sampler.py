@@ -2,7 +2,7 @@
 
 A context enters as plain values, a reading leaves. If the effects only shift, widen or reweight the base mixture, no
 array is made, for speed; with additional components or faults `Model.sample` is called with one row. Both use the same
-random streams in the same order.
+random streams.
 """
 
 import math
@@ -76,7 +76,6 @@ class Sampler:
                 random += change.log_odds_random or 0.0
         drawn_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
         kind, place = streams["kind"].random(), streams["place"].random()
-        streams["race"].standard_exponential()
         saturated = streams["saturated"].random() < base.parameters.saturated_fraction
         return self._reading_cm(drawn_cm, centre_cm, kind, place, saturated, (hit, short, missed, random))
 

@@ -5,7 +5,7 @@ from zlib import crc32
 import numpy as np
 
 
-class RandomStreams:
+class RandomStreams(dict[str, np.random.Generator]):
     """Random generators by name, all derived from one.
 
     Parameters
@@ -23,15 +23,13 @@ class RandomStreams:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._entropy = [int(word) for word in rng.integers(2**32, size=4)]
-        self._streams: dict[str, np.random.Generator] = {}
         self.last_error: dict[str, tuple[float, float]] = {}
         """Of correlated noise: time [s] and error [standard deviations] of each series' last hit."""
 
-    def __getitem__(self, name: str) -> np.random.Generator:
-        """The stream of this name; it continues from its present state."""
-        if name not in self._streams:
-            self._streams[name] = self._generator(name)
-        return self._streams[name]
+    def __missing__(self, name: str) -> np.random.Generator:
+        """The stream of this name, which is kept and continues from its present state."""
+        self[name] = self._generator(name)
+        return self[name]
 
     def normal_of(self, name: str, key: str) -> float:
         """A standard normal number that is always the same for the same key."""

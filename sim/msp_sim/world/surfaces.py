@@ -257,8 +257,16 @@ class Terrain:
             rise_m = strip_rise_m
         return self._plane_m(north_m, east_m) + rise_m
 
-    def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Iterator[Echo]:
-        """Echoes of the ground for a sensor at ``sensor`` [m, NED] with boresight ``axis``, in no particular order."""
+    def strip_echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
+        """Echoes of the ground between its steps.
+
+        Parameters
+        ----------
+        sensor, axis, half_angle_rad
+            Position [m, NED], boresight and beam of the sensor.
+        within_m
+            Echoes that are not nearer than this are of no interest and may be left out [m].
+        """
         x = self._along_m(sensor[0], sensor[1])
         base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
         into_along = self._grade_along * self._cos_slope
@@ -271,8 +279,15 @@ class Terrain:
                 flat = face_echo(max(range_m, 0.0), self._into, axis, half_angle_rad)
                 if flat:
                     yield Echo(*flat, surface, None)
+
+    def step_echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
+        """Echoes of the steps; parameters as for `strip_echoes`."""
+        x = self._along_m(sensor[0], sensor[1])
+        base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
         for at_m, low_m, high_m, up, surface in self._walls:
             ahead_m = at_m - x
+            if abs(ahead_m) >= within_m:
+                continue
             faces = up * ahead_m > 0
             over_m = base_m - self._grade_along * ahead_m
             if faces and low_m < over_m < high_m:
@@ -293,20 +308,23 @@ class Terrain:
         ahead = self._along_m(axis[0], axis[1])
         # Loss of height above the planes per metre of the ray.
         sinks = axis[2] + self._plane_m(axis[0], axis[1])
-        found = []
+        first: Echo | None = None
+        first_m = math.inf
         if sinks > 0:
             for start_m, end_m, rise_m, surface in self._strips:
                 over_m = base_m - rise_m
                 slant_m = max(over_m, 0.0) / sinks
-                if over_m >= -TOUCH_M and start_m <= x + slant_m * ahead < end_m:
-                    found.append(Echo(slant_m * sinks * self._cos_slope, self._into, slant_m, surface, None))
+                if slant_m < first_m and over_m >= -TOUCH_M and start_m <= x + slant_m * ahead < end_m:
+                    first_m = slant_m
+                    first = Echo(slant_m * sinks * self._cos_slope, self._into, slant_m, surface, None)
         for at_m, low_m, high_m, up, surface in self._walls:
             if up * ahead > 0 and up * (at_m - x) > 0:
                 slant_m = (at_m - x) / ahead
-                if low_m < base_m - slant_m * sinks < high_m:
+                if slant_m < first_m and low_m < base_m - slant_m * sinks < high_m:
+                    first_m = slant_m
                     toward = (up * self._heading_n, up * self._heading_e, 0.0)
-                    found.append(Echo(abs(at_m - x), toward, slant_m, surface, None))
-        return min(found, key=lambda echo: echo.slant_m, default=None)
+                    first = Echo(abs(at_m - x), toward, slant_m, surface, None)
+        return first
 
     def _along_m(self, north_m: float, east_m: float) -> float:
         """Distance along the steps' heading [m]."""
@@ -337,12 +355,13 @@ class Block:
     def covers(self, north_m: float, east_m: float) -> bool:
         """Whether this position on the ground is covered by the box."""
         north_m, east_m = north_m - self._north_m, east_m - self._east_m
-        along_m, across_m = self._cos * north_m + self._sin * east_m, self._cos * east_m - self._sin * north_m
-        return -self._half_x <= along_m <= self._half_x and -self._half_y <= across_m <= self._half_y
+        if abs(self._cos * north_m + self._sin * east_m) > self._half_x:
+            return False
+        return abs(self._cos * east_m - self._sin * north_m) <= self._half_y
 
-    def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Iterator[Echo]:
-        """Echoes of the box for a sensor at ``sensor`` [m, NED] with boresight ``axis``, in no particular order."""
-        if not self._may_return_echo(sensor, axis, half_angle_rad):
+    def echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
+        """Echoes of the box; parameters as for `Terrain.strip_echoes`."""
+        if not self._may_return_echo(sensor, axis, half_angle_rad, within_m):
             return
         half_x, half_y = self._half_x, self._half_y
         x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
@@ -367,8 +386,11 @@ class Block:
             if point:
                 yield self._echo(point)
 
-    def ray(self, sensor: Vector, axis: Vector) -> Echo | None:
-        """Point where a ray enters the box from outside; the box is treated as extending down without limit."""
+    def ray(self, sensor: Vector, axis: Vector, within_m: float) -> Echo | None:
+        """Point where a ray enters the box from outside, if it is nearer than ``within_m`` along it.
+
+        The box is treated as extending down without limit.
+        """
         x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
         own_axis = (*self._turn(axis[0], axis[1]), axis[2])
         enters_m, leaves_m, side = -math.inf, math.inf, 0
@@ -385,7 +407,7 @@ class Block:
                 enters_m, side = first_m, i
             if last_m < leaves_m:
                 leaves_m = last_m
-            if leaves_m < enters_m or leaves_m < -TOUCH_M:
+            if leaves_m < enters_m or leaves_m < -TOUCH_M or enters_m >= within_m:
                 return None
         if enters_m < -TOUCH_M:
             return None
@@ -394,13 +416,15 @@ class Block:
         into = (sign if side == 0 else 0.0, sign if side == 1 else 0.0, sign if side == 2 else 0.0)
         return self._echo((slant_m * abs(own_axis[side]), into, slant_m))
 
-    def _may_return_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> bool:
-        """Quick test: False if the sphere around the box lies outside the beam."""
+    def _may_return_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> bool:
+        """Quick test: False if the sphere around the box lies outside the beam, or beyond ``within_m``."""
         middle_down_m = self._half_height_m - self.top_m
         to_middle = (self._north_m - sensor[0], self._east_m - sensor[1], middle_down_m - sensor[2])
         distance_m = math.sqrt(dot(to_middle, to_middle))
         if distance_m <= self._radius_m:
             return True
+        if distance_m - self._radius_m >= within_m:
+            return False
         angle_rad = math.acos(min(max(dot(to_middle, axis) / distance_m, -1.0), 1.0))
         return angle_rad <= half_angle_rad(distance_m - self._radius_m) + math.asin(self._radius_m / distance_m)
 

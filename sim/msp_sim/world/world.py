@@ -130,6 +130,7 @@ class World:
     def __init__(self, ground: GroundSection, air: AirSection) -> None:
         self._terrain = Terrain(ground)
         self._blocks = [Block(box, self._terrain) for box in ground.boxes]
+        self._echoes = [self._terrain.strip_echoes, self._terrain.step_echoes, *(each.echoes for each in self._blocks)]
         self._air = air
 
     def elevation_m(self, north_m: float, east_m: float) -> float:
@@ -182,19 +183,16 @@ class World:
         return below.slant_m if below else None
 
     def _nearest_echo(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle) -> Echo | None:
-        nearest = None
-        for echo in self._terrain.echoes(sensor, axis, half_angle_rad):
-            if (nearest is None or echo.range_m < nearest.range_m) and not self._is_covered(sensor, echo):
-                nearest = echo
-        for block in self._blocks:
-            for echo in block.echoes(sensor, axis, half_angle_rad):
-                if nearest is None or echo.range_m < nearest.range_m:
-                    nearest = echo
+        nearest, nearest_m = None, math.inf
+        for echoes in self._echoes:
+            for echo in echoes(sensor, axis, half_angle_rad, nearest_m):
+                if echo.range_m < nearest_m and not self._is_covered(sensor, echo):
+                    nearest, nearest_m = echo, echo.range_m
         return nearest
 
     def _is_covered(self, sensor: Vector, echo: Echo) -> bool:
         """Whether a block covers the point on the ground from which an echo would come."""
-        if not self._blocks:
+        if echo.target_size_m is not None:
             return False
         north_m = sensor[0] + echo.range_m * echo.direction[0]
         east_m = sensor[1] + echo.range_m * echo.direction[1]
@@ -203,9 +201,7 @@ class World:
     def _ray(self, sensor: Vector, axis: Vector) -> Echo | None:
         first = self._terrain.ray(sensor, axis)
         for block in self._blocks:
-            met = block.ray(sensor, axis)
-            if met is not None and (first is None or met.slant_m < first.slant_m):
-                first = met
+            first = block.ray(sensor, axis, first.slant_m if first else math.inf) or first
         return first
 
 
