@@ -9,17 +9,22 @@ _NO_BUS = frozenset({errno_names.ENOENT, errno_names.EBADF, errno_names.EACCES})
 
 
 class BusError(OSError):
-    """A transfer that failed.
+    """A transfer that failed: BusError(errno, verb, address).
 
     ``errno`` is the kernel's (121 not acknowledged on a Raspberry Pi, 110 timed out, 5 clock stretch timeout, 6 and
     19 on other adapters, 2 no such bus). The text is made only when somebody reads it: a sensor that ranges does not
     acknowledge, so this is raised many times a second in normal work.
     """
 
-    def __init__(self, errno: int, verb: str, address: int) -> None:
-        super().__init__(errno, verb)
-        self.verb = verb
-        self.address = address
+    @property
+    def verb(self) -> str:
+        """What was tried; OSError has it as its text."""
+        return str(self.strerror)
+
+    @property
+    def address(self) -> int:
+        """7-bit address, 0 where no device was addressed; OSError has it as its file."""
+        return int(self.filename)
 
     @property
     def never_opened(self) -> bool:

@@ -59,6 +59,11 @@ class AirTemperature:
         self._tracks = [(source, TemperatureTrack(source, self._history)) for source in parameters.sources]
         self._had_value_s = start_s
         self._settled = BACK
+        fixed_error_m = air_error_m(maximum_m, self._fixed)
+        self._no_thermometer: str | None = None
+        if not parameters.sources and fixed_error_m > WORTH_REPORTING_M:
+            off = f"up to {100 * fixed_error_m:.0f} cm off at {maximum_m:.3g} m"
+            self._no_thermometer = f"Range: no thermometer, {off}"
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
@@ -131,9 +136,6 @@ class AirTemperature:
         """Conditions to report to the pilot, as of the last call of `now`."""
         if not self._maximum_m:
             return []
-        fixed_error_m = air_error_m(self._maximum_m, self._fixed)
-        no_thermometer = not self._tracks and fixed_error_m > WORTH_REPORTING_M
-        off = f"Range: no thermometer, up to {100 * fixed_error_m:.0f} cm off at {self._maximum_m:.3g} m"
         using = f"using {self._air.temperature_c:.0f} C"
         is_without = bool(self._tracks) and self._air.source in (FIXED, HELD)
         jumps = [track.jump for _, track in self._tracks if track.jump is not None]
@@ -142,7 +144,7 @@ class AirTemperature:
         is_open = is_without and jumps and wrong is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
         is_silent = is_without and not jumps and now_s - self._had_value_s > GRACE_S
         return [
-            Condition("no thermometer", off if no_thermometer else None, ""),
+            Condition("no thermometer", self._no_thermometer, ""),
             Condition(
                 "temperature jump",
                 f"Range: air temp jumps to {jumps[0].level.value_c:.0f} C, {using}" if is_open else None,

@@ -116,7 +116,7 @@ def checked_again(frame: bytes) -> bytes:
 
 @cache
 def _fields(kind: Hashable) -> tuple[Callable[[Any], tuple[Any, ...]], list[int]]:
-    """A getter of a message's fields in their order on the wire, and the places of arrays among them, last one first."""
+    """A getter of a message's fields in their order on the wire, and the places of its arrays, the last one first."""
     message: Any = kind
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=False))
     # pymavlink keeps a text as it was given under another name, and has it as a str under its own.

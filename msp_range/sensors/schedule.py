@@ -235,8 +235,9 @@ class RoundRobin:
 
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
-        near_interval_s = self._spacing.near_interval_s
+        spacing = self._spacing
+        if spacing.near_interval_s is None:
+            return spacing.ping_interval_s
         living = [name for name in self._near if not self._is_dead(name)]
-        if near_interval_s is not None and living and all(self._near[name] for name in living):
-            return near_interval_s
-        return self._spacing.ping_interval_s
+        is_near = living and all(self._near[name] for name in living)
+        return spacing.near_interval_s if is_near else spacing.ping_interval_s

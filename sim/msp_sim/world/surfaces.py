@@ -351,6 +351,7 @@ class Block:
         lowest_m = min(terrain.elevation_m(*self._place(x, y)) for x, y in corners)
         self._half_height_m = max(self.top_m - lowest_m, box.height_m) / 2
         self._radius_m = math.hypot(self._half_x, self._half_y, self._half_height_m)
+        self._limits_m = ((-self._half_x, self._half_x), (-self._half_y, self._half_y), (-self.top_m, math.inf))
 
     def covers(self, north_m: float, east_m: float) -> bool:
         """Whether this position on the ground is covered by the box."""
@@ -394,8 +395,7 @@ class Block:
         x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
         own_axis = (*self._turn(axis[0], axis[1]), axis[2])
         enters_m, leaves_m, side = -math.inf, math.inf, 0
-        limits = ((-self._half_x, self._half_x), (-self._half_y, self._half_y), (-self.top_m, math.inf))
-        for i, (own_m, (low_m, high_m)) in enumerate(zip((x, y, sensor[2]), limits, strict=True)):
+        for i, (own_m, (low_m, high_m)) in enumerate(zip((x, y, sensor[2]), self._limits_m, strict=True)):
             if own_axis[i] == 0:
                 if not low_m <= own_m <= high_m:
                     return None
