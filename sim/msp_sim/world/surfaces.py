@@ -392,7 +392,10 @@ class Block:
 
         The box is treated as extending down without limit.
         """
-        x, y = self._turn(sensor[0] - self._north_m, sensor[1] - self._east_m)
+        north_m, east_m = sensor[0] - self._north_m, sensor[1] - self._east_m
+        if max(abs(north_m), abs(east_m)) - self._radius_m > within_m:
+            return None
+        x, y = self._turn(north_m, east_m)
         own_axis = (*self._turn(axis[0], axis[1]), axis[2])
         enters_m, leaves_m, side = -math.inf, math.inf, 0
         for i, (own_m, (low_m, high_m)) in enumerate(zip((x, y, sensor[2]), self._limits_m, strict=True)):
