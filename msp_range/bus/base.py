@@ -16,6 +16,9 @@ class BusError(OSError):
     acknowledge, so this is raised many times a second in normal work.
     """
 
+    futile_s: float = 0.0
+    """Time for which further attempts would fail in the same way [s]; 0: unknown, as on every real bus."""
+
     @property
     def verb(self) -> str:
         """What was tried; OSError has it as its text."""

@@ -1,7 +1,8 @@
 """Ping range finders in the order of a schedule, and read their answers.
 
 A sensor that is measuring has no answer yet, so it is read again every `POLL_INTERVAL_S` from the moment at which
-it could first be done, and never later than its deadline.
+it could first be done, and never later than its deadline. Attempts that would fail, as far as an emulated bus states
+it, are left out.
 """
 
 import errno
@@ -150,7 +151,9 @@ class Poller:
             deadline_s = pending.ping_s + timing.deadline_s
             if now_s < deadline_s and not error.bus_at_fault:
                 try_s = now_s + POLL_INTERVAL_S
-                pending.next_try_s = try_s if try_s < deadline_s else deadline_s
+                while try_s < now_s + error.futile_s:
+                    try_s += POLL_INTERVAL_S
+                pending.next_try_s = min(try_s, deadline_s)
                 return None
             self._pending.remove(pending)
             return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)

@@ -5,11 +5,16 @@ leaves. A transfer takes no time on the clock: 24 bits at 50 kHz are 0.5 ms, far
 """
 
 import errno
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from msp_range.bus.base import BusError
 from msp_sim.device.device import Fault, NotAcknowledged
+
+ROUNDING_S = 1e-6
+"""A sensor is busy for this much longer than stated [s], because the bridge adds the time on a clock with other
+roundings. Any value far below the interval between two attempts will do."""
 
 
 class Device(Protocol):
@@ -38,6 +43,9 @@ class EmulatedBus:
         The time [s], the same clock as the devices'. Used for faults of the kind "locked_up" only.
     nack_errno
         What the adapter's driver reports where nobody acknowledges: 121 on a Raspberry Pi, 6 or 19 on others.
+    foretells
+        Whether an error states for how long a sensor stays busy (`BusError.futile_s`), as far as no device has faults:
+        in virtual time the attempts in between are all that happens then.
 
     Notes
     -----
@@ -47,11 +55,18 @@ class EmulatedBus:
     A transfer that fails raises BusError with ``nack_errno`` or, where the bus is locked up, 110.
     """
 
-    def __init__(self, devices: Sequence[Device], now: Callable[[], float], nack_errno: int = errno.EREMOTEIO) -> None:
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        now: Callable[[], float],
+        nack_errno: int = errno.EREMOTEIO,
+        foretells: bool = False,
+    ) -> None:
         self._devices = tuple(devices)
         self._now = now
         self._nack_errno = nack_errno
         self._lock_ups = [fault for device in devices for fault in device.faults if fault.kind == "locked_up"]
+        self._foretells = foretells and not any(device.faults for device in devices)
         self._closed = False
         self._have_second_addresses = any(hasattr(device, "also_at") for device in devices)
 
@@ -73,14 +88,19 @@ class EmulatedBus:
         if self._closed or self._lock_ups:
             self._check_lines("read", address)
         answer: bytes | None = None
+        futile_s = math.inf
         for device in self._at(address):
             try:
                 sent = device.read(count)
-            except NotAcknowledged:
+            except NotAcknowledged as silence:
+                futile_s = min(futile_s, silence.futile_s)
                 continue
             answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
         if answer is None:
-            raise BusError(self._nack_errno, "read", address)
+            error = BusError(self._nack_errno, "read", address)
+            if self._foretells and futile_s < math.inf:
+                error.futile_s = futile_s - ROUNDING_S
+            raise error
         return answer
 
     def reopen(self) -> None:

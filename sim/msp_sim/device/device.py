@@ -15,7 +15,17 @@ CLOCK_FAULT_BIT = 0x8000
 
 
 class NotAcknowledged(Exception):
-    """Nobody pulled the data line low."""
+    """Nobody pulled the data line low.
+
+    Attributes
+    ----------
+    futile_s
+        Time for which nobody will [s]; 0: unknown.
+    """
+
+    def __init__(self, futile_s: float = 0.0) -> None:
+        super().__init__()
+        self.futile_s = futile_s
 
 
 @dataclass(frozen=True)

@@ -143,4 +143,4 @@ def emulated_bus(
         timing = ranging_timing(kind, model if same_kind else sensor.sensor_model)
         echo = within_limits(emulated.echo, model, kind)
         devices.append(kind(sensor.address, now, echo, timing, faults.get(sensor.name, ()), chance))
-    return EmulatedBus(devices, now)
+    return EmulatedBus(devices, now, foretells=True)
