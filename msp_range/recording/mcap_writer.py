@@ -62,8 +62,7 @@ class McapWriter:
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._schemas: dict[str, bytes] = {}
         self._channels: list[bytes] = []
-        self._chunk: list[bytes] = []
-        self._chunk_bytes = 0
+        self._chunk = bytearray()
         self._times_ns: list[int] = []
         self._in_chunk: dict[int, bytearray] = {}
         """Channel -> time [ns] and place in the chunk of each of its messages, as the index has them."""
@@ -97,12 +96,12 @@ class McapWriter:
             number = _U16.pack(len(self._schemas) + 1)
             what = _text(schema_name) + _text("jsonschema") + _U32.pack(len(schema)) + schema
             self._schemas[schema_name] = _record(_SCHEMA, number + what)
-            self._put(self._schemas[schema_name])
+            self._chunk += self._schemas[schema_name]
         channel = len(self._channels) + 1
         of_schema = list(self._schemas).index(schema_name) + 1
         what = _U16.pack(channel) + _U16.pack(of_schema) + _text(topic) + _text("json") + _block([])
         self._channels.append(_record(_CHANNEL, what))
-        self._put(self._channels[-1])
+        self._chunk += self._channels[-1]
         return channel
 
     def add_message(self, channel: int, time_ns: int, data: bytes) -> None:
@@ -110,10 +109,12 @@ class McapWriter:
         index = self._in_chunk.get(channel)
         if index is None:
             index = self._in_chunk[channel] = bytearray()
-        index += _TWO_U64.pack(time_ns, self._chunk_bytes)
+        chunk = self._chunk
+        index += _TWO_U64.pack(time_ns, len(chunk))
         self._times_ns.append(time_ns)
-        self._put(_MESSAGE_HEAD.pack(_MESSAGE, _MESSAGE_FIELD_BYTES + len(data), channel, 0, time_ns, time_ns) + data)
-        if self._chunk_bytes > CHUNK_BYTES:
+        chunk += _MESSAGE_HEAD.pack(_MESSAGE, _MESSAGE_FIELD_BYTES + len(data), channel, 0, time_ns, time_ns)
+        chunk += data
+        if len(chunk) > CHUNK_BYTES:
             self._end_chunk()
 
     def flush(self) -> None:
@@ -143,15 +144,11 @@ class McapWriter:
         footer = _HEAD.pack(_FOOTER, _FOOTER_FIELDS.size) + _TWO_U64.pack(start, position)
         self._file.write(summary + footer + _U32.pack(zlib.crc32(footer, zlib.crc32(summary))) + MAGIC)
 
-    def _put(self, record: bytes) -> None:
-        self._chunk.append(record)
-        self._chunk_bytes += len(record)
-
     def _end_chunk(self) -> None:
         """Write the chunk in progress and the indexes of its messages; one without messages waits for some."""
         if not self._in_chunk:
             return
-        content = b"".join(self._chunk)
+        content = self._chunk
         first_ns, last_ns = min(self._times_ns), max(self._times_ns)
         packed = self._compressor.compress(content)
         checksum = zlib.crc32(content)
@@ -177,7 +174,7 @@ class McapWriter:
         )
         self._first_ns, self._last_ns = min(self._first_ns, first_ns), max(self._last_ns, last_ns)
         self._chunks += 1
-        self._chunk, self._chunk_bytes, self._times_ns, self._in_chunk = [], 0, [], {}
+        self._chunk, self._times_ns, self._in_chunk = bytearray(), [], {}
 
     def _statistics(self) -> bytes:
         return _STATISTICS_FIELDS.pack(
