@@ -13,6 +13,10 @@ import pytest
 
 import msp_sim.device.device
 from msp_range.bus.base import Bus, BusError
+from msp_range.clock import VirtualClock
+from msp_range.sensors.mb1242 import MB1242
+from msp_range.sensors.polling import Poller, Ranging
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import DeviceTiming, Fault, NotAcknowledged
 from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, RANGE_COMMAND, EmulatedMB1242
@@ -384,6 +388,59 @@ def test_a_moved_sensor_is_found_at_its_new_address() -> None:
     bench.time_s = 0.2
     assert bus.read(0x71, 2) == PART_INFO
     assert bus.read(0x70, 2) == b"\xff\xff"
+
+
+class CountingBus(EmulatedBus):
+    """Counts the reads."""
+
+    reads = 0
+
+    def read(self, address: int, count: int) -> bytes:
+        self.reads += 1
+        return super().read(address, count)
+
+
+def flown(foretells: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]], int]:
+    """What 3 s of polling two sensors give, and how many reads it took; the clocks do not begin at the same time."""
+    clock = VirtualClock(1000.1)
+
+    def now() -> float:
+        return clock.now() - 1000.1
+
+    def echo(ping_s: float) -> int:
+        return 20 + int(ping_s * 997) % 746
+
+    sonars = [EmulatedMB1242(0x70, now, echo, faults=faults), EmulatedMB1242(0x71, now, echo)]
+    bus = CountingBus(sonars, now, foretells=foretells)
+    sensors = [PolledSensor(hex(each.address), MB1242(bus, each.address), AnswerTiming(0.021, 0.08)) for each in sonars]
+    poller = Poller(bus, clock, RoundRobin([[each] for each in sensors], Spacing(0.1), clock.now()))
+    rangings: list[tuple[Ranging, str]] = []
+    while now() < 3.0:
+        clock.sleep_until(poller.next_event_s)
+        # Errors are compared by their text.
+        rangings += [(each._replace(error=None), str(each.error)) for each in poller.step()]
+    return rangings, bus.reads
+
+
+def test_attempts_that_would_fail_are_left_out_and_change_nothing() -> None:
+    (asked, all_reads), (foretold, reads) = flown(False), flown(True)
+    assert foretold == asked
+    assert len(asked) == 30
+    assert reads <= 2 * len(asked) < all_reads / 3
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault("silent", 1.0, 1.05),
+        Fault("missed_read", 0.5, 2.0),
+        Fault("power_cycle", 1.02, 1.03),
+        Fault("locked_up", 1.01, 1.04),
+    ],
+    ids=lambda fault: fault.kind,
+)
+def test_on_a_bus_with_faults_every_attempt_is_made(fault: Fault) -> None:
+    assert flown(True, fault) == flown(False, fault)
 
 
 def test_lock_up_stops_every_address_until_the_bus_is_reopened() -> None:
