@@ -170,11 +170,12 @@ class GroundFilter:
         nn, ne, ee = self._slope
         x_north, x_east = b * nn + c * ne, b * ne + c * ee
         noise_m2 = variance_m2 + b * x_north + c * x_east
-        likelihoods, total, normalised, total_m2 = [], 0.0, 0.0, 0.0
+        innovations, likelihoods, total, normalised, total_m2 = [], [], 0.0, 0.0, 0.0
         expected_m = innovation_m + a * self.height_m
         for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
             # The reading was foretold for the mixture; each filter's own mean is a little off from that.
             own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+            innovations.append((own_m, own_m2))
             square = own_m * own_m / own_m2
             likelihood = weight * math.exp(-0.5 * square) / math.sqrt(own_m2)
             likelihoods.append(likelihood)
@@ -193,8 +194,7 @@ class GroundFilter:
         # The height where the mean lever is stays, whatever the slope.
         lower_m = mean_north * to_north + mean_east * to_east
         filters = []
-        for h, w, hh, hw, ww in self._filters:
-            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
+        for (h, w, hh, hw, ww), (own_m, own_m2) in zip(self._filters, innovations, strict=True):
             k0, k1 = a * hh / own_m2, a * hw / own_m2
             still = 1 - a * k0
             filters.append((h - lower_m + k0 * own_m, w + k1 * own_m, still * hh, still * hw, ww - a * k1 * hw))

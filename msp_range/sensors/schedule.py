@@ -220,9 +220,10 @@ class RoundRobin:
         return [group for group in self._groups if not self._is_dead_group(group)]
 
     def _next_round(self, at_s: float) -> Sequence[Sequence[PolledSensor]]:
-        living = self._living_groups()
-        if not living:
+        are_dead = [self._is_dead(name) for name in self._faults]
+        if all(are_dead) or not any(are_dead):
             return self._groups
+        living = self._living_groups()
         due = [group for group in self._groups if self._is_dead_group(group) and self._is_due(group[0], at_s)]
         # One retry per cycle: if retries are acknowledged, more of them would delay the working sensors.
         retried = sorted(due, key=lambda group: self._pinged_s[group[0].name])[:1]
