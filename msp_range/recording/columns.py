@@ -27,6 +27,7 @@ CONTEXT_COLUMNS = {
     "external_duty": "share of the time that it sounds, 0 to 1",
     "external_distance_cm": "distance from that source to the sensor [cm]",
     "external_frequency_khz": "frequency of that source [kHz]",
+    "reference": "what the true range is from, a word; others: the vehicle's other sensors",
 }
 BRIDGE_COLUMNS = {
     "status": "what the answer means, a word",
@@ -37,7 +38,7 @@ BRIDGE_COLUMNS = {
     "fused_std_cm": "its standard deviation [cm]",
 }
 """What the bridge made of a reading, in the table of `msp-range export`; no context, so no effect depends on it."""
-WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target", "status", "rejected"})
+WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target", "reference", "status", "rejected"})
 """Known columns that hold words; the other known ones hold numbers."""
 LARGEST_NUMBER = 1e30
 """A larger number is no measurement; squares of this one and their sums are still numbers."""

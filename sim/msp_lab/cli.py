@@ -3,7 +3,7 @@
 import json
 from datetime import date as day
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -119,6 +119,12 @@ def characterise(
         list[str] | None,
         typer.Option(metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"),
     ] = None,
+    truth: Annotated[
+        Literal["recorded", "others"],
+        typer.Option(
+            help="recorded: the files' true_range_cm; others: each sensor's true range is what the other ones say"
+        ),
+    ] = "recorded",
     reference_std_cm: Annotated[
         float | None,
         typer.Option(min=0.0, help="standard deviation of an error that all true ranges have in common [cm]"),
@@ -172,7 +178,7 @@ def characterise(
     progress = PlainConsole(stderr=True)
     pages: list[Path] = []
     with progress.status("reading") as status:
-        loaded = without_impossible(load_readings(data, started, mapping, sensors=of or ()), started)
+        loaded = without_impossible(load_readings(data, started, mapping, sensors=of or (), truth=truth), started)
         findings, changes = analyse(
             loaded,
             started,

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
+from msp_lab.readings.others import OTHERS
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import WORD_COLUMNS, Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Contribution, Effect, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import ModelRows
@@ -25,6 +26,19 @@ from msp_sim.model.slopes import score_of_component, score_of_fault
 _Array = NDArray[np.float64]
 Key = tuple[str, str | None]
 """Name of an effect, and the sensor, run or target that it is of."""
+COMMON = frozenset(
+    {
+        "air_temperature",
+        "thermometer_offset",
+        "temperature_gradient",
+        "humidity",
+        "motion_during_ping",
+        "session_offset",
+        "run_offsets",
+    }
+)
+"""Effects that all sensors of a vehicle have in common in a flight: not asked where the other sensors are the
+reference, which has them too. What differs between flights there is the ground below the sensors."""
 BETWEEN_RUNS = frozenset({"run_offsets"})
 """Effects that show between runs and not in single readings (`run_offsets.py`)."""
 
@@ -142,10 +156,11 @@ def candidates_of(
     An effect that the model already has is a candidate again: more of it may be there. What happens to sound only is no
     candidate for a sensor that ranges with light.
     """
+    of_others = bool(np.any(np.asarray(contexts.get(REFERENCE, "")) == OTHERS))
     found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
-        if model.sensor.medium not in effect.media:
+        if model.sensor.medium not in effect.media or (of_others and effect.name in COMMON):
             continue
         required = (*effect.requires, *((effect.per,) if effect.per else ()))
         absent = tuple(name for name in required if not _is_recorded(contexts, name))

@@ -12,10 +12,11 @@ import typer
 
 from msp_range.extras import require
 from msp_range.user_errors import report_user_errors
+from msp_range.yaml_file import ConfigError
 from msp_sim.cli import OwnEffects
 
 if TYPE_CHECKING:
-    from msp_lab.gap.findings import GapFindings
+    from msp_lab.gap.findings import GapFindings, Settings
     from msp_lab.gap.steps import Steps
 
 app = typer.Typer()
@@ -38,6 +39,18 @@ ColumnMaps = Annotated[
         "--map",
         metavar="MAP",
         help="column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatable",
+    ),
+]
+Of = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--of", metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"
+    ),
+]
+TruthOption = Annotated[
+    Literal["recorded", "others"],
+    typer.Option(
+        "--truth", help="recorded: the files' true_range_cm; others: compare each sensor with the vehicle's other ones"
     ),
 ]
 Last: TypeAlias = Literal["compare", "name", "add", "show"]
@@ -73,13 +86,20 @@ def _from_readings(last: Last) -> Callable[..., None]:
         seed: Seed = 1,
         run_column: RunColumn = None,
         column_map: ColumnMaps = None,
+        of: Of = None,
+        truth: TruthOption = "recorded",
         until: Until = last,
         effects: OwnEffects = None,
     ) -> None:
         from msp_lab.gap.findings import Settings
 
-        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()))
-        _run(out, effects, lambda steps: steps.all(measured, settings, until))
+        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
+        if truth == "others":
+            if until not in ("add", "show") or last != "show":
+                raise ConfigError("--truth others: 'gap' does it, up to the step add or show")
+            _run_sensors(measured, settings, out, effects, until == "show")
+        else:
+            _run(out, effects, lambda steps: steps.all(measured, settings, until))
 
     return command
 
@@ -105,6 +125,24 @@ def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFind
     with ProgressBar() as progress:
         findings = step(Steps(out, progress.clock, progress.report))
     print_findings(findings, out)
+
+
+def _run_sensors(measured: list[Path], settings: "Settings", out: Path, effects: list[Path] | None, draw: bool) -> None:
+    """Compare each sensor with the others, and print what was found at each."""
+    require("lab", "The gap workflow")
+    from msp_lab.gap.sensors import compare_sensors
+    from msp_lab.gap.steps import Steps
+    from msp_lab.gap.terminal import ProgressBar, print_sensors
+    from msp_sim.effects.own import add_own_effects
+
+    add_own_effects(effects or ())
+    with ProgressBar() as progress:
+
+        def steps(folder: Path) -> Steps:
+            return Steps(folder, progress.clock, lambda what, share: progress.report(f"{folder.name}: {what}", share))
+
+        gaps, messages = compare_sensors(measured, settings, out, steps, draw)
+    print_sensors(gaps, messages, out)
 
 
 @report_user_errors

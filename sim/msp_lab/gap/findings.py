@@ -347,6 +347,7 @@ class Settings:
     seed: int = 1
     run_column: str | None = None
     map: tuple[str, ...] = ()
+    of: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

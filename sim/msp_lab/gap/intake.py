@@ -21,7 +21,7 @@ from msp_lab.readings.resolution import step_of
 from msp_lab.readings.suspicious import suspicious
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.effects.base import REFERENCE_STD
+from msp_sim.effects.base import REFERENCE, REFERENCE_STD
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
@@ -55,7 +55,11 @@ class Readings:
 
 
 def read_readings(
-    paths: Sequence[Path], model: Model, column_map: ColumnMap | None = None, run_column: str | None = None
+    paths: Sequence[Path],
+    model: Model,
+    column_map: ColumnMap | None = None,
+    run_column: str | None = None,
+    sensors: Sequence[str] = (),
 ) -> Readings:
     """Read and check all files.
 
@@ -69,6 +73,8 @@ def read_readings(
         Names and units of the columns.
     run_column
         The column that names the runs; None: `run`, and where there is none each file is one.
+    sensors
+        Those whose readings are used; none: all.
 
     Raises
     ------
@@ -77,7 +83,7 @@ def read_readings(
     ConfigError
         There is no such column.
     """
-    loaded = load_readings(paths, model.sensor, column_map, run_column=run_column)
+    loaded = load_readings(paths, model.sensor, column_map, run_column=run_column, sensors=sensors)
     # By name, so that nothing depends on the order in which the files are given.
     data = loaded.data.select(time_order(loaded.data.columns))
     sources = tuple(
@@ -195,7 +201,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
 def _constant(data: MeasuredData) -> tuple[tuple[str, str], ...]:
     found = []
     for name, column in data.columns.items():
-        if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor", REFERENCE_STD):
+        if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor", REFERENCE_STD, REFERENCE):
             continue
         known = column[~np.isnan(column)] if column.dtype.kind == "f" else column[column != ""]
         if known.size and (known == known[0]).all():

@@ -22,7 +22,7 @@ from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
 from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
-from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term
 
@@ -89,7 +89,8 @@ class Problem:
         some = Prepared.of(model, some_contexts, reading_cm[thin])
         if some.spacing_s is None:
             neighbours = dependence(fit_base(some).here.by[:, 0], unit[thin], _time_s(some_contexts))
-            if neighbours.lag_z > rules.DEPENDENT_LAG_Z:
+            # Neighbouring readings have the error of the other sensors in common.
+            if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in some_contexts:
                 some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
         curves = curve_scan.curves_of(some_contexts, unit[thin])
         return cls(

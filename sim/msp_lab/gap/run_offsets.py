@@ -13,6 +13,7 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import REFERENCE
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
@@ -24,9 +25,10 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     A base that was fitted to readings of many runs has their offsets in its spread: then the whole spread is as it
     says. Where they are missing, the spread within runs is as it says, and the whole is larger.
     """
-    left = problem.dependence(fit)
-    if problem.runs < rules.MIN_RUNS:
+    if problem.runs < rules.MIN_RUNS or REFERENCE in problem.contexts:
+        # The other sensors are the reference, and differ from this one by the ground below in each run.
         return 0.0
+    left = problem.dependence(fit)
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)

@@ -151,7 +151,8 @@ class Steps:
         model = load_model(settings.model)
         self.report("reading", 0.0)
         column_map = load_map(settings.map) if settings.map else None
-        return Comparison.of(read_readings(paths, model, column_map, settings.run_column), model, settings)
+        readings = read_readings(paths, model, column_map, settings.run_column, settings.of)
+        return Comparison.of(readings, model, settings)
 
     def _same_comparison(self, findings: GapFindings, step: str) -> Comparison:
         """The comparison of earlier findings; an error where its files have changed since that step."""

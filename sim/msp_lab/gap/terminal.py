@@ -1,6 +1,6 @@
 """The gap workflow on the terminal: its progress, and the verdict in a few lines."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rich import box
@@ -13,6 +13,7 @@ from msp_lab.gap.demo import Comparison
 from msp_lab.gap.findings import GapFindings, Measure
 from msp_lab.gap.labels import and_list, effect_label, parameter_words, slice_label
 from msp_lab.gap.model_file import MODEL
+from msp_lab.gap.sensors import SensorGap
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import PlainConsole, console
 from msp_sim.terminal import Bar
@@ -63,6 +64,21 @@ def print_comparisons(found: Iterable[Comparison]) -> None:
         value = "not named" if each.found is None else f"{each.found:.3g}"
         table.add_row(each.effect, each.parameter, f"{each.hidden:g}", value, interval, "yes" if each.holds else "no")
     console().print(table)
+
+
+def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Path) -> None:
+    """What was found at each sensor of a vehicle, compared with the others."""
+    out = console()
+    for each in gaps:
+        style = f"bold {COLOURS.get(each.findings.verdict or '', 'cyan')}" if each.named else ""
+        out.print(Text(f"{each.sensor}: {each.findings.sentence}", style=style))
+        if each.without:
+            out.print(f"  compared without {', '.join(each.without)}, which differs from the rest", highlight=False)
+        if each.doubted:
+            out.print(f"  perhaps only because {each.doubted} is part of its reference", highlight=False)
+    for message in messages:
+        out.print(f"note: {message}", style="dim", highlight=False)
+    out.print(f"in {folder}: a folder for each sensor, and sensors.json", highlight=False, soft_wrap=True)
 
 
 def print_findings(findings: GapFindings, folder: Path) -> None:

@@ -9,21 +9,25 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
+from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import with_runs
+from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.columns import BRIDGE_COLUMNS, WORD_COLUMNS
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
+from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 from msp_sim.model.derived import time_in_run_s
+from msp_sim.model.model import Model
 
 PREVIOUS = "previous_reading_cm"
 """Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
@@ -38,6 +42,10 @@ value from 0.5 on finds a table and the recording that it was made from; acciden
 EQUAL_RELATIVE = 1e-9
 """A column whose values differ by a smaller share than this is constant: 100.00000000000142 is 100. It is far above the
 rounding of arithmetic (1e-15) and far below any resolution."""
+
+
+Truth = Literal["recorded", "others"]
+"""Where the true range comes from: the files, or each sensor's neighbours."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,8 @@ def load_readings(
     *,
     run_column: str | None = None,
     sensors: Sequence[str] = (),
+    truth: Truth = "recorded",
+    without: Sequence[str] = (),
 ) -> LoadedReadings:
     """Read and check all files.
 
@@ -93,6 +103,10 @@ def load_readings(
         The column that distinguishes runs; None: `run`, and where there is none each file is one.
     sensors
         Those whose readings are used, as the column `sensor` names them; none: all.
+    truth
+        The true range as it was recorded, or for each sensor what the other ones say.
+    without
+        Sensors that are then no reference for the others.
 
     Raises
     ------
@@ -105,8 +119,12 @@ def load_readings(
     messages = [column_map.note] if column_map is not None and column_map.note else []
     tables: list[MeasuredData] = []
     sources: list[SourceFile] = []
+    offsets_cm: list[dict[str, float]] = []
     for path in paths:
-        table = _read_table(path, sensor, column_map, messages)
+        table, recording = _read_table(path, sensor, column_map, messages)
+        if truth == "others":
+            table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
+            offsets_cm += of_runs
         source = SourceFile(path.name, sha256(path), len(table))
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
@@ -127,7 +145,8 @@ def load_readings(
     check_comparable(name, _without_clock_faults(columns), sensor)
     _round_constants(columns)
     repeated = _add_previous(columns)
-    return LoadedReadings(MeasuredData(columns), tuple(sources), (*messages, *renamed, *repeated), tuple(sensors))
+    messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(offsets_cm)]
+    return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), tuple(sensors))
 
 
 def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
@@ -152,23 +171,56 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _read_table(path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str]) -> MeasuredData:
-    """Read one file; what a damaged recording has lost is added to ``messages``."""
+def _read_table(
+    path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str]
+) -> tuple[MeasuredData, Recording | None]:
+    """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
     if column_map is not None:
-        return read_mapped(path, column_map, sensor.maximum_cm)
+        return read_mapped(path, column_map, sensor.maximum_cm), None
     if is_recording(path):
         recording = Recording(path)
         data = measured_data(recording)
         if recording.losses:
             messages.append(f"{path} is damaged; lost: {recording.losses}")
-        return data
+        return data, recording
     try:
         table = read_csv(path)
-        return MeasuredData({name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS})
+        columns = {name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS}
+        return MeasuredData(columns), None
     except RecordingError as error:
         if "is missing" not in str(error):
             raise
         raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+
+
+def _about_others(columns: Mapping[str, Column]) -> list[str]:
+    """What a comparison with the other sensors cannot show, where it is one."""
+    of_others = columns.get(REFERENCE, np.zeros(0)) == OTHERS
+    if not of_others.any():
+        return []
+    unknown = np.isnan(columns[TRUE_RANGE][of_others])
+    typical_cm = float(np.nanmedian(columns[REFERENCE_STD][of_others])) if not unknown.all() else math.nan
+    lost = f" In {unknown.sum()} rows they do not know it." if unknown.any() else ""
+    return [
+        f"The true range is what the other sensors say, to {typical_cm:.2g} cm.{lost} What all of them have in common "
+        "cannot be seen: the air's temperature, a common latency, scale or offset."
+    ]
+
+
+def _about_offsets(offsets_cm: Sequence[Mapping[str, float]]) -> list[str]:
+    """By how much sensors read more than the others, over the runs."""
+    found = []
+    for sensor in sorted({name for each in offsets_cm for name in each}):
+        of_runs = np.array([each[sensor] for each in offsets_cm if sensor in each])
+        if of_runs.size > 1:
+            half_cm = 2.0 * float(of_runs.std(ddof=1)) / math.sqrt(of_runs.size)
+            found.append(f"{sensor} {of_runs.mean():+.1f} cm ({half_cm:.1f} either way)")
+    if not found:
+        return []
+    return [
+        f"Readings less the others', on average over the runs: {', '.join(found)}. It is taken off: from the slope of "
+        "the ground, or a mounting that is a little off, it cannot be told."
+    ]
 
 
 def _check_overlap(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:

@@ -23,6 +23,7 @@ Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "com
 
 TRUE_RANGE = "true_range_cm"
 REFERENCE_STD = "true_range_std_cm"
+REFERENCE = "reference"
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 """Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 

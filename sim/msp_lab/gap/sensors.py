@@ -1,0 +1,146 @@
+"""The gap workflow for each sensor of a vehicle, with the other sensors as the reference.
+
+Recordings and a model enter; a folder for each sensor leaves, and which ones differ from the rest. A sensor at which
+something was named is no reference any more, and the others are compared again without it: its effect would show in
+them with the other sign.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.steps import Steps
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.intake import PREVIOUS, load_readings
+from msp_lab.readings.others import MIN_OTHERS
+from msp_range.recording.csv_form import write_csv
+from msp_sim.model.model import load_model
+from msp_sim.terminal import make_folder
+
+READINGS = "readings-{}.csv"
+"""Readings with the other sensors as reference, of each round."""
+SUMMARY = "sensors.json"
+
+
+@dataclass(frozen=True)
+class SensorGap:
+    """What was found at one sensor.
+
+    Attributes
+    ----------
+    sensor
+        Its name.
+    findings
+        Of its own comparison.
+    without
+        Sensors that were no reference for it, since something was named at them before.
+    doubted
+        The sensor that differs most from the rest was part of its reference: what is named here may be that one's.
+    """
+
+    sensor: str
+    findings: GapFindings
+    without: tuple[str, ...] = ()
+    doubted: str | None = None
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects of the catalogue that were named, and unknown ones by their channel and variables."""
+        effects = [each.name for each in self.findings.effects if each.verdict != "suggested"]
+        unknown = [f"unknown {each.channel} of {' and '.join(each.variables)}" for each in self.findings.unknown]
+        return (*effects, *unknown)
+
+    @property
+    def evidence_nats(self) -> float:
+        """Gain of what was named, over all readings [nat]."""
+        effects = [each.gain_nats or 0.0 for each in self.findings.effects if each.verdict != "suggested"]
+        unknown = [each.gain_nats or 0.0 for each in self.findings.unknown]
+        return self.findings.rows * sum([*effects, *unknown])
+
+
+def compare_sensors(
+    paths: Sequence[Path],
+    settings: Settings,
+    folder: Path,
+    steps: Callable[[Path], Steps],
+    draw: bool = True,
+) -> tuple[tuple[SensorGap, ...], tuple[str, ...]]:
+    """Compare each sensor with the rest, and again without the one that differs most, as often as something is named.
+
+    Parameters
+    ----------
+    paths
+        Recordings, or tables of several sensors.
+    settings
+        As for one sensor; `of` selects sensors, none: all.
+    folder
+        Gets a table of each round, a folder for each sensor, and the summary.
+    steps
+        The workflow in a sensor's folder.
+    draw
+        Whether to draw the pages.
+
+    Returns
+    -------
+    tuple
+        What was found at each sensor, and what was noticed about the readings.
+
+    Raises
+    ------
+    RecordingError, ConfigError
+        As the workflow itself; or fewer than three sensors look down.
+    """
+    make_folder(folder)
+    found: dict[str, SensorGap] = {}
+    without: list[str] = []
+    while True:
+        table, sensors, messages = _with_reference(paths, settings, folder, without)
+        todo = [each for each in settings.of or sensors if each not in without]
+        for each in todo:
+            findings = steps(folder / each).all([table], replace(settings, of=(each,), run_column=None, map=()), "add")
+            found[each] = SensorGap(each, findings, tuple(without))
+        named = [found[each] for each in todo if found[each].named]
+        if not named:
+            break
+        without.append(max(named, key=lambda each: each.evidence_nats).sensor)
+        if len(named) == 1:
+            break
+        # Of those that are left each needs enough others.
+        if len(sensors) - len(without) <= MIN_OTHERS:
+            for gap in named:
+                if gap.sensor not in without:
+                    found[gap.sensor] = replace(gap, doubted=without[-1])
+            break
+    if draw:
+        for each in found:
+            steps(folder / each).show()
+    gaps = tuple(found[each] for each in sorted(found))
+    content = [
+        {
+            "sensor": each.sensor,
+            "named": each.named,
+            "without": each.without,
+            "doubted": each.doubted,
+            "sentence": each.findings.sentence,
+        }
+        for each in gaps
+    ]
+    (folder / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    return gaps, messages
+
+
+def _with_reference(
+    paths: Sequence[Path], settings: Settings, folder: Path, without: Sequence[str]
+) -> tuple[Path, list[str], tuple[str, ...]]:
+    """A table of all readings with the other sensors as reference, the sensors, and what was noticed."""
+    model = load_model(settings.model)
+    column_map = load_map(settings.map) if settings.map else None
+    loaded = load_readings(
+        paths, model.sensor, column_map, run_column=settings.run_column, truth="others", without=without
+    )
+    path = folder / READINGS.format(len(without) + 1)
+    path.unlink(missing_ok=True)
+    write_csv(path, {name: column for name, column in loaded.data.columns.items() if name != PREVIOUS})
+    return path, sorted(set(loaded.data["sensor"].tolist())), loaded.messages

@@ -1,0 +1,243 @@
+"""The other sensors as the reference: for each sensor the range that the rest of the vehicle's sensors agree on.
+
+One run of several sensors' readings enters, with the vehicle's geometry and attitude where they were recorded. The same
+rows leave with ``true_range_cm``, ``true_range_std_cm``, ``range_rate_cm_s`` and ``incidence_deg`` as the others see
+them. What all sensors have in common is part of this reference and cannot be seen in a comparison with it. Nor can
+a constant: three sensors know the plane of the ground below the fourth to a centimetre only, so each run's mean
+difference is taken off the reference.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.readings.smoother import CLIMB, EAST, GATE, HEIGHT, NORTH, STATES, Smoothed, smooth
+from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
+from msp_range.geometry import Matrix
+from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.error import RecordingError
+from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
+from msp_sim.model.model import Model
+
+_Array = NDArray[np.float64]
+
+OTHERS = "others"
+"""What the column `reference` says of such a true range."""
+FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm"})
+"""Columns that only a simulator or a real reference knows; they are left out."""
+MIN_OTHERS = 2
+"""A sensor is compared with at least so many others: of two that differ nobody knows which one is off."""
+MAX_STD_CM = 10.0
+"""Where the others know the range worse than this [cm], there is no reference: they got no echo, or were not read. A
+larger limit adds rows that say nothing."""
+LEAST_STD_CM = 0.3
+"""Readings scatter by at least this much [cm]: the rounding to whole centimetres."""
+JERKS = tuple(float(10.0**power) for power in range(-4, 4))
+"""Powers of the vehicle's white jerk that are tried [m^2/s^5]: from a hover, in which a second of readings is averaged,
+to one that changes its acceleration by g within a tenth of a second."""
+JERK_WINDOW_S = 1.5
+"""The power of the jerk is judged over so long before and after [s]: some thirty readings. Shorter windows follow
+noise, longer ones smooth a manoeuvre as if it were a hover."""
+SLOPES_PER_S = (1e-7, 1e-5, 1e-3)
+"""Growths of the slope's variance that are tried [1/s]: one plane for the whole flight, gentle ground, and ground that
+turns by 2 deg in a second."""
+ROUNDS = 3
+"""Rounds of smoothing. Each takes off the biases that the model has at the state of the round before, and leaves out
+what does not fit it; a fourth changes nothing that is printed."""
+
+
+@dataclass(frozen=True)
+class Referenced:
+    """Readings with the other sensors as reference.
+
+    Attributes
+    ----------
+    data
+        In the order of time.
+    offsets_cm
+        Of each sensor: how much more than the others it read on average, which was taken off.
+    """
+
+    data: MeasuredData
+    offsets_cm: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Where a vehicle's sensors are, and how it was turned.
+
+    Attributes
+    ----------
+    sensors
+        Those that look down, by name.
+    rotations
+        From times [s] in order to body to north, east, down; None where it is not known, which counts as level.
+    """
+
+    sensors: Mapping[str, DownwardSensor]
+    rotations: Callable[[_Array], Sequence[Matrix | None]]
+
+
+def side_by_side(names: Collection[str]) -> Mounting:
+    """All sensors at one place of a level vehicle, for a table that says nothing else."""
+    sensors = {name: DownwardSensor((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), "nearest") for name in names}
+    return Mounting(sensors, lambda time_s: [None] * time_s.size)
+
+
+def with_others_as_reference(
+    data: MeasuredData, model: Model, mounting: Mounting, without: Collection[str] = ()
+) -> Referenced:
+    """One run with the other sensors as the reference of each.
+
+    Parameters
+    ----------
+    data
+        Readings of at least three sensors; what a column says of the truth is not used.
+    model
+        How the sensors read: its biases are taken off the others' readings, its spread weighs them.
+    mounting
+        Geometry of the vehicle; other sensors' rows are left out.
+    without
+        Sensors that are no reference for the others.
+
+    Raises
+    ------
+    RecordingError
+        Too few sensors.
+    """
+    names = sorted(set(data["sensor"].tolist()) & set(mounting.sensors))
+    for each in names or [""]:
+        others = set(names) - {each, *without}
+        if len(others) < MIN_OTHERS:
+            raise RecordingError(
+                f"found {len(others)} other downward sensors to compare {each or 'a sensor'} with, expected at least "
+                f"{MIN_OTHERS}: of two that differ nobody knows which one is off"
+            )
+    rows = np.flatnonzero(np.isin(data["sensor"], names))
+    order = rows[np.argsort(data["time_s"][rows], kind="stable")]
+    # A flight is no experiment of a campaign: its angles are the vehicle's own.
+    columns: dict[str, Column] = {key: column[order] for key, column in data.columns.items() if key not in FROM_TRUTH}
+    columns.setdefault("condition", np.full(order.size, "baseline"))
+    reference, offsets_cm = _reference(columns, names, model, mounting, [each not in without for each in names])
+    return Referenced(MeasuredData(columns | reference), dict(zip(names, offsets_cm.tolist(), strict=True)))
+
+
+def _reference(
+    columns: Mapping[str, Column], names: Sequence[str], model: Model, mounting: Mounting, trusted: Sequence[bool]
+) -> tuple[dict[str, Column], _Array]:
+    """Columns of the reference of each row, in the order of time, and the offset of each sensor [cm]."""
+    time_s, reading_cm = (np.asarray(columns[name], dtype=np.float64) for name in ("time_s", "reading_cm"))
+    sensor = np.searchsorted(np.array(names), columns["sensor"])
+    rotations = [LEVEL if each is None else each for each in mounting.rotations(time_s)]
+    mounted = [mounting.sensors[names[each]] for each in sensor.tolist()]
+    # Codes and limits say nothing of how far the ground is.
+    is_range = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
+    usable = is_range & np.asarray(trusted)[sensor]
+    state = _start(time_s, reading_cm, usable)
+    bias_cm, own_cm2 = np.zeros(time_s.size), np.full(time_s.size, model.sensor.reading_model.sigma_cm**2)
+    excess_cm2 = np.zeros(len(names))
+    fits = np.ones(time_s.size, dtype=bool)
+    found: dict[str, Column] = {}
+    for _ in range(ROUNDS):
+        views = [_view(*each) for each in zip(mounted, rotations, state, strict=True)]
+        geometry, offset_m = _linear(views, state)
+        # One set of readings without each sensor, and one with all.
+        variance_m2 = np.maximum(own_cm2 + excess_cm2[sensor], LEAST_STD_CM**2) / 1e4
+        whole = np.where(usable & fits, variance_m2, np.inf)
+        sets = np.stack([*(np.where(sensor == s, np.inf, whole) for s in range(len(names))), whole])
+        seen = _smoothed(time_s, np.nan_to_num(reading_cm - bias_cm) / 100.0 - offset_m, geometry, sets)
+        state = seen.mean[-1]
+        expected_m, doubt_m2 = seen.predicted(geometry)
+        here = sensor, np.arange(time_s.size)
+        true_cm, std_cm2 = 100.0 * (expected_m[here] + offset_m), 1e4 * doubt_m2[here]
+        off_cm = reading_cm - bias_cm - true_cm
+        off_cm2 = off_cm**2
+        known = std_cm2 < MAX_STD_CM**2
+        with np.errstate(invalid="ignore"):
+            fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
+        excess_cm2 = _excess(off_cm2 - std_cm2 - own_cm2, sensor, usable & fits & known, len(names))
+        std_cm = np.sqrt(std_cm2 + np.maximum(excess_cm2[sensor], 0.0))
+        of_own = seen.mean[here]
+        rate = 100.0 * np.array([view.by_height for view in views]) * of_own[:, CLIMB]
+        incidence = [_incidence_deg(*each) for each in zip(mounted, rotations, of_own, strict=True)]
+        found = {
+            TRUE_RANGE: np.where(known, true_cm, np.nan),
+            REFERENCE_STD: np.where(known, std_cm, np.nan),
+            "range_rate_cm_s": np.where(known, rate, np.nan),
+            "incidence_deg": np.where(known, incidence, np.nan),
+            REFERENCE: np.full(time_s.size, OTHERS),
+        }
+        expected = model.rows({**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)})
+        bias_cm = np.where(np.isfinite(expected.centre_cm), expected.centre_cm - true_cm, 0.0)
+        own_cm2 = np.broadcast_to(expected.sigma_cm**2, time_s.shape)
+    rows = is_range & fits & known
+    counts = np.bincount(sensor[rows], minlength=len(names))
+    offsets_cm = np.bincount(sensor[rows], off_cm[rows], len(names)) / np.maximum(counts, 1)
+    return found | {TRUE_RANGE: found[TRUE_RANGE] + offsets_cm[sensor]}, offsets_cm
+
+
+def _start(time_s: _Array, reading_cm: _Array, usable: NDArray[np.bool_]) -> _Array:
+    """A first height at each time, the median of the readings around it, over level ground, (n, 5)."""
+    state = np.zeros((time_s.size, STATES))
+    rows = np.flatnonzero(usable)
+    if rows.size:
+        around = rows[
+            np.clip(np.searchsorted(rows, np.arange(time_s.size))[:, None] + np.arange(-3, 4), 0, rows.size - 1)
+        ]
+        state[:, HEIGHT] = np.median(reading_cm[around], axis=1) / 100.0
+    return state
+
+
+def _view(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> View:
+    found = mounted.view(rotation, float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
+    return View(np.nan, 0.0, 0.0, 0.0, 0.0) if found is None else found
+
+
+def _linear(views: Sequence[View], state: _Array) -> tuple[_Array, _Array]:
+    """Derivatives of the readings by the state (n, 5), and what readings have beyond their product with it [m]."""
+    geometry = np.zeros((len(views), STATES))
+    geometry[:, HEIGHT] = [each.by_height for each in views]
+    geometry[:, NORTH] = [each.by_north for each in views]
+    geometry[:, EAST] = [each.by_east for each in views]
+    expected_m = np.array([each.expected_m for each in views])
+    return geometry, expected_m - np.einsum("ni,ni->n", geometry, state)
+
+
+def _smoothed(time_s: _Array, reading_m: _Array, geometry: _Array, sets: _Array) -> Smoothed:
+    """Smoothing with the powers of jerk and slope that the readings themselves make most likely."""
+    whole = sets[-1:]
+    tried = np.repeat(whole, len(JERKS), axis=0)
+    powers = np.repeat(np.array(JERKS)[:, None], time_s.size, axis=1)
+    middle = np.full(len(JERKS), SLOPES_PER_S[1])
+    likely = smooth(time_s, reading_m, geometry, tried, powers, middle, backward=False).log_likelihood
+    summed = np.concatenate([np.zeros((len(JERKS), 1)), np.cumsum(likely, axis=1)], axis=1)
+    first, last = (np.searchsorted(time_s, time_s + shift) for shift in (-JERK_WINDOW_S, JERK_WINDOW_S))
+    jerk = np.array(JERKS)[np.argmax(summed[:, last] - summed[:, first], axis=0)]
+    slope = SLOPES_PER_S[1]
+    if np.any(geometry[:, [NORTH, EAST]]):
+        tried = np.repeat(whole, len(SLOPES_PER_S), axis=0)
+        powers = np.repeat(jerk[None], len(SLOPES_PER_S), axis=0)
+        slopes = np.array(SLOPES_PER_S)
+        likely = smooth(time_s, reading_m, geometry, tried, powers, slopes, backward=False).log_likelihood
+        slope = SLOPES_PER_S[int(np.argmax(likely.sum(axis=1)))]
+    powers = np.repeat(jerk[None], sets.shape[0], axis=0)
+    return smooth(time_s, reading_m, geometry, sets, powers, np.full(sets.shape[0], slope))
+
+
+def _excess(off_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int) -> _Array:
+    """By how much the scatter of the others about each other is more than their model says [cm^2], for each sensor.
+
+    The ground differs below the sensors. It is negative where the model's spread is too large.
+    """
+    sums = np.bincount(sensor[rows], off_cm2[rows], sensors)
+    counts = np.bincount(sensor[rows], minlength=sensors)
+    return np.asarray((sums.sum() - sums) / np.maximum(counts.sum() - counts, 1))
+
+
+def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> float:
+    """Angle between a sensor's axis and the ground's normal [deg]."""
+    normal = np.array([state[NORTH], state[EAST], 1.0])
+    cosine = normal @ np.array(rotation) @ np.array(mounted.boresight) / np.linalg.norm(normal)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

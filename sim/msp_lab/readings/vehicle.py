@@ -1,0 +1,87 @@
+"""Geometry of the vehicle that made a recording: where its sensors are, and how it was turned at each time.
+
+A recording enters, a `Mounting` leaves; a table without either is one of sensors side by side. Each run gets the other
+sensors as its reference.
+"""
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference
+from msp_range.config import load_airframe_from
+from msp_range.fusion.attitude import RecordedAttitude
+from msp_range.fusion.mounting import DownwardSensor
+from msp_range.geometry import Matrix
+from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.error import RecordingError
+from msp_range.recording.pings import recorded_attitudes
+from msp_range.recording.reader import Recording
+from msp_sim.model.model import Model
+
+AFTER_S = 0.1
+"""Attitudes received so long after an echo are used for it [s]: at the usual 10 Hz the next one is. A shorter time
+extrapolates, a longer one does no harm."""
+
+
+def mounting_of(recording: Recording) -> Mounting | None:
+    """The downward sensors of the airframe that is in a recording, and its attitudes; None without an airframe.
+
+    Ranges are perpendicular to the ground, as ``true_range_cm`` is; what a canted sensor reads is an effect.
+    """
+    if not recording.files:
+        return None
+    airframe = load_airframe_from(recording.files, recording.path)
+    sensors = {
+        sensor.name: DownwardSensor(sensor.position_m, sensor.boresight, "nearest") for sensor in airframe.downward
+    }
+    now_s = 0.0
+    attitude = RecordedAttitude(recorded_attitudes(recording), lambda: now_s)
+
+    def rotations(time_s: NDArray[np.float64]) -> Sequence[Matrix | None]:
+        nonlocal now_s
+        found = []
+        for each in time_s.tolist():
+            now_s = each + AFTER_S
+            found.append(attitude.rotation_at(each))
+        return found
+
+    return Mounting(sensors, rotations)
+
+
+def others_as_reference(
+    path: Path, data: MeasuredData, recording: Recording | None, model: Model, without: Collection[str]
+) -> tuple[MeasuredData, list[dict[str, float]]]:
+    """A file's readings with the other sensors of each run as reference, and by how much each sensor was off [cm].
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    data
+        Its readings.
+    recording
+        The recording that they are from, with the vehicle's geometry; None: the sensors are side by side.
+    model, without
+        As for `with_others_as_reference`.
+
+    Raises
+    ------
+    RecordingError
+        Too few sensors look down.
+    """
+    mounting = None if recording is None else mounting_of(recording)
+    if mounting is None:
+        mounting = side_by_side(set(data["sensor"].tolist()))
+    run = data["run"] if "run" in data else np.full(len(data), "")
+    try:
+        parts = [
+            with_others_as_reference(data.select(np.flatnonzero(run == each)), model, mounting, without)
+            for each in dict.fromkeys(run.tolist())
+        ]
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    columns = {name: np.concatenate([part.data[name] for part in parts]) for name in parts[0].data.columns}
+    return MeasuredData(columns), [dict(part.offsets_cm) for part in parts]

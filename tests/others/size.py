@@ -1,0 +1,138 @@
+"""How large an effect on one sensor has to be for a number of standard errors in these flights.
+
+Null flights enter, with the truth and with the other sensors as reference; a value of the effect leaves. Readings are
+drawn at the truth and scored at the reference, as the workflow has to: its error and how that is correlated in time
+count, and the base's numbers are free.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.refit import fit_base, refit
+from msp_lab.gap.runs import spacing_s
+from msp_sim.model.derived import sample_in_order
+from msp_sim.model.history import History
+from msp_sim.model.model import Model, make_term
+
+DRAWS = 2
+"""Tables that are drawn for each size; with more the size is known better."""
+
+
+HIT_CM = 15.0
+"""Readings nearer than this to the reference are hits [cm]."""
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """An effect that may be hidden.
+
+    Attributes
+    ----------
+    name, number
+        Effect, and the parameter whose size is sought.
+    sign
+        Of its value.
+    largest
+        Largest value: beyond it no sensor flies.
+    shape
+        Its other parameters.
+    """
+
+    name: str
+    number: str
+    largest: float
+    shape: Mapping[str, float]
+    sign: float = 1.0
+
+    def parameters(self, size: float) -> dict[str, float]:
+        """All parameters at a size."""
+        return {self.number: float(f"{self.sign * size:.4g}"), **self.shape}
+
+
+MECHANISMS = (
+    Mechanism("range_scale", "scale_pct", 10.0, {}),
+    Mechanism("latency", "delay_ms", 600.0, {}),
+    Mechanism("multipath", "share", 0.3, {}),
+    Mechanism("stale", "share", 0.6, {}),
+    Mechanism("bend", "slope_pct", 15.0, {"from_cm": 250.0}, -1.0),
+    Mechanism("clutter", "share", 0.3, {"location_cm": 70.0}),
+    Mechanism("heavy_tails", "share", 0.4, {"wider": 5.0}),
+    Mechanism("rotor_noise", "growth", 15.0, {"exponent": 1.5}),
+    Mechanism("lost_high_byte", "share", 0.3, {}),
+    Mechanism("cycle_slip", "share", 0.4, {"cycles": 16.0}),
+)
+"""What one sensor of four may have alone, and these flights can show."""
+
+
+@dataclass(frozen=True)
+class NullFlights:
+    """Readings of one sensor in flights without an effect, row by row.
+
+    Attributes
+    ----------
+    truth
+        Contexts with the true range, for drawing.
+    reference
+        The same rows with the other sensors' range.
+    copies
+        How many times as many readings the real flights have.
+    """
+
+    truth: Mapping[str, NDArray[Any]]
+    reference: Mapping[str, NDArray[Any]]
+    copies: int
+
+
+def size_for(
+    mechanism: Mechanism, standard_errors: float, model: Model, flights: NullFlights, seed: int
+) -> float | None:
+    """The size at which an effect has so many standard errors; None where it is beyond what is possible.
+
+    Parameters
+    ----------
+    mechanism, standard_errors
+        What is sought.
+    model
+        Without the effect.
+    flights
+        Flights without it.
+    seed
+        Of the draws.
+    """
+    low, high = mechanism.largest * 1e-3, mechanism.largest
+    if _standard_errors(mechanism, high, model, flights, seed) < standard_errors:
+        return None
+    for _ in range(6):
+        middle = float(np.sqrt(low * high))
+        if _standard_errors(mechanism, middle, model, flights, seed) < standard_errors:
+            low = middle
+        else:
+            high = middle
+    return float(np.sqrt(low * high))
+
+
+def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: NullFlights, seed: int) -> float:
+    term = make_term(mechanism.name, None, mechanism.parameters(size))
+    changed = Model(model.sensor, (*model.effects, term))
+    run = flights.truth["run"]
+    before, _ = History.of(flights.truth, len(run), 0.0, 1.0).before(np.ones(len(run), dtype=bool))
+    gains = []
+    for draw in range(DRAWS):
+        reading_cm = sample_in_order(changed, flights.truth, seed + draw)
+        true_cm = flights.reference["true_range_cm"].copy()
+        # As the intake does, each run's mean difference is taken off.
+        off_cm = reading_cm - true_cm
+        for each in np.unique(run):
+            own = run == each
+            true_cm[own] += off_cm[own & (np.abs(off_cm) < HIT_CM)].mean()
+        previous_cm = np.where(before >= 0, reading_cm[before], np.nan)
+        contexts = {**flights.reference, "true_range_cm": true_cm, "previous_reading_cm": previous_cm}
+        prepared = Prepared.of(model, contexts, reading_cm, spacing_s(contexts))
+        base = fit_base(prepared)
+        gains.append(refit(prepared, [term], base.base).log_likelihood - base.log_likelihood)
+    return float(np.sqrt(max(2.0 * flights.copies * float(np.mean(gains)), 0.0)))
