@@ -8,11 +8,12 @@
 # make gap-demo  hide five effects in simulated flights and find them
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
 # make second hide effects in N tables of each kind by a second generator, by SEED=1, and score the gap workflow
+# make others fly N=200 cases of eight flights with an effect on one of four sensors, by SEED=1; the truth is hidden
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second faults mavproxy compile clean
+.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second others faults mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -59,6 +60,9 @@ blind: .venv/.installed-test compile
 
 second: .venv/.installed-test compile
 	$(BIN)/python -m tests.second_hand --cases $(N) --seed $(SEED) --jobs 2 --out build/second-$(SEED)
+
+others: .venv/.installed-test compile
+	$(BIN)/python -m tests.others build/others-$(SEED) --cases $(N) --nulls $$(( ($(N) + 3) / 4 )) --seed $(SEED)
 
 FLIGHTS ?= 700
 faults: .venv/.installed-test compile

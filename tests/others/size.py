@@ -23,6 +23,8 @@ DRAWS = 2
 """Tables that are drawn for each size; with more the size is known better."""
 
 
+STEPS, CLOSE = 5, 0.07
+"""At most so many steps are made to a size, until it has the standard errors to within this share."""
 HIT_CM = 15.0
 """Readings nearer than this to the reference are hits [cm]."""
 
@@ -104,16 +106,16 @@ def size_for(
     seed
         Of the draws.
     """
-    low, high = mechanism.largest * 1e-3, mechanism.largest
-    if _standard_errors(mechanism, high, model, flights, seed) < standard_errors:
-        return None
-    for _ in range(6):
-        middle = float(np.sqrt(low * high))
-        if _standard_errors(mechanism, middle, model, flights, seed) < standard_errors:
-            low = middle
-        else:
-            high = middle
-    return float(np.sqrt(low * high))
+    size = 0.1 * mechanism.largest
+    for _ in range(STEPS):
+        # About proportional to the size.
+        found = _standard_errors(mechanism, size, model, flights, seed)
+        if abs(found - standard_errors) < CLOSE * standard_errors:
+            break
+        size *= float(np.clip(standard_errors / max(found, 1e-9), 0.2, 5.0))
+        if size > mechanism.largest:
+            return None
+    return size
 
 
 def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: NullFlights, seed: int) -> float:

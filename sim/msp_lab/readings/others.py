@@ -43,6 +43,8 @@ noise, longer ones smooth a manoeuvre as if it were a hover."""
 SLOPES_PER_S = (1e-7, 1e-5, 1e-3)
 """Growths of the slope's variance that are tried [1/s]: one plane for the whole flight, gentle ground, and ground that
 turns by 2 deg in a second."""
+MEDIAN_SQUARE = 0.4549
+"""Median of the square of a standard normal number."""
 ROUNDS = 3
 """Rounds of smoothing. Each takes off the biases that the model has at the state of the round before, and leaves out
 what does not fit it; a fourth changes nothing that is printed."""
@@ -157,7 +159,8 @@ def _reference(
         known = std_cm2 < MAX_STD_CM**2
         with np.errstate(invalid="ignore"):
             fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
-        excess_cm2 = _excess(off_cm2 - std_cm2 - own_cm2, sensor, usable & fits & known, len(names))
+        # Readings are whole centimetres.
+        excess_cm2 = _excess(off_cm, std_cm2 + own_cm2 + 1.0 / 12.0, sensor, usable & known, len(names))
         std_cm = np.sqrt(std_cm2 + np.maximum(excess_cm2[sensor], 0.0))
         of_own = seen.mean[here]
         rate = 100.0 * np.array([view.by_height for view in views]) * of_own[:, CLIMB]
@@ -226,14 +229,23 @@ def _smoothed(time_s: _Array, reading_m: _Array, geometry: _Array, sets: _Array)
     return smooth(time_s, reading_m, geometry, sets, powers, np.full(sets.shape[0], slope))
 
 
-def _excess(off_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int) -> _Array:
-    """By how much the scatter of the others about each other is more than their model says [cm^2], for each sensor.
+def _excess(
+    off_cm: _Array, expected_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int
+) -> _Array:
+    """By how much the others scatter more about each other than their model says [cm^2], for each sensor.
 
-    The ground differs below the sensors. It is negative where the model's spread is too large.
+    The ground differs below the sensors. It is negative where the model's spread is too large. Medians, since outliers
+    would widen the gate that is to keep them out, and since one of the others may be the one that errs.
     """
-    sums = np.bincount(sensor[rows], off_cm2[rows], sensors)
-    counts = np.bincount(sensor[rows], minlength=sensors)
-    return np.asarray((sums.sum() - sums) / np.maximum(counts.sum() - counts, 1))
+    own = np.full(sensors, np.nan)
+    for s in range(sensors):
+        here = rows & (sensor == s)
+        if here.any():
+            normal = (off_cm[here] - np.median(off_cm[here])) ** 2 / expected_cm2[here]
+            hits = normal < GATE**2 * np.median(normal) / MEDIAN_SQUARE
+            own[s] = (float(np.median(normal[hits])) / MEDIAN_SQUARE - 1.0) * float(np.median(expected_cm2[here]))
+    others = [np.delete(own, s) for s in range(sensors)]
+    return np.array([np.nanmedian(each) if np.isfinite(each).any() else 0.0 for each in others])
 
 
 def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> float:
