@@ -96,6 +96,7 @@ def test_the_columns_are_those_that_were_agreed() -> None:
         "condition", "air_temperature_c", "target_temperature_c", "humidity_pct", "incidence_deg", "range_rate_cm_s",
         "throttle", "vibration_hz", "uptime_s", "time_in_run_s", "target", "target_size_cm", "neighbour_lag_ms",
         "neighbour_range_cm", "external_level_db", "external_duty", "external_distance_cm", "external_frequency_khz",
+        "reference",
     ]  # fmt: skip
 
 
