@@ -44,9 +44,7 @@ def test_the_sensor_that_differs_is_named_and_the_others_are_not(tmp_path: Path)
     effect = json.loads((out / "left" / "gap.json").read_text())["effects"][0]
     # Over these ranges a bend and a walk of the threshold are nearly a scale.
     assert effect["name"] in ("range_scale", "bend", "threshold_walk")
-    # With 3 % in it the others' reference is off by 1 %, so they are compared again without it.
-    assert found["rear"]["without"] == ["left"]
-    assert (out / "readings-2.csv").exists()
+    assert all(each["doubted"] is None for each in found.values())
     assert "cannot be seen: the air's temperature" in " ".join(done.output.split())
     assert (out / "left" / "model.yaml").exists()
 

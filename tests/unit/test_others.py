@@ -1,8 +1,9 @@
 """The other sensors as the reference of each: the smoother, the geometry, and what the reference may not depend on."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.gap.candidates import COMMON, candidates_of
+from msp_lab.gap.findings import FoundEffect, GapFindings, Settings
+from msp_lab.gap.sensors import compare_sensors
+from msp_lab.gap.steps import Steps
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference
 from msp_lab.readings.smoother import START_STD, STATES, smooth
@@ -177,6 +181,49 @@ def test_characterise_with_the_others_gets_the_sensors_spread(tmp_path: Path) ->
     assert found.parameters.weights.missed == pytest.approx(SENSOR.reading_model.weights.missed, abs=0.012)
     assert any("cannot be seen: the air's temperature" in each for each in loaded.messages)
     assert any("on average over the runs" in each for each in loaded.messages) is False
+
+
+class Compared:
+    """The workflow of one sensor, with what it finds given in advance by how many sensors are no reference."""
+
+    def __init__(self, folder: Path, gains: dict[tuple[str, int], float]) -> None:
+        self.folder, self.gains = folder, gains
+
+    def all(self, paths: list[Path], settings: Settings, until: str) -> GapFindings:
+        assert (until, settings.of) == ("add", (self.folder.name,))
+        gain = self.gains.get((self.folder.name, int(paths[0].stem[-1]) - 1))
+        named = (FoundEffect("latency", "named", {}, gain, 9.0),) if gain else ()
+        return GapFindings("explained", rows=100, runs=4, effects=named)
+
+    def show(self) -> None:
+        raise AssertionError("not asked")
+
+
+@pytest.mark.parametrize(
+    ("gains", "named", "without", "doubted"),
+    [
+        ({}, [], [], []),
+        ({("b", 0): 0.1}, ["b"], [], []),
+        # What is left of b's effect in the others is gone without b.
+        ({("b", 0): 0.1, ("c", 0): 0.02}, ["b"], ["a", "c", "d"], []),
+        # A second one has too few others left to compare a third with.
+        ({("b", 0): 0.1, ("c", 0): 0.02, ("c", 1): 0.05, ("d", 1): 0.01}, ["b", "c", "d"], ["a", "c", "d"], ["d"]),
+    ],
+)
+def test_the_one_that_differs_most_leaves_the_reference(
+    tmp_path: Path, gains: dict[tuple[str, int], float], named: list[str], without: list[str], doubted: list[str]
+) -> None:
+    columns = flown(240, 8)
+    del columns["hidden_cm"]
+    write_csv(tmp_path / "flight.csv", columns)
+    settings = Settings("configs/sensors/mb1242_bench.yaml")
+    steps = cast(Callable[[Path], Steps], lambda folder: Compared(folder, gains))
+    gaps, messages = compare_sensors([tmp_path / "flight.csv"], settings, tmp_path / "gap", steps, draw=False)
+    assert [gap.sensor for gap in gaps if gap.named] == named
+    assert [gap.sensor for gap in gaps if gap.without == ("b",)] == without
+    assert [gap.sensor for gap in gaps if gap.doubted] == doubted
+    assert any("cannot be seen" in message for message in messages)
+    assert len(list((tmp_path / "gap").glob("readings-*.csv"))) == (2 if without else 1)
 
 
 def test_what_all_sensors_have_in_common_is_not_asked() -> None:
