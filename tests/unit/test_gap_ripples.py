@@ -9,11 +9,13 @@ import yaml
 from numpy.typing import NDArray
 
 from msp_lab.gap.extended_model import to_sensor
+from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.naming import name_effects
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
 from msp_lab.gap.ripples import ripples
 from msp_lab.gap.runs import split
+from msp_lab.gap.summary import with_words
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects.curve import Ripple
@@ -90,6 +92,9 @@ def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
     assert ripple.formula.startswith("ripple of 23.")
     amplitude_cm = float(ripple.formula.partition("cm over true_range_cm, amplitude ")[2].removesuffix(" cm"))
     assert amplitude_cm == pytest.approx(1.2, abs=0.4)
+    words = with_words(GapFindings(None, rows=N, runs=RUNS, unknown=named.unknown)).unknown[0].plain
+    assert "with every 23" in words
+    assert words.endswith(" cm of true range, in an unknown way")
     # The curve that is drawn has the phase that was hidden.
     at, curve = np.array(ripple.curve).T[:2]
     assert np.corrcoef(curve, np.cos(2.0 * np.pi * at / 23.1 + 1.0))[0, 1] > 0.95

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
-from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, slice_label
+from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, slice_label, unit_of
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.plain import digits, plain_finding
 
@@ -206,6 +206,9 @@ def _plain_unknown(each: UnknownEffect) -> str:
     values = [value for _, value, _, _ in each.curve]
     size = max(values) - min(values)
     unit = f"{digits(size)} cm" if each.channel == "bias" else f"a factor of {digits(math.exp(min(size, 7.0)))}"
+    if each.period is not None:
+        period = f"{each.period:.3g} {unit_of(each.variables[0])}"
+        return f"{what} goes up and down by {unit} with every {period} of {over}, in an unknown way"
     return f"{what} changes by {unit} over the {over} in an unknown way"
 
 
