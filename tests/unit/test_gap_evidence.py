@@ -9,8 +9,10 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
+from msp_lab.gap import rules
 from msp_lab.gap.evidence import evidence_nats, offset_nats, share_between, wander_inflation
 from msp_lab.gap.refit import JointFit
+from msp_lab.gap.run_offsets import p_beyond_wander
 
 RUNS, ROWS = 8, 100
 UNIT = np.repeat(np.arange(RUNS), ROWS)
@@ -107,3 +109,21 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
     by_offsets = plain + offset_nats(larger, unit, 1.0) - offset_nats(smaller, unit, 1.0)
     assert by_scatter > by_offsets + 1.0
     assert evidence_nats(smaller, larger, unit, 1.0) == pytest.approx(by_scatter, rel=1e-6)
+
+
+def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> None:
+    unit = np.repeat(np.arange(14), 150)
+    wandering, offset, still = [], [], []
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 4])
+        noise = rng.standard_normal(unit.size)
+        # A run of 15 s, and a wander of 5 s.
+        wander = np.concatenate(
+            [np.interp(np.arange(150) / 50.0, np.arange(4), rng.standard_normal(4)) for _ in range(14)]
+        )
+        wandering.append(p_beyond_wander(noise + 0.7 * wander, unit))
+        offset.append(p_beyond_wander(noise + 0.7 * rng.standard_normal(14)[unit], unit))
+        still.append(p_beyond_wander(noise, unit))
+    assert np.mean(np.array(wandering) < rules.RUN_OFFSETS_P) < 0.1
+    assert np.mean(np.array(offset) < rules.RUN_OFFSETS_P) > 0.9
+    assert 0.25 < np.median(still) < 0.75

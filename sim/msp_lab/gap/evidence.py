@@ -67,7 +67,7 @@ def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]
     about their run's mean beyond random variation, readings wander, and the gain counts by the scatter of its own block
     sums.
     """
-    blocks = _blocks(unit)
+    blocks = blocks_of(unit)
     slope = larger.here.by[:, 0]
     counts = np.maximum(np.bincount(unit), 1)
     centred = slope - (np.bincount(unit, slope) / counts)[unit]
@@ -99,7 +99,7 @@ def _by_scatter(nats: float, runs: int) -> float:
     return 0.5 * float(norm.isf(np.exp(max(log_p, -700.0)))) ** 2
 
 
-def _blocks(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+def blocks_of(unit: NDArray[np.intp]) -> NDArray[np.intp]:
     """Number of each reading's block: its run's readings in their order, in `WANDER_BLOCKS` parts."""
     order = np.argsort(unit, kind="stable")
     counts = np.bincount(unit)

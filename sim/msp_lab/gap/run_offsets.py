@@ -6,8 +6,10 @@ Fits of training and held-out readings enter; the effect `run_offsets` leaves, w
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from msp_lab.gap import rules
+from msp_lab.gap.evidence import blocks_of
 from msp_lab.gap.findings import FittedValue, FoundEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
@@ -31,6 +33,8 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     left = problem.dependence(fit)
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
+    if p_beyond_wander(fit.here.by[:, 0], problem.some_unit) > rules.RUN_OFFSETS_P:
+        return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
     rows = problem.some.at(fit.base, fit.effects)
     if rows.run_offsets:
@@ -47,6 +51,22 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
         return 0.0
     sigma_cm = float(np.median(problem.some.rows.sigma_cm)) * float(np.exp(whole))
     return sigma_cm * float(np.sqrt(share))
+
+
+def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
+    """p-value of the runs' means against the means of blocks inside the runs (one-way analysis of variance).
+
+    A slow wander moves the means of runs too, but those of their blocks as well; an offset only those of runs.
+    """
+    block = np.unique(blocks_of(unit), return_inverse=True)[1]
+    of_run, of_block = np.bincount(unit), np.bincount(block)
+    runs, blocks = int((of_run > 0).sum()), of_block.size
+    if blocks <= runs or runs < 2:
+        return 1.0
+    between = float((np.bincount(unit, slope - slope.mean()) ** 2 / np.maximum(of_run, 1)).sum()) / (runs - 1)
+    about_run = slope - (np.bincount(unit, slope) / np.maximum(of_run, 1))[unit]
+    inside = float((np.bincount(block, about_run) ** 2 / of_block).sum()) / (blocks - runs)
+    return float(fisher.sf(between / max(inside, 1e-300), runs - 1, blocks - runs))
 
 
 def validated_run_offsets(
