@@ -6,7 +6,7 @@ Forward selection (`selection.py`), curves (`curves.py`), exchange and eliminati
 State to State.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -309,8 +309,31 @@ def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, 
         for shape in _shapes(candidate)
         for part in ((1.0, 0.25) if shape == candidate.shape else (1.0,))
     ]
-    heights = [float(problem.some.log_prob(fit.base, [*fit.effects, each]).sum()) for each in starts]
-    return problem.refit([*fit.effects, starts[int(np.argmax(heights))]], fit.base)
+    bases = (fit.base, *_less_correlated(problem, candidate, fit))
+    return max((_from_best_start(problem, fit, starts, base) for base in bases), key=lambda each: each.log_likelihood)
+
+
+def _from_best_start(problem: Problem, fit: JointFit, starts: Sequence[Term], base: _Array) -> JointFit:
+    heights = [float(problem.some.log_prob(base, [*fit.effects, each]).sum()) for each in starts]
+    return problem.refit([*fit.effects, starts[int(np.argmax(heights))]], base)
+
+
+def _less_correlated(problem: Problem, candidate: CandidateEffect, fit: JointFit) -> Iterator[_Array]:
+    """A second start where noise follows the errors so closely that it stands in for an effect on the bias.
+
+    A late reading errs as the one before it: correlated noise explains that as well, one reading at a time, and from
+    there no small step leads to the effect. With half the correlation and the same scatter from one reading to the
+    next, what is slow is the effect's to explain.
+    """
+    history = problem.some.rows.history
+    if history is None or "bias" not in candidate.effect.channels:
+        return
+    now = history.correlation + float(fit.base[BASE.index("correlation")])
+    if now > rules.RESTART_CORRELATION:
+        base = fit.base.copy()
+        base[BASE.index("correlation")] -= now / 2.0
+        base[BASE.index("log_sigma")] += 0.5 * float(np.log((1.0 - now**2) / (1.0 - (now / 2.0) ** 2)))
+        yield base
 
 
 def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:

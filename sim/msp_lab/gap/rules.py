@@ -26,6 +26,10 @@ DEPENDENT_LAG_Z = 3.5
 """Neighbouring residuals that correlate by more standard errors make the correlation of the noise a number of the base;
 where they still do next to it, the run is the unit of evidence. As `DEPENDENT_P`, one-sided: p = 2e-4. Lower: tables of
 independent readings lose power; higher: slow noise makes false names."""
+RESTART_CORRELATION = 0.9
+"""With a larger correlation of neighbours an effect on the bias is also fitted from half of it. There noise explains
+all but a fifth of an error's variance by the error before, and stands in for latency on a robot's log (0.98 in place of
+0.70 with a delay of 360 ms). Lower: more fits that end the same."""
 INDEPENDENT_P = 0.02
 """Readings count as independent, next to a term that was tried, if the runs' means differ with a larger p-value. Twenty
 times `DEPENDENT_P`, since the term was chosen to make them so. Lower: slow noise passes for an effect."""

@@ -63,7 +63,7 @@ def _sentence(findings: GapFindings) -> str:
             text += f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}"
         text = text[:1].upper() + text[1:] + _share_of_gap(findings)
     elif findings.verdict == "nothing missing":
-        text = "Nothing is missing: readings and model differ by no more than random variation does"
+        text = "Nothing is missing: readings and model agree as far as these data can tell"
         text += f"; suggested, and no finding: {and_list([each.plain for each in findings.effects])}" * bool(
             findings.effects
         )
@@ -112,7 +112,7 @@ def _compared(findings: GapFindings) -> str:
         return "Readings and model were compared"
     floor = gap.nats_per_reading.noise_floor
     if floor is not None and (gap.nats_per_reading.before or 0.0) <= floor:
-        return "Readings and model differ by no more than random variation does"
+        return "Readings and model agree as far as random variation lets them"
     worst = next((each for each in findings.slices if each.variables), None)
     where = f", most where {slice_label(worst.where)}" if worst is not None else ""
     return f"Readings and model disagree{where}; what is missing is not named yet"
@@ -123,7 +123,8 @@ def _lines(findings: GapFindings) -> Iterator[str]:
     if gap is not None:
         nats, bias, spread = gap.nats_per_reading, gap.bias_cm, gap.spread_ratio
         percent = gain_percent(findings)
-        less = "" if percent is None else f", {_percent(percent)} less" if percent > 0.0 else ", no less"
+        changed = percent is not None and nats.after != nats.before
+        less = "" if percent is None or not changed else f", {_percent(percent)} less" if percent > 0.0 else ", no less"
         yield f"Gap {_from_to(nats, 'nats per reading')}{less}{_floor(nats, '')}"
         grew = bias.after is not None and bias.after > max(bias.before or 0.0, bias.noise_floor or 0.0)
         warning = "; it grew, so find out why before you fly with this model" if grew else ""
@@ -225,7 +226,7 @@ def _percent(value: float) -> str:
 
 
 def _from_to(measure: Measure, unit: str) -> str:
-    after = "" if measure.after is None else f" to {_short(measure.after)}"
+    after = "" if measure.after in (None, measure.before) else f" to {_short(measure.after)}"
     return f"{_short(measure.before)}{after} {unit}".rstrip()
 
 
