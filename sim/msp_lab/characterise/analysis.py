@@ -13,9 +13,10 @@ import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
+from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
-from msp_lab.characterise.mixture import FittedMixture, fit_mixture
+from msp_lab.characterise.mixture import FittedMixture, fit_mixture, with_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
@@ -110,6 +111,8 @@ def characterise(
     fitted = fit_mixture(undisturbed, curve, sensor, rng)
     if isinstance(fitted, str):
         absent["mixture"] = fitted
+    else:
+        fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
 
     progress("maximum range")
     longest = maximum_range(by.get("maximum_range", []), sensor)

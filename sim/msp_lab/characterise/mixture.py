@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.characterise.correlation import HitCorrelation
 from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
@@ -129,6 +130,20 @@ def fit_mixture(
     )
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
     return FittedMixture(found, fitted.model_copy(update=unknown))
+
+
+def with_correlation(fitted: FittedMixture, found: HitCorrelation | None) -> FittedMixture:
+    """The mixture with the correlation of neighbouring hits, where there is one."""
+    if found is None:
+        return fitted
+    number = {"correlation": found.correlation, "correlation_spacing_s": found.spacing_s}
+    note = (
+        f"errors of hits {found.spacing_s:.3g} s apart have a correlation of {found.correlation:.2f} ({found.z:.0f} "
+        "standard errors): the simulator draws them so, and intervals that take readings as independent are too narrow"
+    )
+    return FittedMixture(
+        replace(fitted.found, notes=(*fitted.found.notes, note)), fitted.parameters.model_copy(update=number)
+    )
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:

@@ -151,7 +151,7 @@ def _refitted(findings: GapFindings) -> Iterator[str]:
             unit = "" if each.unit == "1" else f" {each.unit}"
             numbers.append(f"{number_label(each.name)} {_short(each.before)} to {_short(each.after)}{unit}")
     if numbers:
-        why = _why_open(findings)
+        why = "" if findings.verdict == "absorbed" else _why_open(findings)
         more = f" and {len(numbers) - MOST_REFITTED} more" if len(numbers) > MOST_REFITTED else ""
         yield f"Refitted: {', '.join(numbers[:MOST_REFITTED])}{more}" + (f"; {why}" if why else "")
 
