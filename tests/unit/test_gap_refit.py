@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.extended_model import extended, to_sensor
 from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.problem import Problem, _less_correlated, first_state, with_candidate
 from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model, Term, make_curve_term, make_term
@@ -165,3 +166,33 @@ def test_a_fit_from_far_away_ends_where_the_readings_are() -> None:
     fitted: JointFit = refit(Prepared.of(MODEL, contexts, read(contexts, 7, bias_cm=bow_cm)), [shape])
     values = fitted.values[NB:] + fitted.base[0]
     assert values == pytest.approx([0.0, 0.0, 2.0], abs=0.5)
+
+
+def test_noise_that_follows_the_errors_is_also_tried_with_half_of_its_correlation() -> None:
+    """Late readings err as those before them: correlated noise stands in for latency, and from there no step leads out.
+
+    The second start has the same scatter from one reading to the next; effects that move no bias need none.
+    """
+    sweep = np.arange(900) // 100 % 2 == 0
+    rate = np.where(sweep, 40.0, -40.0)
+    contexts = {
+        "time_s": 0.1 * np.arange(900.0),
+        "true_range_cm": 100.0 + 0.1 * np.cumsum(rate),
+        "range_rate_cm_s": rate,
+    }
+    reading_cm = read(contexts, 3, -0.35 * rate)
+    problem = Problem.of(MODEL, contexts, reading_cm, np.arange(900) // 60, np.random.default_rng(1))
+    state = first_state(problem)
+    correlation, log_sigma = BASE.index("correlation"), BASE.index("log_sigma")
+    assert state.fit.base[correlation] > 0.95
+    latency, noise = (
+        next(each for each in problem.candidates if each.effect.name == name) for name in ("latency", "heavy_tails")
+    )
+    (start,) = _less_correlated(problem, latency, state.fit)
+    assert start[correlation] == pytest.approx(state.fit.base[correlation] / 2.0)
+    steps = [np.exp(2.0 * base[log_sigma]) * (1.0 - base[correlation] ** 2) for base in (start, state.fit.base)]
+    assert steps[0] == pytest.approx(steps[1])
+    assert not list(_less_correlated(problem, noise, state.fit))
+    found = with_candidate(problem, state.fit, latency, 50.0)
+    assert found.effects[0].values["delay_ms"] == pytest.approx(350.0, abs=10.0)
+    assert found.base[correlation] < 0.3

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
 from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, slice_label, unit_of
 from msp_sim.effects import CATALOGUE
@@ -126,7 +127,8 @@ def _lines(findings: GapFindings) -> Iterator[str]:
         changed = percent is not None and nats.after != nats.before
         less = "" if percent is None or not changed else f", {_percent(percent)} less" if percent > 0.0 else ", no less"
         yield f"Gap {_from_to(nats, 'nats per reading')}{less}{_floor(nats, '')}"
-        grew = bias.after is not None and bias.after > max(bias.before or 0.0, bias.noise_floor or 0.0)
+        visible_cm = rules.NOISE_FLOOR_FACTOR * (bias.noise_floor or 0.0)
+        grew = bias.after is not None and bias.after > max(bias.before or 0.0, visible_cm)
         warning = "; it grew, so find out why before you fly with this model" if grew else ""
         yield f"Bias {_from_to(bias, 'cm')}{_floor(bias, ' cm')}{warning}"
         yield f"Spread off by a factor {_from_to(spread, '')}{_floor(spread, '')}"
