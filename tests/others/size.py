@@ -136,5 +136,8 @@ def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: N
         contexts = {**flights.reference, "true_range_cm": true_cm, "previous_reading_cm": previous_cm}
         prepared = Prepared.of(model, contexts, reading_cm, spacing_s(contexts))
         base = fit_base(prepared)
-        gains.append(refit(prepared, [term], base.base).log_likelihood - base.log_likelihood)
+        extended = refit(prepared, [term], base.base)
+        # Without the effect from there too: a fit that ended too soon would count as evidence.
+        again = refit(prepared, [], extended.base)
+        gains.append(extended.log_likelihood - max(base.log_likelihood, again.log_likelihood))
     return float(np.sqrt(max(2.0 * flights.copies * float(np.mean(gains)), 0.0)))
