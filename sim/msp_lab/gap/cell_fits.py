@@ -115,8 +115,13 @@ def _moved(rows: ModelRows, numbers: _Array) -> ModelRows:
 
 def products(scores: _Array) -> _Array:
     """Scores, and their products two by two: (n, 5 + 15)."""
-    left, right = np.array(PAIRS).T
-    return np.concatenate([scores, scores[:, left] * scores[:, right]], axis=1)
+    # Column by column: columns that are whole in memory are multiplied several times as fast.
+    size = len(CHANNELS)
+    columns = np.empty((size + len(PAIRS), scores.shape[0]))
+    columns[:size] = scores.T
+    for k, (left, right) in enumerate(PAIRS, start=size):
+        np.multiply(columns[left], columns[right], out=columns[k])
+    return np.ascontiguousarray(columns.T)
 
 
 def apart(sums: _Array) -> tuple[_Array, _Array]:
