@@ -224,7 +224,10 @@ def test_a_table_made_as_stated_needs_no_explanation(tmp_path: Path, seed: int) 
     assert [verdict.changes for verdict in verdicts.values()] == [(), ()]
 
 
-@pytest.mark.parametrize(("factor", "seed"), [(10.0, 1), (0.2, 2), (3.0, 3), (30.0, 4)])
+@pytest.mark.parametrize(
+    ("factor", "seed"),
+    [pytest.param(10.0, 1, marks=pytest.mark.slow), (0.2, 2), (3.0, 3), pytest.param(30.0, 4, marks=pytest.mark.slow)],
+)
 def test_a_factor_in_a_variance_is_found(tmp_path: Path, factor: float, seed: int) -> None:
     _, verdicts = verdicts_of(table_of({"kalman 2": lambda x: kalman(x, factor)}, seed), tmp_path)
     [(kind, value)] = changes_of(verdicts["kalman 2"])
@@ -232,6 +235,7 @@ def test_a_factor_in_a_variance_is_found(tmp_path: Path, factor: float, seed: in
     assert value == pytest.approx(factor, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_factor_in_r_is_the_inverse_one_in_q(tmp_path: Path) -> None:
     _, verdicts = verdicts_of(table_of({"kalman 3": lambda x: kalman(x, 0.01, 37.811)}, 5), tmp_path)
     [(kind, value)] = changes_of(verdicts["kalman 3"])
@@ -269,6 +273,7 @@ def test_a_causal_median_and_a_start_value_are_found(tmp_path: Path) -> None:
     assert changes_of(verdicts["kalman 3"]) == [("start_cm", 0.0)]
 
 
+@pytest.mark.slow
 def test_a_factor_and_a_delay_together_are_found(tmp_path: Path) -> None:
     text = table_of({"kalman 2": lambda x: delayed(kalman(x, 10.0), x, 4)}, 7)
     _, verdicts = verdicts_of(text, tmp_path)
