@@ -45,21 +45,6 @@ COMPENSATION_ROWS = (
 """Table 5.1: range [cm], the air in which this sensor errs by what the report has uncompensated [deg C], and whether
 a thermometer was there. The first row is the same with and without compensation: nobody measured its air."""
 
-CONTEXT = (
-    "true_range_cm",
-    "air_temperature_c",
-    "target_temperature_c",
-    "incidence_deg",
-    "vibration_hz",
-    "target_size_cm",
-    "neighbour_lag_ms",
-    "neighbour_range_cm",
-    "external_level_db",
-    "external_duty",
-    "external_distance_cm",
-    "external_frequency_khz",
-)
-
 
 @dataclass(frozen=True)
 class Surroundings:

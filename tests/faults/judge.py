@@ -48,7 +48,6 @@ TIME_OUT_S = 0.5
 """ArduPilot's AP_RangeFinder takes a MAVLink range finder for gone after this [s]."""
 WRONG_M, WRONG_S = 0.5, 0.5
 ABOVE_MARGIN_M = 0.5
-LEAST_LIMIT_S = 1.0
 REPORT_AFTER_LIMIT_S = 0.5
 REPORT_WRONG_S = 2.0
 REPORT_BEFORE_S = 1.0

@@ -69,8 +69,6 @@ class Drawn(NamedTuple):
 
     reading_cm: Floats
     exact_cm: Floats
-    is_hit: NDArray[np.bool_]
-    is_repeat: NDArray[np.bool_]
     kind: NDArray[np.int64]
     history: NDArray[np.int64]
     link_steps: Floats

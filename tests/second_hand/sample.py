@@ -42,7 +42,7 @@ def draw(rows: Rows, base: Base, law: Law, rng: np.random.Generator) -> Drawn:
     previous = np.where(before >= 0, value[np.maximum(before, 0)], np.nan)
     usable = own & ~repeat
     history = _last(usable, before)
-    return Drawn(value, hit, own, repeat, kind, history, steps_between(rows, base, history, position), previous)
+    return Drawn(value, hit, kind, history, steps_between(rows, base, history, position), previous)
 
 
 def _positions(rows: Rows) -> np.ndarray:

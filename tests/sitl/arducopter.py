@@ -55,7 +55,6 @@ class ArduCopter(Autopilot):
         (folder / "defaults.parm").write_text(defaults)
         self._port = free_base_port()
         self.link = f"tcp:127.0.0.1:{self._port + 2}"
-        self._standing_alt_m = 0.0
 
     def _command(self) -> tuple[list[str], dict[str, str]]:
         home = documented.home(self.section)
