@@ -20,6 +20,7 @@ import numpy as np
 from msp_lab.gap.problem import Problem, first_state, screened
 from msp_lab.gap.runs import numbered
 from msp_range.recording.columns import CONTEXT_COLUMNS
+from msp_sim.model.derived import time_in_run_s
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, contexts
 
@@ -79,7 +80,8 @@ def flights(rows: int, seed: int) -> Columns:
         "external_distance_cm": rng.uniform(50.0, 500.0, n),
         "external_frequency_khz": rng.uniform(38.0, 46.0, n),
     }
-    assert columns.keys() >= CONTEXT_COLUMNS.keys()
+    columns["time_in_run_s"] = time_in_run_s(columns)
+    assert columns.keys() >= CONTEXT_COLUMNS.keys() - {"reference"}  # it is not for readings against a known truth
     return columns
 
 

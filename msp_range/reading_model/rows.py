@@ -75,7 +75,10 @@ class MixtureRows:
         if tail.size:
             rows, reading_cm = self.take(tail), reading_cm[tail]
             log_share = rows.log_weights[0] - np.log(sum(rows.weights()))
-            log_p[tail] = np.maximum(log_p[tail], log_share + rows.kinds(reading_cm, reading_cm)[0].log_p)
+            with np.errstate(divide="ignore"):
+                log_kept = np.where(reading_cm == self.maximum_cm, np.log(1.0 - self.saturated_fraction), 0.0)
+            log_hit = log_share + log_kept + rows.kinds(reading_cm, reading_cm)[0].log_p
+            log_p[tail] = np.maximum(log_p[tail], log_hit)
         return log_p
 
     def log_below(self, reading_cm: _Array) -> _Array:

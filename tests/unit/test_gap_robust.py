@@ -165,7 +165,10 @@ def test_a_target_that_stands_still_does_not_show_stale_readings() -> None:
 
 def test_repeats_are_those_of_the_file_and_not_of_its_rounding(tmp_path: Path) -> None:
     contexts = flown(7)
-    fine_cm = np.round(contexts["true_range_cm"] + np.random.default_rng(7).normal(0.0, 0.4, N), 1)
+    rng = np.random.default_rng(7)
+    # Before a target that stands still, rounding makes most of the repeats.
+    contexts["true_range_cm"] = np.repeat(rng.integers(60, 350, N // 50).astype(float), 50)
+    fine_cm = np.round(contexts["true_range_cm"] + rng.normal(0.0, 0.4, N), 1)
     fine_cm[1::4] = fine_cm[::4]
     write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": fine_cm})
     found = read_readings([tmp_path / "flights.csv"], MODEL).data

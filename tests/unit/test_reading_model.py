@@ -93,6 +93,12 @@ def test_the_probabilities_of_all_codes_sum_to_one(
     assert probabilities(of, true_range_cm).sum() == pytest.approx(1.0, abs=1e-7)
 
 
+def test_hits_beyond_the_maximum_count_once_where_every_such_code_is_garbled() -> None:
+    assert probabilities(model(1.0, 0.0, 0.0, 0.0, sigma_cm=29.0, saturated_fraction=1.0), 740.0).sum() == (
+        pytest.approx(1.0, abs=1e-9)
+    )
+
+
 @pytest.mark.parametrize(
     "of", [ROUGH, GROWING, ReadingModel.of(load_sensor_model(MB1242))], ids=["rough", "growing", "mb1242.yaml"]
 )

@@ -126,9 +126,15 @@ def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
 
 
 def _previous_on_grid(reading_cm: NDArray[np.float64], previous_cm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Previous readings in whole centimetres, equal to the rounded readings only where they repeat exactly."""
+    """Previous readings in whole centimetres, equal to the rounded readings only where they repeat exactly.
+
+    Where nearly all repeats are exact, all count (`rules.EXACT_REPEATS`).
+    """
     whole_cm = np.rint(previous_cm)
-    differs = (np.rint(reading_cm) == whole_cm) & (np.abs(reading_cm - previous_cm) > SAME_CM)
+    repeats = np.rint(reading_cm) == whole_cm
+    differs = repeats & (np.abs(reading_cm - previous_cm) > SAME_CM)
+    if differs.sum() <= (1.0 - rules.EXACT_REPEATS) * repeats.sum():
+        return whole_cm
     return whole_cm + np.where(differs, np.where(previous_cm < reading_cm, -1.0, 1.0), 0.0)
 
 
