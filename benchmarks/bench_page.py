@@ -46,7 +46,12 @@ def run() -> list[dict[str, Any]]:
             memory_mb = {name: _resident_mb(each) for name, each in (("bridge", pid), ("page", page))}
     late_s = statistics.quantiles(delays_s, n=20)[-1]
     return [
-        _figure("service_processor", 100 * alone, "% of one core, four sensors, recording on", 2.0),
+        _figure(
+            "service_processor",
+            100 * alone,
+            "% of one core, four sensors, recording on; with umockdev's emulation in the process",
+            2.0,
+        ),
         _figure(
             "page_cost_on_bridge", 100 * (watched - alone), "% of one core more while a browser shows the page", 3.0
         ),
