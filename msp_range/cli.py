@@ -107,6 +107,10 @@ def run(
 
         def load() -> Airframe:
             airframe = load_airframe(airframe_file).changed(link=link, bus=bus_of(bus) if bus is not None else None)
+            if airframe.link.signing_key is not None:  # after SIGHUP too, a key that cannot be used changes nothing
+                from msp_range.mavlink.signing import read_key
+
+                read_key(Path(airframe.link.signing_key))
             return airframe.model_copy(update={"recording": None}) if no_record else airframe
 
         airframe = load()

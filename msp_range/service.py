@@ -51,25 +51,16 @@ def reporter(log: Log) -> Report:
     return report
 
 
-class Notifier:
-    """systemd's notification socket: reports that the service is ready, and feeds the watchdog from the polling loop.
+def tell_systemd(state: str) -> None:
+    """Send a state such as READY=1 to systemd; without systemd, or with its socket full or gone, nothing happens.
 
-    A locked-up bus, an unplugged adapter, a full disk or a silent autopilot do not stop the loop, so the watchdog is
-    still fed: a restart would not help. Anything that stops the loop causes a restart. Without systemd it does nothing.
+    WATCHDOG=1 comes from the polling loop. A locked-up bus, an unplugged adapter, a full disk or a silent autopilot do
+    not stop the loop, so the watchdog is still fed: a restart would not help. Anything that stops the loop causes one.
     """
-
-    def __init__(self) -> None:
-        address = os.environ.get("NOTIFY_SOCKET")
-        self._socket: socket.socket | None = None
-        if address:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-            self._address = "\0" + address[1:] if address.startswith("@") else address
-
-    def tell(self, state: str) -> None:
-        """Send a state such as READY=1; a missing or full socket is ignored."""
-        if self._socket is not None:
-            with suppress(OSError):
-                self._socket.sendto(state.encode(), self._address)
+    address = os.environ.get("NOTIFY_SOCKET")
+    if address:
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+            sender.sendto(state.encode(), "\0" + address[1:] if address.startswith("@") else address)
 
 
 @contextmanager
@@ -121,8 +112,7 @@ def serve(
     watch: Watch | None = None,
 ) -> None:
     """Step the bridge until ``stopped`` contains a signal or the airframe has changed."""
-    notifier = Notifier()
-    notifier.tell("READY=1")
+    tell_systemd("READY=1")
     next_feed_s = clock.now()
     next_note_s = clock.now() + 1.0
     next_summary_s = clock.now() + SUMMARY_INTERVAL_S
@@ -135,7 +125,7 @@ def serve(
             return
         now_s = clock.now()
         if bridge.completed_s >= next_feed_s:
-            notifier.tell("WATCHDOG=1")
+            tell_systemd("WATCHDOG=1")
             next_feed_s = now_s + FEED_INTERVAL_S
         if watch is not None:
             watch.service(now_s)
@@ -153,7 +143,7 @@ def serve(
             next_summary_s += SUMMARY_INTERVAL_S
             log.info("still flying", **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
-    notifier.tell("STOPPING=1")
+    tell_systemd("STOPPING=1")
 
 
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:

@@ -5,14 +5,15 @@ besides them ``/airframe`` (once, at the start), ``/status`` and ``/autopilot``.
 packets, never the bridge time. A watcher may send ``{"mark": "text"}``, which goes into the recording; nothing else.
 """
 
-import json
 import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from msp_range.health import Severity
+import orjson
+
+from msp_range.bridge import Records
 from msp_range.input_file import printable
 
 SERVICE_INTERVAL_S = 0.05
@@ -126,8 +127,8 @@ class Feed:
             self._forget(watcher)
             return
         try:
-            text = json.loads(packet)["mark"]
-        except (ValueError, KeyError, TypeError, RecursionError):
+            text = orjson.loads(packet)["mark"]
+        except (ValueError, KeyError, TypeError):
             return
         if isinstance(text, str) and text and now_s >= self._next_mark_s:
             self._next_mark_s = now_s + 1.0 / MARKS_PER_S
@@ -149,15 +150,14 @@ class Watched:
         Keeps the records; None: nothing is kept.
     """
 
-    def __init__(self, feed: Feed, recorder: Any | None) -> None:
+    def __init__(self, feed: Feed, recorder: Records | None) -> None:
         self._feed = feed
         self._recorder = recorder
 
     @property
     def fault(self) -> str | None:
         """The recorder's."""
-        fault: str | None = None if self._recorder is None else self._recorder.fault
-        return fault
+        return None if self._recorder is None else self._recorder.fault
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Keep one message, and show it."""
@@ -172,7 +172,7 @@ class Watched:
 
 
 def _packet(topic: str, time_s: float, message: dict[str, Any]) -> bytes:
-    return json.dumps({"topic": topic, "time_s": time_s, "message": message}, separators=(",", ":")).encode()
+    return orjson.dumps({"topic": topic, "time_s": time_s, "message": message})
 
 
 def _listening(path: Path) -> socket.socket:
@@ -203,8 +203,3 @@ def _remove_if_left_behind(path: Path) -> None:
         if asking.connect_ex(str(path)) == 0:
             raise FeedError(f"{path}: another bridge is watched there; --socket names another place")
     path.unlink()
-
-
-def faults_of(faults: list[tuple[Severity, str]]) -> list[dict[str, str]]:
-    """What is wrong now, as in ``/status``."""
-    return [{"severity": severity.name.lower(), "text": text} for severity, text in faults]

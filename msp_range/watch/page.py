@@ -11,8 +11,6 @@ START_S = 1.0
 RESTART_S = 5.0
 """Time between two starts of a page that ends, such as on a port that is in use [s]. Starting takes 0.3 s of a
 processor, so a shorter time would take it from the polling."""
-STOP_S = 2.0
-"""Time that the page gets to end [s]."""
 
 
 class PageProcess:
@@ -46,16 +44,15 @@ class PageProcess:
             self._log.warning("web page ended", exit_code=code, starts_again_in_s=RESTART_S)
             self._process, self._start_s = None, now_s + RESTART_S
         if now_s >= self._start_s:
-            # It ends with its standard input, so also when this process is killed.
-            self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE)
+            try:
+                # It ends with its standard input, so also when this process is killed.
+                self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE)
+            except OSError as error:  # no memory, no free descriptor
+                self._log.warning("web page not started", error=str(error), tries_again_in_s=RESTART_S)
+                self._start_s = now_s + RESTART_S
 
     def close(self) -> None:
-        """End the page."""
-        if self._process is None:
-            return
-        self._process.terminate()
-        try:
-            self._process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """Tell the page to end, and do not wait for it: the next airframe is to fly at once."""
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+            self._process.terminate()

@@ -11,7 +11,6 @@ from msp_range.bridge import Bridge
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import Transport
-from msp_range.watch.feed import faults_of
 
 BEAM_RANGES_M = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0)
 """Ranges at which the width of a beam is given; between them it is drawn linearly [m]."""
@@ -74,7 +73,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
             name: {"fault": faults[name], "readings": each.readings, "rejected": each.rejected}
             for name, each in bridge.counts().items()
         },
-        "faults": faults_of(health.faults()),
+        "faults": [{"severity": severity.name.lower(), "text": text} for severity, text in health.faults()],
         "air": {"temperature_c": air.temperature_c, "std_c": air.std_c, "source": air.source},
         "link": {
             "url": transport.description,

@@ -108,6 +108,16 @@ def test_sighup_with_a_file_that_is_not_valid_changes_nothing(tmp_path: Path) ->
         for line, found in zip(lines, ("not valid YAML", "sensors", "no such file"), strict=True):
             assert str(airframe) in line["error"]
             assert found in line["error"]
+        # A key that cannot be used is such a mistake too.
+        key = tmp_path / "signing.key"
+        key.write_text("no key")
+        airframe.write_text(good.replace("link:", f"link:\n  signing_key: {key}", 1))
+        service.process.send_signal(signal.SIGHUP)
+        await_text(end, "Range: airframe file not valid, old one flies", 4)
+        await_distances(end, 8)
+        assert (
+            str(key) in [each for each in service.log() if each["event"] == "airframe file not reloaded"][-1]["error"]
+        )
         # The next try is as good as the first.
         airframe.write_text(good.replace(f"id: {FUSED_ID}", f"id: {NEW_ID}"))
         service.process.send_signal(signal.SIGHUP)

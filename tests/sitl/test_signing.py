@@ -16,7 +16,7 @@ RECEIVED = ("right", "1.00 m was sent, and the autopilot has 1.00 m")
 
 
 def sign(airframe: Path, *options: str) -> "subprocess.CompletedProcess[str]":
-    """Run the command beside the airframe file."""
+    """Run msp-range in the folder of the airframe file."""
     return subprocess.run(
         [COMMAND, "sign", airframe, *options], cwd=airframe.parent, capture_output=True, text=True, timeout=60.0
     )

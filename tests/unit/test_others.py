@@ -112,10 +112,10 @@ def test_the_others_know_the_range_as_well_as_they_say() -> None:
 def test_a_sensor_is_no_part_of_its_own_reference_and_nor_is_the_truth() -> None:
     columns = flown(400, 3)
     plain = with_others_as_reference(MeasuredData(columns), MODEL, side_by_side(NAMES))
-    told = {**columns, "true_range_cm": columns["hidden_cm"] + 50.0, "neighbour_range_cm": np.full(400, 1.0)}
-    of_told = with_others_as_reference(MeasuredData(told), MODEL, side_by_side(NAMES))
-    np.testing.assert_array_equal(plain.data["true_range_cm"], of_told.data["true_range_cm"])
-    assert "neighbour_range_cm" not in of_told.data
+    informed = {**columns, "true_range_cm": columns["hidden_cm"] + 50.0, "neighbour_range_cm": np.full(400, 1.0)}
+    of_informed = with_others_as_reference(MeasuredData(informed), MODEL, side_by_side(NAMES))
+    np.testing.assert_array_equal(plain.data["true_range_cm"], of_informed.data["true_range_cm"])
+    assert "neighbour_range_cm" not in of_informed.data
     # What a sensor reads moves the others' reference, and not its own; its mean difference is taken off.
     moved = with_others_as_reference(MeasuredData(flown(400, 3, {"a": 6.0})), MODEL, side_by_side(NAMES), ["a"])
     without = with_others_as_reference(MeasuredData(columns), MODEL, side_by_side(NAMES), ["a"])

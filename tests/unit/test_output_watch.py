@@ -121,7 +121,9 @@ def test_a_silence_is_reported_when_its_limit_is_reached_whatever_the_loop_waits
 
 
 @pytest.mark.parametrize("transfer_s", [0.004, 0.006, 0.008])
-def test_a_silence_is_reported_in_time_by_a_loop_whose_transfers_follow_each_other_at_once(transfer_s: float) -> None:
+def test_a_silence_is_reported_in_time_by_a_loop_whose_transfers_follow_each_other_at_once(
+    transfer_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a slow bus sensors that ping together are asked without a break."""
     vehicle = airframe(polling={"ping_interval_s": 0.075, "groups": [list(NAMES)]})
     bench = Bench(vehicle, 500, faults={name: [Fault("saturated", 5.0, 1e3)] for name in NAMES})
@@ -131,7 +133,7 @@ def test_a_silence_is_reported_in_time_by_a_loop_whose_transfers_follow_each_oth
         bench.clock.sleep_until(bench.clock.now() + transfer_s)
         return read(address, count)
 
-    bench.bus.read = slow_read  # type: ignore[method-assign]
+    monkeypatch.setattr(bench.bus, "read", slow_read)
     bench.wire.quiet_until_s = math.inf
     bench.fly(8.0)
     last_s = max(time_s for time_s, message in bench.sent() if message.current_distance == 500)

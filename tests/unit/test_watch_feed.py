@@ -56,6 +56,14 @@ def test_a_watcher_gets_the_airframe_and_then_what_is_published(feed: Feed) -> N
         assert received(watcher) == {"topic": "/range/a", "time_s": 2.0, "message": MESSAGE}
 
 
+def test_a_number_that_is_not_known_is_null_and_packets_stay_json(feed: Feed) -> None:
+    """A browser cannot read NaN."""
+    with watching(feed) as watcher:
+        received(watcher)
+        feed.publish("/fused", 1.0, {"range_m": float("nan"), "variance_m2": float("inf")})
+        assert received(watcher)["message"] == {"range_m": None, "variance_m2": None}
+
+
 def test_a_watcher_that_reads_nothing_loses_packets_and_others_do_not(feed: Feed) -> None:
     with watching(feed) as lazy, watching(feed, 1.0) as keen:
         received(keen)

@@ -218,8 +218,8 @@ def _about_offsets(offsets_cm: Sequence[Mapping[str, float]]) -> list[str]:
     if not found:
         return []
     return [
-        f"Readings less the others', on average over the runs: {', '.join(found)}. It is taken off: from the slope of "
-        "the ground, or a mounting that is a little off, it cannot be told."
+        f"Readings less the others', on average over the runs: {', '.join(found)}. It is taken off, since a "
+        "sloping ground or a mounting that is a little off looks the same."
     ]
 
 
