@@ -33,13 +33,13 @@ class Access:
 
     token: str | None
 
-    def refusal(self, target: str, host: str | None, origin: str | None) -> tuple[HTTPStatus, str] | None:
+    def refusal(self, target: str | None, host: str | None, origin: str | None) -> tuple[HTTPStatus, str] | None:
         """Why a request is refused; None where it is not.
 
         Parameters
         ----------
         target
-            Path and query of the request.
+            Path and query of the request; None where the token is not needed.
         host, origin
             Its headers; None where there is none.
 
@@ -54,7 +54,7 @@ class Access:
             return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
         if origin is not None and urlsplit(origin).netloc != host:
             return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"
-        if self.token is not None:
+        if self.token is not None and target is not None:
             found = parse_qs(urlsplit(target).query).get("token", [""])[0]
             if not hmac.compare_digest(found.encode(), self.token.encode()):
                 return HTTPStatus.UNAUTHORIZED, "the address needs ?token=...; the bridge's log has it\n"

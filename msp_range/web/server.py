@@ -39,7 +39,7 @@ RETRY_S = 0.5
 """Time between two tries to find the bridge [s]."""
 NOT_SHOWN = ('"/mavlink/sent"', '"/motion"')
 """Topics that the page does not draw."""
-TYPES = {"page.html": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
+TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -71,8 +71,7 @@ class Page:
         self._newest = Newest()
         self._registry = CollectorRegistry()
         self._registry.register(BridgeMetrics(self._newest))
-        folder = files("msp_range.web") / "static"
-        self._files = {name: (folder / name).read_bytes() for name in TYPES}
+        self._files = {file.name: file.read_bytes() for file in (files("msp_range.web") / "static").iterdir()}
 
     async def serve(self, listen: Listen, ends_with_stdin: bool, on_ready: Callable[[str], None]) -> None:
         """Serve until SIGTERM, SIGINT or, if wanted, the end of standard input.
@@ -115,22 +114,20 @@ class Page:
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer what is not the live connection."""
-        refusal = self._access.refusal(request.path, request.headers.get("Host"), request.headers.get("Origin"))
+        path = urlsplit(request.path).path
+        name = "page.html" if path == "/" else path.removeprefix("/")
+        # Style and scripts say nothing of the vehicle, and the page loads them without the token.
+        target = None if name.endswith((".css", ".js")) else request.path
+        refusal = self._access.refusal(target, request.headers.get("Host"), request.headers.get("Origin"))
         if refusal is not None:
             return connection.respond(*refusal)
-        path = urlsplit(request.path).path
         if path == "/live":
             return None
         if path == "/metrics":
             return _response("text/plain; version=0.0.4", generate_latest(self._registry))
-        name = "page.html" if path == "/" else path.removeprefix("/")
         if name not in self._files:
             return connection.respond(HTTPStatus.NOT_FOUND, f"no page {path}\n")
-        content = self._files[name]
-        if name == "page.html" and self._access.token is not None:
-            content = content.replace(b"page.css", b"page.css?token=" + self._access.token.encode())
-            content = content.replace(b"page.js", b"page.js?token=" + self._access.token.encode())
-        return _response(TYPES[name] + "; charset=utf-8", content)
+        return _response(f"{TYPES[Path(name).suffix]}; charset=utf-8", self._files[name])
 
     async def _on_browser(self, browser: ServerConnection) -> None:
         """Send what is known, then let `_send` do the rest; take marks."""

@@ -221,9 +221,10 @@ def test_a_page_for_other_computers_needs_the_token(tmp_path: Path, monkeypatch:
         assert line.rstrip().endswith(f"url=http://0.0.0.0:{port}/?token={token}")
         assert (tmp_path / "web-token").stat().st_mode & 0o777 == 0o600
         for query in ("", "?token=", "?token=wrong"):
-            assert refusal(f"http://127.0.0.1:{port}/{query}") == 401
+            for path in ("", "live", "metrics", "page.html"):
+                assert refusal(f"http://127.0.0.1:{port}/{path}{query}") == 401
         with browser(f"http://127.0.0.1:{port}/?token={token}") as (page, errors):
-            until(lambda: bool(page.evaluate("connection !== null && connection.readyState === WebSocket.OPEN")))
+            until(lambda: page.is_enabled("#add-mark"))  # it is connected
             assert errors == []
         server.send_signal(signal.SIGTERM)
         assert server.wait(10.0) == 0

@@ -1,0 +1,50 @@
+// The page's numbers and lists: distance, air, link, what is wrong, what the pilot was told.
+
+import { byId, made, metres } from "./elements.js";
+import { OLD_S, presentDistance, state } from "./state.js";
+
+export function drawNumbers() {
+  const { airframe, status } = state;
+  const badge = byId("state");
+  const shown = state.gone ? "gone" : status?.state ?? "waiting";
+  badge.dataset.state = shown;
+  badge.textContent = { gone: "the bridge does not run", waiting: "waiting for the bridge" }[shown] ?? shown;
+  if (!airframe) return;
+  byId("vehicle").textContent = document.title = airframe.vehicle;
+  const distance = presentDistance();
+  byId("distance").textContent = state.gone ? "–" : distance ? metres(distance.range_m) : "no distance";
+  byId("distance-more").textContent = !distance ? "" :
+    `deviation ${(100 * Math.sqrt(distance.variance_m2)).toFixed(1)} cm, climbing ${distance.climb_m_s.toFixed(1)} m/s, ` +
+    `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
+  if (!status) return;
+  const { air, link } = status;
+  const facts = [
+    ["air", `${air.temperature_c.toFixed(1)} C ± ${air.std_c.toFixed(1)}, from ${air.source}`],
+    ["link", link.connected ? link.url : `${link.url}: ${link.error ?? "not connected"}`],
+    ["autopilot", link.autopilot === null ? "none received" : `system ${link.autopilot}, ${link.armed ? "armed" : "disarmed"}`],
+    ["sent", `${link.sent.DISTANCE_SENSOR ?? 0} distances, ${link.dropped} frames dropped`],
+    ["it received", received()],
+    ["recording", status.recording ?? "none"],
+    ["running for", duration(status.uptime_s)],
+  ];
+  byId("facts").replaceChildren(...facts.flatMap(([name, text]) => [made("dt", name), made("dd", text)]));
+  const faults = status.faults.map((each) => made("li", each.text, each.severity));
+  byId("faults").replaceChildren(...(faults.length ? faults : [made("li", "nothing")]));
+  byId("texts").replaceChildren(...state.texts.toReversed().map(
+    (each) => made("li", `${duration(state.nowS - each.timeS)} ago: ${each.text}`, each.severity)));
+}
+
+function received() {
+  const fresh = Object.values(state.autopilot).filter((each) => state.nowS - each.timeS < 3 * OLD_S);
+  const lines = fresh.map((each) => each.kind === "SYS_STATUS" ?
+    `range finder ${each.healthy ? "healthy" : each.present ? "not healthy" : "not present"}` :
+    `${metres(each.distance_m)}, orientation ${each.orientation}`);
+  return lines.length ? lines.join("; ") : "not said";
+}
+
+function duration(seconds) {
+  const whole = Math.max(0, Math.floor(seconds));
+  if (whole < 60) return `${whole} s`;
+  return whole < 3600 ? `${Math.floor(whole / 60)} min ${whole % 60} s` :
+    `${Math.floor(whole / 3600)} h ${Math.floor(whole % 3600 / 60)} min`;
+}
