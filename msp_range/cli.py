@@ -464,6 +464,29 @@ def export(
     print(f"{out}: {rows} readings; lost: {source.losses}")
 
 
+@app.command()
+@report_user_errors
+def layout(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT.json|OUT.xml", help="the layout to make: .json for Foxglove, .xml for PlotJuggler"),
+    ],
+) -> None:
+    """Write a layout with which Foxglove or PlotJuggler shows a recording: each sensor's ranges, and the fused one."""
+    from msp_range.recording.layouts import FORMS, plots_of
+    from msp_range.recording.reader import Recording
+
+    if out.suffix not in FORMS:
+        raise ConfigError(f"{out}: found the ending {out.suffix!r}; expected .json (Foxglove) or .xml (PlotJuggler)")
+    plots = plots_of(Recording(recording))
+    try:
+        out.write_text(FORMS[out.suffix](plots), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
+    print(f"{out}: {len(plots)} plots")
+
+
 add_moved(app, {"collect": "msp-lab collect", "characterise": "msp-lab characterise"})
 
 

@@ -25,7 +25,20 @@ from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-COMMANDS = ["run", "check", "doctor", "params", "schema", "scan", "address", "replay", "recover", "export", "tune"]
+COMMANDS = [
+    "run",
+    "check",
+    "doctor",
+    "params",
+    "schema",
+    "scan",
+    "address",
+    "replay",
+    "recover",
+    "export",
+    "layout",
+    "tune",
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -99,6 +112,8 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["address", "0x70", "0x28"], "ignores the address 0x28"),
         (["address", "0x70", "seventy"], "expected a 7-bit address"),
         (["export", "README.md", "out.csv"], "not an MCAP recording"),
+        (["layout", "README.md", "out.json"], "not an MCAP recording"),
+        (["layout", "README.md", "out.yaml"], "expected .json (Foxglove) or .xml (PlotJuggler)"),
         (["recover", "missing.mcap", "out.mcap"], "cannot be read"),
     ],
 )
