@@ -68,30 +68,30 @@ def _bar(share: float, colour: str) -> Text:
 
 
 def print_table(console: Console, summary: dict[str, Any]) -> None:
-    """Print readings, rejections and errors of each sensor, and the messages sent by type and rate."""
+    """Print readings and rejections of each sensor, errors where the truth is known, and the messages sent."""
     seed = "" if summary["seed"] is None else f", seed {summary['seed']}"
-    table = Table(title=f"{summary['scenario']}, {summary['duration_s']:.0f} s flown{seed}", box=box.SIMPLE_HEAD)
-    table.add_column("sensor", no_wrap=True)
-    table.add_column("readings", justify="right")
-    table.add_column("rejected, reason")
-    for heading in ("rms raw", "95 % raw", "rms filtered", "95 % filtered"):
-        table.add_column(f"{heading} [cm]", justify="right", max_width=8)
+    title = f"{summary['scenario']}, {summary['duration_s']:.0f} s flown{seed}"
+    fused = summary["fused"]
+    readings = _table("sensor", "readings", title=title)
+    readings.add_column("rejected, reason")
+    errors = _table("error [cm]", "rms raw", "95 % raw", "rms filtered", "95 % filtered")
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]
         total = sum(rejected.values())
         why = f"{total}: " + ", ".join(f"{reason} {count}" for reason, count in rejected.items()) if total else "0"
-        table.add_row(
-            name, str(sensor["readings"]), why, *_error(sensor["error_before"]), *_error(sensor["error_after"])
-        )
-    fused = summary["fused"]
+        readings.add_row(name, str(sensor["readings"]), why)
+        if sensor["error_before"]["count"]:
+            errors.add_row(name, *_error(sensor["error_before"]), *_error(sensor["error_after"]))
     if fused["estimates"]:
-        rate = f"{fused['rate_hz']:.2f} Hz; {fused['over_edges']} over edges of the ground, not compared"
-        table.add_row("fused", str(fused["estimates"]), rate, "", "", *_error(fused["error"]))
-    console.print(table)
-    link = Table(box=box.SIMPLE_HEAD)
-    link.add_column("message sent")
-    for heading in ("messages", "rate Hz", "dropped"):
-        link.add_column(heading, justify="right")
+        readings.add_row("fused", str(fused["estimates"]), f"{fused['rate_hz']:.2f} Hz")
+        if fused["error"]["count"]:
+            errors.add_row("fused", "", "", *_error(fused["error"]))
+    console.print(readings)
+    if errors.row_count:
+        console.print(errors)
+    if fused["over_edges"]:
+        console.print(f"  {fused['over_edges']} fused distances over edges of the ground are not in the errors\n")
+    link = _table("message sent", "messages", "rate Hz", "dropped")
     dropped = summary["link"]["dropped"]
     sent = summary["link"]["sent"]
     for name in sorted(sent | dropped):
@@ -100,6 +100,15 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     console.print(link)
     for text in summary["texts"]:
         console.print(f"{text['time_s']:7.1f} s  {text['severity']}: {text['text']}", highlight=False)
+
+
+def _table(first: str, *numbers: str, title: str | None = None) -> Table:
+    """A table with a column of names and columns of numbers."""
+    table = Table(title=title, box=box.SIMPLE_HEAD)
+    table.add_column(first, no_wrap=True)
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
 
 
 def _error(error: dict[str, float]) -> tuple[str, str]:
