@@ -1,12 +1,10 @@
 """Effect: the air does not have the temperature that the sensor assumes."""
 
-from collections.abc import Mapping
-
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     ratio = scene.assumed_m_s / speed_of_sound(scene["air_temperature_c"])
     return Contribution(bias_cm=values["share"] * scene.range_cm * (ratio - 1.0))
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.reading_model.sensor_model import Medium, SensorModel
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
 
-Array: TypeAlias = NDArray[np.float64]
+Values: TypeAlias = Mapping[str, float]
+"""Values of an effect's parameters by name."""
 Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "component", "code"]
 
 TRUE_RANGE = "true_range_cm"
@@ -205,7 +205,7 @@ class Effect:
     requires: tuple[str, ...]
     channels: tuple[Channel, ...]
     experiment: str
-    apply: Callable[[Scene, Mapping[str, float]], Contribution] = field(repr=False)
+    apply: Callable[[Scene, Values], Contribution] = field(repr=False)
     optional: tuple[str, ...] = ()
     per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None

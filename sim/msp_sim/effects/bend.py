@@ -1,13 +1,11 @@
 """Effect: the slope of the response changes at some range."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(bias_cm=values["slope_pct"] / 100.0 * np.maximum(scene.range_cm - values["from_cm"], 0.0))
 
 

@@ -1,17 +1,15 @@
 """Effect: a surface is tilted so far that its echo misses the sensor."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 MAX_LOG_ODDS = 10.0
 """Limit of the change of the log odds, because at any tilt an edge or facet returns one echo in some hundreds. A larger
 limit makes a single echo at a large tilt nearly impossible."""
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     half_angle_deg = np.degrees(scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0))
     beyond_deg = np.maximum(np.abs(scene["incidence_deg"]) - half_angle_deg, 0.0)
     return Contribution(log_odds_missed=np.minimum(values["log_odds_per_deg"] * beyond_deg, MAX_LOG_ODDS))

@@ -1,12 +1,10 @@
 """Effect: the bus master samples too early."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.codes import ClockFault
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(fault=ClockFault(), fault_share=values["share"])
 
 

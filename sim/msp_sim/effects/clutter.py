@@ -1,14 +1,12 @@
 """Effect: a fixed object in front of the sensor, such as landing gear or a cable, or the transducer's ring-down."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Normal
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     own_cm = scene.optional("true_range_cm", scene.sensor.maximum_cm)
     nearer = values["location_cm"] < own_cm
     component = Normal(values["location_cm"], values["sigma_cm"])

@@ -1,12 +1,10 @@
 """Effect: readings are rounded to a coarser step than the sensor's."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.codes import Coarser
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
     return Contribution(fault=fault, fault_share=values["share"])
 

@@ -1,14 +1,12 @@
 """Effect: the sensor receives the echo of another sensor's ping instead of its own."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Normal
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     # The neighbour pinged `lag` earlier, so its echo arrives `lag` earlier than an own echo from the same range.
     false_cm = scene["neighbour_range_cm"] - scene.assumed_m_s * 100.0 * scene["neighbour_lag_ms"] / 1000.0 / 2.0
     own_cm = np.where(np.isnan(scene.range_cm), scene.sensor.maximum_cm, scene.range_cm)

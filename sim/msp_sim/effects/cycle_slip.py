@@ -1,12 +1,10 @@
 """Effect: the echo is detected some periods late."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Normal
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     half_wavelength_cm = 100.0 * scene.assumed_m_s / scene.sensor.frequency_hz / 2.0
     slip_cm = values["cycles"] * half_wavelength_cm
     return Contribution(component=Normal(slip_cm, from_hit=True), share=values["share"])

@@ -1,14 +1,12 @@
 """Effect: a surface nearer than the sensor can measure gives the code for no echo."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Code
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     inside = scene.range_cm < values["depth_cm"]
     return Contribution(component=Code(scene.sensor.maximum_cm), share=np.where(inside, values["share"], 0.0))
 

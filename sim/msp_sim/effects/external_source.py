@@ -1,11 +1,9 @@
 """Effect: ultrasound from another source is mistaken for the echo."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from scipy.special import expit
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import FirstBefore
 
 REFERENCE_CM = 30.0
@@ -17,7 +15,7 @@ BANDWIDTH_KHZ = 2.0
 lets sources at other frequencies disturb more."""
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     off_khz = scene.optional("external_frequency_khz", scene.sensor.frequency_hz / 1000.0)
     off_khz = off_khz - scene.sensor.frequency_hz / 1000.0
     level_db = (

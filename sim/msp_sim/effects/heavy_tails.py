@@ -1,12 +1,10 @@
 """Effect: noise with more large errors than a normal distribution has."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Normal
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(component=Normal(0.0, from_hit=True, wider=values["wider"]), share=values["share"])
 
 

@@ -1,17 +1,15 @@
 """Effect: hot or cold air around the sensor only, as in the report's hot box."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 EDGE_CM = 3.0
 """Distance over which the air changes from one temperature to the other [cm]; assumed, sharp compared with the box."""
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     range_cm, length_cm = scene.range_cm, values["length_cm"]
     # Integral of a logistic edge at length_cm: how much of the path lies in the air of the sensor.
     near_cm = range_cm - EDGE_CM * (

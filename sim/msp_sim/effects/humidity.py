@@ -1,17 +1,15 @@
 """Effect: sound is a little faster in humid air."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from msp_range.acoustics.atmosphere import STANDARD_PRESSURE_PA
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 FASTER_BY = 0.158
 """Relative growth of the speed of sound with the mole fraction of water at 20 deg C: (a3 + a4 t) / c of Cramer 1993."""
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     temperature_c = scene["air_temperature_c"]
     saturation_pa = 610.94 * np.exp(17.625 * temperature_c / (temperature_c + 243.04))
     water = scene["humidity_pct"] / 100.0 * saturation_pa / STANDARD_PRESSURE_PA

@@ -1,11 +1,9 @@
 """Effect: readings are older than their time stamp."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(bias_cm=-values["delay_ms"] / 1000.0 * scene["range_rate_cm_s"])
 
 

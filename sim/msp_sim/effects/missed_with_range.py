@@ -1,13 +1,11 @@
 """Effect: echoes from far away are too weak."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     beyond_m = np.maximum(scene.range_cm - values["from_cm"], 0.0) / 100.0
     return Contribution(log_odds_missed=values["log_odds_per_m"] * beyond_m)
 

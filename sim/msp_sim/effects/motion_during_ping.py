@@ -1,12 +1,10 @@
 """Effect: the vehicle moves while the sound travels."""
 
-from collections.abc import Mapping
-
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     temperature_c = scene.optional("air_temperature_c", scene.sensor.calibration_temperature_c)
     flight_s = scene.range_cm / (100.0 * speed_of_sound(temperature_c))
     return Contribution(bias_cm=values["share"] * scene["range_rate_cm_s"] * flight_s)

@@ -1,14 +1,12 @@
 """Effect: an echo that travelled twice between ground and vehicle."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Normal
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     twice_cm = 2.0 * scene.range_cm
     in_range = twice_cm < scene.sensor.maximum_cm
     return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(in_range, values["share"], 0.0))

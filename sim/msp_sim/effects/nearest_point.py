@@ -1,13 +1,11 @@
 """Effect: a rough surface gives an echo from the nearest point inside the beam."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     half_angle_rad = scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0)
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     beyond_rad = np.maximum(tilt_rad - half_angle_rad, 0.0)

@@ -1,11 +1,9 @@
 """Effect: the rotors' noise and wash cause short readings."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(log_odds_short=values["log_odds"] * scene["throttle"])
 
 

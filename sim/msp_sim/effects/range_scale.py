@@ -1,11 +1,9 @@
 """Effect: the sensor's clock runs fast or slow."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(bias_cm=values["scale_pct"] / 100.0 * scene.range_cm)
 
 

@@ -1,13 +1,11 @@
 """Effect: the rotors' noise in the sensor's frequency band increases the scatter."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth"] * scene["throttle"] ** values["exponent"]))
 
 

@@ -1,11 +1,9 @@
 """Effect: a constant error that differs from run to run."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(run_offset_cm=values["deviation_cm"])
 
 

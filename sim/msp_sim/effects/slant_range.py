@@ -1,13 +1,11 @@
 """Effect: a tilted sensor measures the range along its axis, which is longer than the perpendicular."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     tilt_rad = np.radians(np.minimum(np.abs(scene["incidence_deg"]), 85.0))
     slant_cm = scene.optional("slant_range_cm", scene.range_cm / np.cos(tilt_rad))
     return Contribution(bias_cm=values["share"] * (slant_cm - scene.range_cm))

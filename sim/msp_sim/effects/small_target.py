@@ -1,13 +1,11 @@
 """Effect: a small target returns a weaker echo than a wall."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     wavelength_m = scene.assumed_m_s / scene.sensor.frequency_hz
     area_m2 = (np.maximum(scene["target_size_cm"], 0.1) / 100.0) ** 2
     far = np.maximum(scene.range_cm, 1.0) / 100.0 * wavelength_m / (2.0 * area_m2)

@@ -1,13 +1,11 @@
 """Effect: the scatter grows with range."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(log_spread=np.log1p(values["growth_per_m"] * np.maximum(scene.range_cm, 0.0) / 100.0))
 
 

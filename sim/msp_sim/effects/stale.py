@@ -1,14 +1,12 @@
 """Effect: the previous reading is reported again."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Code
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     previous_cm = scene["previous_reading_cm"]
     whole = np.rint(previous_cm) == previous_cm
     within = (previous_cm >= scene.sensor.minimum_cm) & (previous_cm <= scene.sensor.maximum_cm)

@@ -1,12 +1,10 @@
 """Effect: the air gets steadily warmer or colder along the path."""
 
-from collections.abc import Mapping
-
 from msp_range.acoustics.air import speed_of_sound
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     at_sensor_m_s = speed_of_sound(scene["air_temperature_c"])
     at_target_m_s = speed_of_sound(scene["target_temperature_c"])
     slowness = scene.assumed_m_s * (2.0 / (at_sensor_m_s + at_target_m_s) - 1.0 / at_sensor_m_s)

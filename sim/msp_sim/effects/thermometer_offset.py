@@ -1,14 +1,12 @@
 """Effect: the thermometer shows too high a temperature."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from msp_range.acoustics.air import ZERO_CELSIUS_K
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     shown_k = scene["air_temperature_c"] + ZERO_CELSIUS_K
     return Contribution(bias_cm=scene.range_cm * (np.sqrt(shown_k / (shown_k - values["offset_c"])) - 1.0))
 

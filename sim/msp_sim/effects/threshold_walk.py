@@ -1,18 +1,16 @@
 """Effect: a weak echo crosses the detection threshold late."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from msp_range.acoustics.absorption import absorption_db_per_m
 from msp_range.acoustics.atmosphere import Atmosphere
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 HALF_POWER_DEG = 18.0
 """One-way half-power angle [deg] of a piston of 13.6 mm, which fits the report's angles, at a wavelength of 8.2 mm."""
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     range_m = np.maximum(scene.range_cm, 1.0) / 100.0
     absorption = absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere())
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG

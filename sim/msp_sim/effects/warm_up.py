@@ -1,13 +1,11 @@
 """Effect: the sensor is still warming up."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(bias_cm=values["offset_cm"] * np.exp(-scene["uptime_s"] / values["time_constant_s"]))
 
 

@@ -1,11 +1,9 @@
 """An effect: the sensor's clock runs slow while the motors pull the supply down."""
 
-from collections.abc import Mapping
-
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
-def _apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
+def _apply(scene: Scene, values: Values) -> Contribution:
     return Contribution(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)
 
 
