@@ -37,6 +37,18 @@ REFERENCE = VERMILION
 SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
 """Colour and marker of the first, second ... of several series of equal importance."""
 
+DOTS: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 4.5,
+    "color": INK,
+    "markerfacecolor": "white",
+    "elinewidth": 1.0,
+    "capsize": 2.5,
+    "zorder": 5,
+}
+"""Look of measured values with their intervals, for `Axes.errorbar`."""
+
 WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
 

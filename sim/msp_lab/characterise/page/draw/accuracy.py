@@ -13,7 +13,7 @@ from msp_lab.characterise.findings import CalibrationFindings, CompensationRow, 
 from msp_lab.characterise.page.draw.errors import with_reach
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.correction.calibration import PiecewiseLinear
-from msp_sim.page.style import GREEN, GREY, INK, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure
+from msp_sim.page.style import DOTS, GREEN, GREY, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure
 
 _Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def draw_linearity(found: CalibrationFindings) -> Figure:
         axes.plot(span, line_cm, "--", color=REFERENCE, label="straight line", zorder=4)
     knots = np.array([(knot.true_cm, knot.reading_cm) for knot in found.knots]).reshape(-1, 2)
     if knots.size:
-        curve = _piecewise(span, knots)
+        curve = PiecewiseLinear(*map(tuple, knots.T.tolist()))(span)
         axes.plot(span, curve - span, "-", color=GREEN, label="calibration that is kept", zorder=5)
         inside = (knots[:, 0] >= span[0]) & (knots[:, 0] <= span[-1])
         axes.plot(
@@ -89,14 +89,6 @@ def draw_linearity(found: CalibrationFindings) -> Figure:
     return figure
 
 
-def _piecewise(true_cm: _Array, knots_cm: _Array) -> _Array:
-    """Linear between the knots, the end segments carried on."""
-    x, y = knots_cm[:, 0], knots_cm[:, 1]
-    if x.size == 1:
-        return true_cm + float(y[0] - x[0])
-    return PiecewiseLinear(tuple(x.tolist()), tuple(y.tolist()))(true_cm)
-
-
 def draw_boxes(boxes: Sequence[HotBox]) -> Figure:
     """One panel a box: shift of the mean error over range, and three ideas of where the air is."""
     figure = new_figure(3.6)
@@ -110,20 +102,7 @@ def draw_boxes(boxes: Sequence[HotBox]) -> Figure:
         axes.plot(range_cm, gradient, "-.", color=PURPLE, label="linear fall to the room's at the target")
         axes.plot(range_cm, confined, "-", color=GREEN, label="that air in the box only")
         shift_cm, reach_cm = with_reach([row.shift for row in box.rows])
-        axes.errorbar(
-            range_cm,
-            shift_cm,
-            yerr=reach_cm,
-            linestyle="none",
-            marker="o",
-            markersize=4.5,
-            color=INK,
-            markerfacecolor="white",
-            capsize=2.5,
-            elinewidth=1.0,
-            zorder=5,
-            label="measured, minus room temperature",
-        )
+        axes.errorbar(range_cm, shift_cm, yerr=reach_cm, label="measured, minus room temperature", **DOTS)
         assumed = " (assumed)" if box.room_is_assumed else ""
         air = f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond"
         axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)

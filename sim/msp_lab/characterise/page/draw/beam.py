@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, IntervalEstimate, SonarFit
-from msp_lab.characterise.page.draw.errors import with_reach
+from msp_lab.characterise.page.draw.errors import share_bars, with_reach
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_sim.page.style import (
@@ -121,7 +122,7 @@ def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, low: float, high: float)
     """Each angle's readings as a histogram on its side, whole centimetres."""
     edges = edges_between(angle_deg.tolist())
     room = 0.86 * float(np.min(np.diff(edges)))
-    lefts, bottoms, widths = [], [], []
+    lefts, read_cm, widths = [], [], []
     for angle in angle_deg.tolist():
         here = np.isclose(sweep.incidence_deg, angle, atol=1e-6)
         readings = sweep.reading_cm[here & ~sweep.missed & np.isfinite(sweep.reading_cm)]
@@ -129,19 +130,8 @@ def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, low: float, high: float)
         shares = counts / max(int(np.count_nonzero(here)), 1)
         lefts.extend((angle - shares * room / 2.0).tolist())
         widths.extend((shares * room).tolist())
-        bottoms.extend((values - 0.44).tolist())
-    top.bar(
-        lefts,
-        0.88,
-        widths,
-        bottom=bottoms,
-        align="edge",
-        color=OURS,
-        alpha=0.6,
-        linewidth=0,
-        zorder=2,
-        label="readings: width is the share",
-    )
+        read_cm.extend(values.tolist())
+    share_bars(top, lefts, read_cm, widths)
 
 
 def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -> None:
@@ -192,16 +182,9 @@ def draw_beam(
     reference_deg = {} if reference is None else reference.half_angle_deg
     figure = new_figure(4.0)
     axes = figure.subplots()
-    axes.fill_between(
-        span_cm,
-        span_deg - STEP_DEG,
-        span_deg + STEP_DEG,
-        color=PALE,
-        alpha=0.6,
-        linewidth=0,
-        label=f"± one step of the motor, {STEP_DEG:g}°",
-        zorder=1,
-    )
+    step = f"± one step of the motor, {STEP_DEG:g}°"
+    low_deg, high_deg = span_deg - STEP_DEG, span_deg + STEP_DEG
+    axes.fill_between(span_cm, low_deg, high_deg, color=PALE, alpha=0.6, linewidth=0, label=step, zorder=1)
     axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
     axes.plot(used_cm, used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
     x = [row.range_cm for row in sonar.rows]
@@ -215,9 +198,8 @@ def draw_beam(
     axes.errorbar(
         x,
         y,
-        yerr=reach,
-        linestyle="none",
-        marker="o",
+        reach,
+        fmt="o",
         markersize=9,
         color=OURS,
         capsize=4,
@@ -226,31 +208,12 @@ def draw_beam(
     )
     pairs = [(range_cm, reference_deg[range_cm]) for range_cm in x if range_cm in reference_deg]
     if pairs and reference is not None:
-        axes.plot(
-            [range_cm for range_cm, _ in pairs],
-            [angle for _, angle in pairs],
-            linestyle="none",
-            marker="X",
-            markersize=7,
-            color=REFERENCE,
-            markeredgecolor="white",
-            label=f"{reference.name}'s",
-            zorder=7,
-        )
+        look: dict[str, Any] = {"markersize": 7, "color": REFERENCE, "markeredgecolor": "white", "zorder": 7}
+        axes.plot(*zip(*pairs, strict=True), "X", label=f"{reference.name}'s", **look)
     left_out = [(row.range_cm, row.left_out_deg) for row in sonar.rows if row.left_out_deg is not None]
     if left_out:
-        axes.plot(
-            [range_cm for range_cm, _ in left_out],
-            [angle for _, angle in left_out],
-            linestyle="none",
-            marker="D",
-            markersize=9,
-            markerfacecolor="none",
-            markeredgewidth=1.6,
-            color=ORANGE,
-            zorder=8,
-            label="predicted from the others",
-        )
+        look = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE, "zorder": 8}
+        axes.plot(*zip(*left_out, strict=True), "D", label="predicted from the others", **look)
     silent = [row.range_cm for row in sonar.rows if row.left_out_deg is None]
     for range_cm in silent if left_out else ():
         axes.annotate(

@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.findings import IntervalEstimate
-from msp_sim.page.style import GREY, INK, OURS, REFERENCE, edges_between, legend_below, new_figure
+from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]
 
@@ -196,49 +196,16 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
                 bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
     if bars:
         x, y, width = np.array(bars).T
-        row.bar(
-            x - width / 2.0,
-            0.88,
-            width,
-            bottom=y - 0.44,
-            align="edge",
-            color=OURS,
-            alpha=0.6,
-            linewidth=0,
-            label="readings: width is the share",
-            zorder=2,
-        )
+        share_bars(row, x - width / 2.0, y, width)
     if far:
         x, y = np.array(far).T
-        row.plot(
-            x,
-            y,
-            linestyle="none",
-            marker="_",
-            markersize=6,
-            markeredgewidth=1.0,
-            color=OURS,
-            zorder=2,
-            clip_on=False,
-            label="readings farther off" if compressed else "readings outside",
-        )
+        label = "readings farther off" if compressed else "readings outside"
+        row.plot(x, y, "_", markersize=6, markeredgewidth=1.0, color=OURS, zorder=2, clip_on=False, label=label)
     if middles:
         x, y, spreads = np.array(middles).T
-        row.errorbar(
-            x,
-            y,
-            yerr=None if compressed else spreads,
-            linestyle="none",
-            marker="o",
-            markersize=4.5,
-            color=INK,
-            markerfacecolor="white",
-            markeredgewidth=1.1,
-            elinewidth=1.1,
-            capsize=2,
-            zorder=5,
-            label="median" if compressed else "mean of those not outside, 95 % interval",
-        )
+        label = "median" if compressed else "mean of those not outside, 95 % interval"
+        look = DOTS | {"markeredgewidth": 1.1, "elinewidth": 1.1, "capsize": 2}
+        row.errorbar(x, y, yerr=None if compressed else spreads, label=label, **look)
     for line, text in enumerate(("missed ", f"over ±{LINEAR_CM:g} cm ") if compressed else ("missed ",)):
         row.annotate(
             text,
@@ -257,6 +224,12 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
         row.set_xticks(ranges_cm)
         row.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
     row.grid(axis="x", visible=False)
+
+
+def share_bars(axes: Axes, left: ArrayLike, reading_cm: ArrayLike, width: ArrayLike) -> None:
+    """Histograms on their side: a bar of a centimetre for each reading, as wide as its share."""
+    look: dict[str, Any] = {"align": "edge", "color": OURS, "alpha": 0.6, "linewidth": 0, "zorder": 2}
+    axes.bar(left, 0.88, width, np.asarray(reading_cm) - 0.44, label="readings: width is the share", **look)
 
 
 def _count_above(row: Axes, range_cm: float, count: int, of: int, ranges: int, line: int) -> None:
@@ -291,19 +264,9 @@ def _cloud(row: Axes, each: Errors, limits_cm: tuple[float, float], compressed: 
         centres = [float(np.mean(x[index == i])) for i in kept]
         means = [float(np.median(y[index == i]) if compressed else np.mean(y[index == i])) for i in kept]
         spreads = [Z * float(np.std(y[index == i])) / np.sqrt(np.count_nonzero(index == i)) for i in kept]
-        row.errorbar(
-            centres,
-            means,
-            yerr=None if compressed else spreads,
-            marker="o",
-            markersize=4,
-            color=INK,
-            markerfacecolor="white",
-            linewidth=1.0,
-            capsize=2,
-            label="median in bins" if compressed else "mean in bins and its 95 % interval",
-            zorder=5,
-        )
+        label = "median in bins" if compressed else "mean in bins and its 95 % interval"
+        look = DOTS | {"linestyle": "-", "linewidth": 1.0, "markersize": 4, "capsize": 2}
+        row.errorbar(centres, means, yerr=None if compressed else spreads, label=label, **look)
     missed = int(np.count_nonzero(each.missed))
     row.text(
         1.0,

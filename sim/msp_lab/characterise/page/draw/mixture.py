@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
-from msp_sim.page.style import GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
+from msp_sim.page.style import DOTS, GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
 
 _Array = NDArray[np.float64]
 
@@ -25,17 +24,6 @@ NO_WEIGHT = 1e-7
 
 SINGLE_CM = 25.0
 """This near to the expected reading each centimetre is shown by itself [cm]."""
-
-_READ: dict[str, Any] = {
-    "linestyle": "none",
-    "markersize": 4.5,
-    "color": INK,
-    "markerfacecolor": "white",
-    "elinewidth": 1.0,
-    "capsize": 2.5,
-    "zorder": 5,
-}
-"""Look of the readings, as opposed to the fit."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +59,7 @@ def draw_hit(densities: Densities) -> Figure:
     axes.bar(k[shown], p[shown], width=0.9, color=OURS, alpha=0.45, label="fitted: integral over each centimetre")
     if densities.counts is not None:
         near = densities.counts[shown]
-        total = float(np.sum(near))
-        _dots(axes, k[shown], near / max(total, 1.0), near, total, "share read, and its 95 % interval")
+        _dots(axes, k[shown], near, float(np.sum(near)), "share read, and its 95 % interval", omits_none=True)
     axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return _finish(figure, axes, "probability of a centimetre")
@@ -116,17 +103,9 @@ def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
         words = f"{value:g} cm\nfitted {100.0 * codes[value]:.2f} %"
         if densities.counts is not None and total:
             count = float(np.sum(densities.counts[k == value]))
-            low, high = wilson(count, total)
-            share = count / total
-            axes.errorbar(
-                [value],
-                [100.0 * share],
-                yerr=[[100.0 * (share - low)], [100.0 * (high - share)]],
-                marker="o",
-                label="read, and its 95 % interval" if value == values[0] else None,
-                **_READ,
-            )
-            words += f"\nread {100.0 * share:.2f} %"
+            label = "read, and its 95 % interval" if value == values[0] else None
+            _dots(axes, [value], [count], total, label, 100.0)
+            words += f"\nread {100.0 * count / total:.2f} %"
         side = -1 if value > 0.85 * k[-1] else 1
         axes.annotate(
             words,
@@ -191,22 +170,14 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
     if densities.counts is not None:
         n = float(np.sum(densities.counts))
         single = (np.abs(k - densities.true_range_cm) <= SINGLE_CM) | is_code
-        _dots(axes, k[single], densities.counts[single] / n, densities.counts[single], n, f"read ({n:,.0f} readings)")
+        _dots(axes, k[single], densities.counts[single], n, f"read ({n:,.0f} readings)", omits_none=True)
         # Rare readings in bins: a single reading of a centimetre looks like more than it is.
         for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
             if single[stretch[0]]:
                 continue
             for cells in np.array_split(stretch, max(stretch.size // 25, 1)):
                 count = float(np.sum(densities.counts[cells]))
-                _dots(
-                    axes,
-                    k[cells].mean(keepdims=True),
-                    np.array([count / n / cells.size]),
-                    np.array([count]),
-                    n,
-                    None,
-                    cells.size,
-                )
+                _dots(axes, [k[cells].mean()], [count], n, None, 1.0 / cells.size, omits_none=True)
     for kind, p in parts.items():
         colour, dashes = _LOOKS[kind]
         label = f"{kind}, weight {densities.weight[kind]:.3g}"
@@ -278,19 +249,20 @@ def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
 
 
 def _dots(
-    axes: Axes, k: _Array, share: _Array, counts: _Array, total: float, label: str | None, cells: int = 1
+    axes: Axes,
+    reading_cm: ArrayLike,
+    counts: ArrayLike,
+    total: float,
+    label: str | None,
+    scale: float = 1.0,
+    *,
+    omits_none: bool = False,
 ) -> None:
-    """Shares that were read, each with its interval, as one centimetre of `cells`."""
-    intervals = np.array([wilson(float(count), total) for count in counts]).reshape(-1, 2) / cells
-    shown = counts > 0
-    axes.errorbar(
-        k[shown],
-        share[shown],
-        yerr=[(share - intervals[:, 0])[shown], (intervals[:, 1] - share)[shown]],
-        marker="o",
-        label=label,
-        **_READ,
-    )
+    """Shares of the readings times a scale, each with its interval; those of which there are none may be omitted."""
+    read = [(k, n) for k, n in zip(np.ravel(reading_cm), np.ravel(counts), strict=True) if n or not omits_none]
+    shares = np.array([scale * n / total for _, n in read])
+    low, high = scale * np.array([wilson(float(n), total) for _, n in read]).reshape(-1, 2).T
+    axes.errorbar([k for k, _ in read], shares, yerr=[shares - low, high - shares], label=label, **DOTS)
 
 
 def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: str) -> None:
@@ -314,14 +286,6 @@ def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: st
             continue
         scale = float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size)
         count = float(np.sum(densities.counts[cells]))
-        low, high = wilson(count, n)
-        value = scale * count / n
-        axes.errorbar(
-            [float(np.mean(densities.reading_cm[cells]))],
-            [value],
-            yerr=[[value - scale * low], [scale * high - value]],
-            marker="o",
-            label=None if shown else "read, in bins, times the model's share of this kind",
-            **_READ,
-        )
+        label = None if shown else "read, in bins, times the model's share of this kind"
+        _dots(axes, [np.mean(densities.reading_cm[cells])], [count], n, label, scale)
         shown = True

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
-from msp_sim.page.style import GREY, INK, ORANGE, OURS, REFERENCE, legend_below, new_figure, note
+from msp_sim.page.style import DOTS, GREY, INK, ORANGE, OURS, REFERENCE, legend_below, new_figure, note
 
 _Array = NDArray[np.float64]
 
@@ -69,9 +69,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     else:
         codes = [(code, number[fixed.missed & (fixed.reading_cm == code)]) for code in _codes(fixed)]
         for code, where in codes:
-            axes.plot(
-                where, np.full(where.size, code), linestyle="none", marker="|", markersize=9, color=ORANGE, zorder=3
-            )
+            axes.plot(where, np.full(where.size, code), "|", markersize=9, color=ORANGE, zorder=3)
             share = 100.0 * where.size / number.size
             axes.text(
                 1.005,
@@ -121,20 +119,8 @@ def draw_histogram(
             k = k[(k >= 0) & (k < fitted.size)]
             expected = fitted[k] * fixed.reading_cm.size
             band = Z * np.sqrt(np.maximum(expected, 0.0))
-            axes.errorbar(
-                k,
-                expected,
-                yerr=band,
-                linestyle="none",
-                marker="o",
-                markersize=4,
-                color=INK,
-                markerfacecolor="white",
-                elinewidth=1.0,
-                capsize=2.5,
-                label="fitted model, and 95 % of counts",
-                zorder=5,
-            )
+            label = "fitted model, and 95 % of counts"
+            axes.errorbar(k, expected, yerr=band, label=label, **DOTS | {"markersize": 4})
         axes.set_xlim(low, high)
         axes.set_ylim(bottom=0.0)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
