@@ -11,9 +11,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Protocol, overload
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -95,6 +97,20 @@ class Calibration:
 
 IDENTITY = Calibration()
 """The reading is the range."""
+
+
+class Knot(Protocol):
+    """A knot of a calibration: a true range, and the mean reading there [cm]."""
+
+    @property
+    def true_cm(self) -> float: ...
+    @property
+    def reading_cm(self) -> float: ...
+
+
+def curve_through(knots: Sequence[Knot]) -> Calibration:
+    """The calibration through these knots; ValueError as of `Calibration`."""
+    return Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
 
 
 class PiecewiseLinear:

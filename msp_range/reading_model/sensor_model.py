@@ -15,7 +15,7 @@ from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validat
 from pydantic_core import CoreSchema
 
 from msp_range.acoustics.beam import BreakawayTable
-from msp_range.correction.calibration import Calibration
+from msp_range.correction.calibration import Calibration, curve_through
 from msp_range.sensors.table import driver_names, find_driver
 from msp_range.yaml_file import Section, config_path, load
 from msp_range.yaml_loader import load_yaml
@@ -237,7 +237,7 @@ class SensorModel(Section):
     @field_validator("calibration")
     @classmethod
     def _is_a_calibration(cls, knots: tuple[CalibrationKnot, ...]) -> tuple[CalibrationKnot, ...]:
-        _curve(knots)
+        curve_through(knots)
         return knots
 
     @model_validator(mode="after")
@@ -266,7 +266,7 @@ class SensorModel(Section):
     @cached_property
     def calibration_curve(self) -> Calibration:
         """The calibration, ready to be applied."""
-        return _curve(self.calibration)
+        return curve_through(self.calibration)
 
     @cached_property
     def beam(self) -> BreakawayTable:
@@ -317,7 +317,3 @@ def _beam(points: tuple[BreakawayPoint, ...]) -> BreakawayTable:
         ranges_m=tuple(point.range_cm / 100.0 for point in points),
         half_angles_deg=tuple(point.half_angle_deg for point in points),
     )
-
-
-def _curve(knots: tuple[CalibrationKnot, ...]) -> Calibration:
-    return Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))

@@ -21,7 +21,7 @@ from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_
 from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
-from msp_range.correction.calibration import IDENTITY, Calibration
+from msp_range.correction.calibration import curve_through
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 
@@ -93,7 +93,6 @@ def characterise(
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
     undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
-    absent: dict[str, str] = {}
 
     _check_one_kind(loaded, points)
     _check_together(loaded, undisturbed)
@@ -101,47 +100,41 @@ def characterise(
     progress("calibration")
     found_base = baseline(by.get(BASELINE, []), reference_std_cm)
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
-    curve = _curve(calibration)
-    if found_base is None:
-        absent["baseline"] = "no readings of the surface with nothing varied"
-    if calibration is None:
-        absent["calibration"] = "no readings of the surface with nothing varied"
+    curve = curve_through(() if calibration is None else calibration.knots)
 
     progress("mixture")
     fitted = fit_mixture(undisturbed, curve, sensor, rng)
-    if isinstance(fitted, str):
-        absent["mixture"] = fitted
-    else:
+    if isinstance(fitted, FittedMixture):
         fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
 
     progress("maximum range")
     longest = maximum_range(by.get("maximum_range", []), sensor)
-    if longest is None:
-        absent["maximum_range"] = NOT_MEASURED
 
     progress("field of view and sonar equation")
     view = find_field_of_view(by.get("field_of_view", []), curve)
     heard_cm = _heard_on_axis_cm(undisturbed, sensor)
     rows = breakaway_rows(view.angles) if view is not None else []
     sonar = sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm)
-    if view is None:
-        absent["field_of_view"] = "no range was tried at more than one angle (incidence_deg)"
-    if sonar is None:
-        absent["sonar"] = "needs breakaway angles at three ranges at least"
 
     progress("questions")
     found_points = tuple(point.found for point in points)
     asked = answer_questions(found_points)
-    for name in TOPICS:
-        if not any(each.name == name for each in asked):
-            absent[name] = NOT_MEASURED
     boxes = hot_boxes(found_points, sensor.calibration_temperature_c)
     table = compensation_table(by.get(COMPENSATION, []), curve)
-    if not boxes:
-        absent["hot_boxes"] = "no three ranges with hot or cold air at the sensor and the same ranges without"
-    if not table:
-        absent[COMPENSATION] = NOT_MEASURED
 
+    nothing_undisturbed = "no readings of the surface with nothing varied"
+    parts: list[tuple[str, object, str]] = [
+        ("baseline", found_base, nothing_undisturbed),
+        ("calibration", calibration, nothing_undisturbed),
+        ("mixture", isinstance(fitted, FittedMixture), str(fitted)),
+        ("maximum_range", longest, NOT_MEASURED),
+        ("field_of_view", view, "no range was tried at more than one angle (incidence_deg)"),
+        ("sonar", sonar, "needs breakaway angles at three ranges at least"),
+        *((name, any(each.name == name for each in asked), NOT_MEASURED) for name in TOPICS),
+        ("hot_boxes", boxes, "no three ranges with hot or cold air at the sensor and the same ranges without"),
+        (COMPENSATION, table, NOT_MEASURED),
+    ]
+    absent = {name: why for name, found, why in parts if not found}
     findings = Findings(
         sensor=sensor.name,
         date=date,
@@ -209,14 +202,6 @@ def _check_together(loaded: LoadedReadings, undisturbed: Sequence[PointReadings]
 
 def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
-
-
-def _curve(calibration: CalibrationFindings | None) -> Calibration:
-    if calibration is None or not calibration.knots:
-        return IDENTITY
-    return Calibration(
-        tuple(knot.true_cm for knot in calibration.knots), tuple(knot.reading_cm for knot in calibration.knots)
-    )
 
 
 def _knots(calibration: CalibrationFindings | None) -> tuple[CalibrationKnot, ...] | None:

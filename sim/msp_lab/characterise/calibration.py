@@ -26,7 +26,7 @@ from msp_lab.characterise.estimates import (
 )
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, IntervalEstimate, Knot
 from msp_lab.characterise.points import PointReadings
-from msp_range.correction.calibration import IDENTITY, Calibration, PiecewiseLinear
+from msp_range.correction.calibration import PiecewiseLinear, curve_through
 
 MIN_RANGES = 4
 """Ranges that a straight line needs: it predicts each from the others, and three determine it with an error."""
@@ -128,11 +128,7 @@ def _set_up_offset(
 ) -> IntervalEstimate | None:
     if set_up_std_cm is None or len(used) < MIN_SET_UPS:
         return None
-    curve = (
-        Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
-        if knots
-        else IDENTITY
-    )
+    curve = curve_through(knots)
     factor = dependence_factor([point.error_cm[point.is_hit] for point in used])
     return between_points(data.reading_cm - curve.forward(data.true_cm), data.variance_cm2 * factor, set_up_std_cm**2)
 
@@ -258,7 +254,7 @@ def _knots(data: _Points, pieces: int) -> tuple[Knot, ...]:
 def _refused(knots: Sequence[Knot]) -> str:
     """Why a sensor model cannot have these knots; "" where it can."""
     try:
-        Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
+        curve_through(knots)
     except ValueError as error:
         return str(error)
     return ""

@@ -4,6 +4,7 @@ A starting `SensorModel`, findings and changes enter, YAML with comments leaves.
 before it is written, so what is on disk loads.
 """
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 
 _DIGITS = 6
+_WRAPPER = textwrap.TextWrapper(width=118, break_long_words=False, break_on_hyphens=False)
 
 
 def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> SensorModel:
@@ -95,7 +97,7 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
     assert named == set(content), f"no section for {set(content) ^ named}"
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for comments, names in sections:
-        lines += [f"# {line}" for comment in comments for line in _wrapped(comment)]
+        lines += [f"# {line}" for comment in comments for line in _WRAPPER.wrap(comment)]
         lines += [_yaml(name, content[name]) for name in names]
         lines.append("")
     return "\n".join(lines)
@@ -159,17 +161,6 @@ def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[st
 def _interval(estimate: IntervalEstimate, digits: int) -> str:
     low, high = ("?" if end is None else f"{round(end, digits):g}" for end in (estimate.low, estimate.high))
     return f"{round(estimate.value, digits):g} ({low} to {high})"
-
-
-def _wrapped(text: str, width: int = 118) -> list[str]:
-    lines, line = [], ""
-    for word in text.split():
-        if len(line) + len(word) + 1 > width and line:
-            lines.append(line)
-            line = word
-        else:
-            line = f"{line} {word}".strip()
-    return [*lines, line]
 
 
 def _yaml(name: str, value: Any) -> str:

@@ -6,6 +6,7 @@ there or gets wrong.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 from msp_lab.characterise.findings import CompensationRow, Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, range_error
@@ -36,27 +37,39 @@ def entries() -> Iterator[Entry]:
     )
     two_codes = "2000 readings at 500 cm, with missed ones that read 765 and 255."
     for figure, make, what, remark in (
-        (5, longest_range.in_order(False), "measurements", two_codes),
-        (6, longest_range.histogram(False), "histogram", "the same two codes, and the histogram multi-modal for them."),
-        (7, longest_range.in_order(True), "measurements, missed reports masked", ""),
-        (8, longest_range.histogram(True), "histogram, missed reports masked", f"a peak near {REPORT.peak_cm:g} cm."),
+        (5, partial(longest_range.in_order, masked=False), "measurements", two_codes),
+        (
+            6,
+            partial(longest_range.histogram, masked=False),
+            "histogram",
+            "the same two codes, and the histogram multi-modal for them.",
+        ),
+        (7, partial(longest_range.in_order, masked=True), "measurements, missed reports masked", ""),
+        (
+            8,
+            partial(longest_range.histogram, masked=True),
+            "histogram, missed reports masked",
+            f"a peak near {REPORT.peak_cm:g} cm.",
+        ),
     ):
         yield f"figure_4_{figure:02d}_maximum_range", f"Figure 4.{figure}: maximum range {what}", _with(make, remark)
     for figure, (range_cm, angle_deg) in enumerate(REPORT.half_angle_deg.items(), start=9):
         yield (
             f"figure_4_{figure:02d}_field_of_view_{range_cm:g}cm",
             f"Figure 4.{figure}: field of view at {range_cm:g} cm",
-            _with(field_of_view.sweep(range_cm), f"{angle_deg:g}°."),
+            _with(partial(field_of_view.sweep, range_cm=range_cm), f"{angle_deg:g}°."),
         )
     for figure, material in enumerate(MATERIALS, start=13):
         yield (
             f"figure_4_{figure}_{material}",
             f"Figure 4.{figure}: range error, {material} target",
-            _with(range_error.material(material), "plywood, asphalt and concrete cannot be distinguished."),
+            _with(
+                partial(range_error.material, name=material), "plywood, asphalt and concrete cannot be distinguished."
+            ),
         )
     for figure, kind, remark in _TEMPERATURES:
         title = f"Figure 4.{figure}: range error, {kind} temperature"
-        yield f"figure_4_{figure}_{kind}", title, _with(range_error.temperature(kind), remark)
+        yield f"figure_4_{figure}_{kind}", title, _with(partial(range_error.temperature, kind=kind), remark)
     yield (
         "figure_4_19_vibration",
         "Figure 4.19: range error, vibration",
@@ -67,7 +80,11 @@ def entries() -> Iterator[Entry]:
         (21, "sequential", "the errors go away, at the price of the rate."),
     ):
         title = f"Figure 4.{figure}: range error, two sensors, {how} transmission"
-        yield f"figure_4_{figure}_{how}", title, _with(range_error.crosstalk(f"crosstalk_{how}"), remark)
+        yield (
+            f"figure_4_{figure}_{how}",
+            title,
+            _with(partial(range_error.crosstalk, condition=f"crosstalk_{how}"), remark),
+        )
     yield (
         "section_4_3_8_external",
         "Section 4.3.8: range error, external ultrasound",
@@ -78,14 +95,14 @@ def entries() -> Iterator[Entry]:
         yield (
             f"figure_5_{figure:02d}_{'' if compensated else 'un'}compensated",
             f"Figure 5.{figure}: ranging {how} temperature compensation",
-            _with(air.range_errors(compensated), ""),
+            _with(partial(air.range_errors, after=compensated), ""),
         )
     yield "table_5_1_compensation", "Table 5.1 as a picture", _with(air.compensation, _mean_errors())
     for figure, kind, title, remark in _DENSITIES:
         yield (
             f"figure_5_{figure:02d}_{kind}",
             f"Figure 5.{figure}: {title} density",
-            _with(mixture.density(kind), f"{remark}."),
+            _with(partial(mixture.density, kind=kind), f"{remark}."),
         )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from msp_lab.characterise.findings import CompensationRow, Findings
 from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
 from msp_lab.characterise.page.text import interval, number, sentence
 from msp_range.acoustics.air import compensate_range
 from msp_sim.page.page import PageTable
@@ -20,15 +20,10 @@ MAX_BOXES = 3
 
 def entries() -> Iterator[Entry]:
     """Yield the pictures in the page's order."""
-    yield "uncompensated", "Range error without temperature compensation", range_errors(False)
-    yield "compensated", "Range error with temperature compensation", range_errors(True)
+    yield "uncompensated", "Range error without temperature compensation", partial(range_errors, after=False)
+    yield "compensated", "Range error with temperature compensation", partial(range_errors, after=True)
     yield "compensation", "What temperature compensation takes away", compensation
     yield "hot_boxes", "Where the hot and the cold air was", _boxes
-
-
-def range_errors(compensated: bool) -> Maker:
-    """Return what draws range errors with or without compensation."""
-    return partial(_range, after=compensated)
 
 
 def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
@@ -37,7 +32,8 @@ def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
     return 100.0 * compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c)
 
 
-def _range(findings: Findings, rows: PictureData, after: bool) -> Drawn:
+def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
+    """Draw range errors without or with (``after``) compensation."""
     found = rows.of("temperature_compensation")
     air_c = rows.number("air_temperature_c")
     known = found & np.isfinite(air_c)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.text import half_interval, sentence
 
 MAX_SWEEPS = 8
@@ -19,13 +19,8 @@ def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield a picture for each range at which angles were tried, and the sonar equation."""
     for range_cm in measured_ranges_cm(rows)[:MAX_SWEEPS]:
         name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
-        yield name, f"Field of view at {range_cm:g} cm", sweep(range_cm)
+        yield name, f"Field of view at {range_cm:g} cm", partial(sweep, range_cm=range_cm)
     yield "sonar_equation", "Sonar equation through the breakaway angles", _sonar
-
-
-def sweep(range_cm: float) -> Maker:
-    """Return what draws the readings over angle at a range [cm]."""
-    return partial(_field_of_view, range_cm=range_cm)
 
 
 def measured_ranges_cm(rows: PictureData) -> list[float]:
@@ -44,7 +39,8 @@ def _sweep_ranges(rows: PictureData) -> NDArray[np.float64]:
     return np.unique(rows.true_cm[found])
 
 
-def _field_of_view(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
+def sweep(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
+    """Draw the readings over angle at a range [cm]."""
     ranges = _sweep_ranges(rows)
     if range_cm not in ranges:
         there = ", ".join(f"{each:g}" for each in ranges[:12])

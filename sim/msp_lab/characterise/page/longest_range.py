@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.readings import FixedRange, draw_histogram, draw_in_order
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, placement_error_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import are, interval
 from msp_range.reading_model.mixture import ReadingModel
 
@@ -21,18 +21,9 @@ def entries() -> Iterator[Entry]:
     for masked in (False, True):
         without = ", without codes for no echo" if masked else ""
         end = "_masked" if masked else ""
-        yield f"longest_range_in_order{end}", f"Readings at the longest range, in order{without}", in_order(masked)
-        yield f"longest_range_histogram{end}", f"Readings at the longest range, histogram{without}", histogram(masked)
-
-
-def in_order(masked: bool) -> Maker:
-    """Return what draws the readings in order, with or without codes for no echo."""
-    return partial(_in_order, masked=masked)
-
-
-def histogram(masked: bool) -> Maker:
-    """Return what draws the histogram, with or without codes for no echo."""
-    return partial(_histogram, masked=masked)
+        for name, title, draw in (("in_order", "in order", in_order), ("histogram", "histogram", histogram)):
+            title = f"Readings at the longest range, {title}{without}"
+            yield f"longest_range_{name}{end}", title, partial(draw, masked=masked)
 
 
 def _fixed_range(rows: PictureData) -> FixedRange:
@@ -60,7 +51,8 @@ def _missed_percent(fixed: FixedRange) -> float:
     return 100.0 * np.count_nonzero(fixed.missed) / fixed.reading_cm.size
 
 
-def _in_order(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
+def in_order(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
+    """Draw the readings in order, with or without (``masked``) codes for no echo."""
     fixed = _readings(rows, masked)
     caption = f"{fixed.reading_cm.size:,} readings at {fixed.true_range_cm:g} cm"
     caption += f", of which {_missed_percent(fixed):.2g} % are codes for no echo" + (
@@ -71,7 +63,8 @@ def _in_order(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
     )
 
 
-def _histogram(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
+def histogram(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
+    """Draw the histogram, with or without (``masked``) codes for no echo."""
     fixed, found, earlier = _readings(rows, masked), findings.maximum_range, rows.reference
     fitted = _probabilities(findings, rows, fixed.true_range_cm) if masked and findings.mixture is not None else None
     marked = None

@@ -18,7 +18,7 @@ from msp_lab.characterise.page.draw.mixture import (
     draw_random,
     draw_short,
 )
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, placement_error_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
@@ -52,14 +52,9 @@ def entries() -> Iterator[Entry]:
         ("missed", "Missed echoes: the sensor's codes"),
         ("random", "Random readings: density"),
     ):
-        yield f"density_{kind}", title, density(kind)
+        yield f"density_{kind}", title, partial(density, kind=kind)
     yield "mixture", "The fitted mixture, all four densities", _whole_mixture
     yield "pit", "Goodness of fit: probability integral transform", _pit
-
-
-def density(kind: str) -> Maker:
-    """Return what draws the density of a kind of reading."""
-    return partial(_density, kind=kind)
 
 
 def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray[np.float64]]:
@@ -84,16 +79,16 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     hit, short, _, random = mixture.kinds(k, k)
     # The garbled code is drawn with the mass that it comes from.
     missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
-    density = dict(zip(KINDS, (hit.p, short.p, missed, random.p), strict=True))
+    by_kind = dict(zip(KINDS, (hit.p, short.p, missed, random.p), strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = np.rint(rows.reading_cm[chosen])
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
     counts = np.bincount(readings, minlength=k.size).astype(np.float64)
-    peak_cm = float(np.sum(k * density["hit"]))
+    peak_cm = float(np.sum(k * by_kind["hit"]))
     fitted = Densities(
         true_range_cm=peak_cm,
         reading_cm=k,
-        density=density,
+        density=by_kind,
         weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
         counts=counts if readings.size else None,
     )
@@ -113,7 +108,8 @@ def _one_range(rows: PictureData) -> tuple[str, float]:
     return condition, float(much[much.size // 2])
 
 
-def _density(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+def density(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+    """Draw the density of a kind of reading."""
     fitted, total = densities(findings, rows)
     assert findings.mixture is not None
     caption = _parameters(findings.mixture, kind)

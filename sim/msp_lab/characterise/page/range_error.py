@@ -8,7 +8,7 @@ import numpy as np
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Maker, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
 from msp_lab.characterise.page.text import file_word, interval, plus, sentence, span
 from msp_lab.characterise.temperature import ROOM_C
 
@@ -22,28 +22,13 @@ def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order, a material each."""
     yield "range_error", "Range error, nothing varied", baseline
     for name in materials(rows):
-        yield f"material_{file_word(name)}", f"Range error, target of {name}", material(name)
+        yield f"material_{file_word(name)}", f"Range error, target of {name}", partial(material, name=name)
     for kind in ("room", "hot", "cold"):
-        yield f"temperature_{kind}", f"Range error, {kind} air at the sensor", temperature(kind)
+        yield f"temperature_{kind}", f"Range error, {kind} air at the sensor", partial(temperature, kind=kind)
     yield "vibration", "Range error while the housing vibrates", vibration
     for condition, how in (("crosstalk_simultaneous", "at once"), ("crosstalk_sequential", "in turn")):
-        yield condition, f"Range error, two sensors that ping {how}", crosstalk(condition)
+        yield condition, f"Range error, two sensors that ping {how}", partial(crosstalk, condition=condition)
     yield "external_interference", "Range error with external ultrasound", external
-
-
-def material(name: str) -> Maker:
-    """Return what draws the range error on a material."""
-    return partial(_material, material=name)
-
-
-def temperature(kind: str) -> Maker:
-    """Return what draws the range error in room, hot or cold air."""
-    return partial(_temperature, kind=kind)
-
-
-def crosstalk(condition: str) -> Maker:
-    """Return what draws the range error of two sensors that ping at once or in turn."""
-    return partial(_crosstalk, condition=condition)
 
 
 def baseline(findings: Findings, rows: PictureData) -> Drawn:
@@ -69,23 +54,25 @@ def materials(rows: PictureData) -> list[str]:
     return [str(each) for each in np.unique(rows.word("target")[found]) if each]
 
 
-def _material(findings: Findings, rows: PictureData, material: str) -> Drawn:
+def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
+    """Draw the range error on a material."""
     found = rows.of("material")
     there = materials(rows)
-    if material not in there:
-        raise Absent(f"No readings of {material}; the targets are {', '.join(there) or 'not named (column target)'}.")
+    if name not in there:
+        raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
     target = rows.word("target")
-    errors = rows.errors(found & (target == material))
+    errors = rows.errors(found & (target == name))
     limits = shared_limits_cm([rows.errors(found & (target == each)) for each in there])
-    caption = summary(errors) + _answers(findings, "material", material)
+    caption = summary(errors) + _answers(findings, "material", name)
     return Drawn(
         draw_errors([errors], ErrorAxes(limits_cm=limits)),
         caption,
-        f"Range error over true range, target of {material}.",
+        f"Range error over true range, target of {name}.",
     )
 
 
-def _temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+    """Draw the range error in room, hot or cold air."""
     found = rows.of("temperature")
     air_c = rows.number("air_temperature_c")
     if not np.any(np.isfinite(air_c[found])):
@@ -129,7 +116,8 @@ def vibration(findings: Findings, rows: PictureData) -> Drawn:
     return Drawn(draw_errors(panels), caption, "Range error over true range while the sensor's housing vibrates.")
 
 
-def _crosstalk(findings: Findings, rows: PictureData, condition: str) -> Drawn:
+def crosstalk(findings: Findings, rows: PictureData, condition: str) -> Drawn:
+    """Draw the range error of two sensors that ping at once or in turn."""
     found = rows.of(condition)
     names = np.unique(rows.sensor[found]).tolist()
     panels: list[Errors] = [
