@@ -161,7 +161,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
     noise_floor = z * math.sqrt(float(data.variance_cm2.mean()))
-    return IntervalEstimate(value, value - half, value + half, "cm", residual.size, "points"), noise_floor
+    return IntervalEstimate.about(value, half, "cm", residual.size, "points"), noise_floor
 
 
 def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:

@@ -40,6 +40,11 @@ def wilson(count: float, of: float) -> tuple[float, float]:
     return max(min(middle - half, p), 0.0), min(max(middle + half, p), 1.0)
 
 
+def student(standard_error: float, freedom: float) -> float:
+    """Half of Student's 95 % interval of an estimate with this standard error."""
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * standard_error
+
+
 def share(count: int, of: int) -> IntervalEstimate:
     """A share with Wilson's interval.
 
@@ -66,8 +71,9 @@ def mean_of_points(values: Sequence[float] | _Array, unit: str) -> IntervalEstim
     n = len(values)
     if n < 2:
         return IntervalEstimate(value, None, None, unit, n, "points")
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
-    return IntervalEstimate(value, value - half, value + half, unit, n, "points")
+    return IntervalEstimate.about(
+        value, student(float(np.std(values, ddof=1)) / math.sqrt(n), n - 1), unit, n, "points"
+    )
 
 
 class PointsFit(NamedTuple):
@@ -83,9 +89,8 @@ class PointsFit(NamedTuple):
         value, n = float(self.coefficients[i]), self.freedom + self.coefficients.size
         if self.freedom < 1:
             return IntervalEstimate(value, None, None, unit, n, "points")
-        half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, self.freedom)) * math.sqrt(float(self.covariance[i, i]))
-        half = math.hypot(half, Z * extra_std)
-        return IntervalEstimate(value, value - half, value + half, unit, n, "points")
+        half = math.hypot(student(math.sqrt(float(self.covariance[i, i])), self.freedom), Z * extra_std)
+        return IntervalEstimate.about(value, half, unit, n, "points")
 
 
 def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
@@ -229,12 +234,11 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpr
         return _of_rounded(values, step, unit)
     if n < 2:
         return MeanAndSpread(IntervalEstimate(average, None, None, unit, n), IntervalEstimate(0.0, None, None, unit, n))
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
+    half = student(std / math.sqrt(n), n - 1)
     ends = (n - 1) * std**2 / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
     low, value, high = (math.sqrt(max(each - step**2 / 12, 0.0)) for each in (ends[0], std**2, ends[1]))
-    return MeanAndSpread(
-        IntervalEstimate(average, average - half, average + half, unit, n), IntervalEstimate(value, low, high, unit, n)
-    )
+    mean = IntervalEstimate.about(average, half, unit, n)
+    return MeanAndSpread(mean, IntervalEstimate(value, low, high, unit, n))
 
 
 def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:

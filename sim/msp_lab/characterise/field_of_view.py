@@ -10,10 +10,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.special import xlogy
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, share
+from msp_lab.characterise.estimates import Z, share, student
 from msp_lab.characterise.findings import (
     AnglePoint,
     BreakawayAngle,
@@ -152,8 +151,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     reading = None
     if of_wall.size > 1:
         half = Z * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
-        mean = float(of_wall.mean())
-        reading = IntervalEstimate(mean, mean - half, mean + half, "cm", of_wall.size)
+        reading = IntervalEstimate.about(float(of_wall.mean()), half, "cm", of_wall.size)
     return AnglePoint(
         range_cm=round(point.range_cm, 3),
         incidence_deg=round(point.incidence_deg, 3),
@@ -238,10 +236,8 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     if freedom < 1 or not float(x @ x) > 0.0:
         return Oblique("unknown", None, None, None, "too few reliable angles")
     slope = float(x @ y / (x @ x))
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * math.sqrt(
-        float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)
-    )
-    estimate = IntervalEstimate(slope, slope - half, slope + half, "", len(rows), "points")
+    half = student(math.sqrt(float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)), freedom)
+    estimate = IntervalEstimate.about(slope, half, "", len(rows), "points")
     slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
     low, high = slope - half, slope + half
     reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, detectable, holm
+from msp_lab.characterise.estimates import Z, detectable, holm, student
 from msp_lab.characterise.findings import FactorEffect, IntervalEstimate, Metric, PointResult, Question, Verdict
 
 LEVEL = 0.05
@@ -276,7 +276,7 @@ def _effect_found(
     bound = {"bias": BIAS_BOUND_CM, "spread": SPREAD_BOUND}.get(metric, ODDS_BOUND)
     if raw is None or different is None or alike is None:
         return FactorEffect(metric, None, None, None, bound, "cannot tell", None)
-    half = (float(stats.t.ppf(0.5 + CONFIDENCE / 2, raw.freedom)) if math.isfinite(raw.freedom) else Z) * raw.error
+    half = student(raw.error, raw.freedom) if math.isfinite(raw.freedom) else Z * raw.error
     ends = (raw.value, raw.value - half, raw.value + half)
     # e^500 is a number still, and 'anything' enough.
     value, low, high = (math.exp(min(max(each, -500.0), 500.0)) for each in ends) if is_ratio else ends

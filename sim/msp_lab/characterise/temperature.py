@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, standard_error
+from msp_lab.characterise.estimates import CONFIDENCE, Z, standard_error, student
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
@@ -65,13 +65,10 @@ def _hot_box(
     uniform_cm, gradient_cm = confined(range_cm, math.inf), _gradient(range_cm, box_c, room_c, calibration_c)
     confined_cm = confined(range_cm, depth.value)
     n = shift.size
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * float(shift.std(ddof=1)) / math.sqrt(n)
+    half = student(float(shift.std(ddof=1)) / math.sqrt(n), n - 1)
     # Correction that the readings call for: slope of -shift over range, in per cent.
     fit = stats.linregress(range_cm, -100.0 * shift)
-    slope_half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 2)) * float(fit.stderr)
-    per_cent = IntervalEstimate(
-        float(fit.slope), float(fit.slope) - slope_half, float(fit.slope) + slope_half, "%", n, "points"
-    )
+    per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
     uniform_per_cent = 100.0 * (speed_of_sound(box_c) / speed_of_sound(room_c) - 1.0)
     ideas: dict[AirBefore, _Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
     squares = {name: float(((shift - idea) ** 2).sum()) for name, idea in ideas.items()}
@@ -89,17 +86,13 @@ def _hot_box(
         per_cent=per_cent,
         uniform_per_cent=uniform_per_cent,
         rows=tuple(
-            HotBoxRow(
-                float(r),
-                IntervalEstimate(float(s), float(s) - Z * e, float(s) + Z * e, "cm", p.hits),
-                *ideas_here,
-            )
-            for r, s, e, (p, _), ideas_here in zip(
-                range_cm,
-                shift,
+            HotBoxRow(r, IntervalEstimate.about(s, Z * e, "cm", p.hits), *ideas_here)
+            for r, s, e, (p, _), *ideas_here in zip(
+                range_cm.tolist(),
+                shift.tolist(),
                 errors,
                 pairs,
-                zip(*(each.tolist() for each in ideas.values()), strict=True),
+                *(each.tolist() for each in ideas.values()),
                 strict=True,
             )
         ),
@@ -179,13 +172,12 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
         return None
     air_c = np.concatenate([p.air_temperature_c[p.is_hit] for p in points])
     mean, half = float(hits.mean()), _half(hits, points[0].step_cm)
-    uncompensated = IntervalEstimate(mean - range_cm, mean - range_cm - half, mean - range_cm + half, "cm", hits.size)
+    uncompensated = IntervalEstimate.about(mean - range_cm, half, "cm", hits.size)
     compensated, thermometer_c = None, None
     if not np.isnan(air_c).any():
         thermometer_c = float(air_c.mean())
         corrected = hits * np.sqrt((air_c + ZERO_CELSIUS_K) / calibration_k)
-        value = float(corrected.mean()) - range_cm
-        compensated = IntervalEstimate(value, value - half, value + half, "cm", hits.size)
+        compensated = IntervalEstimate.about(float(corrected.mean()) - range_cm, half, "cm", hits.size)
     implied = [calibration_k * (range_cm / each) ** 2 - ZERO_CELSIUS_K for each in (mean, mean + half, mean - half)]
     return CompensationRow(
         range_cm=range_cm,

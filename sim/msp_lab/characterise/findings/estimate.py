@@ -27,3 +27,8 @@ class IntervalEstimate:
     unit: str
     n: int
     of: str = "readings"
+
+    @classmethod
+    def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
+        """A number with an interval that reaches as far to both sides."""
+        return cls(value, value - half, value + half, unit, n, of)

@@ -68,6 +68,8 @@ def _accuracy(findings: Findings) -> Iterator[Conclusion]:
             "yes" if kept else "no",
             "kept" if kept else "none needed",
         )
+        if calibration.set_up_offset is not None:
+            yield Conclusion("Between set-ups", interval(calibration.set_up_offset), "open", "measured")
 
 
 def _maximum_range(findings: Findings) -> Iterator[Conclusion]:
