@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,12 @@ def heartbeat(mav: Any) -> bytes:
     return frame
 
 
+def heartbeat_1(mav: Any) -> bytes:
+    """Of MAVLink 1."""
+    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(mav, force_mavlink1=True)
+    return frame
+
+
 def our_heartbeat() -> bytes:
     return pack(ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 1, 191, 7)
 
@@ -82,11 +89,36 @@ def test_what_is_not_signed_with_the_key_is_refused() -> None:
     assert not signing.accepts(received(our_heartbeat()))
     assert not signing.accepts(received(heartbeat(peer(b"x" * 32))))
     assert not signing.accepts(received(good[:-1] + bytes((good[-1] ^ 1,))))
-    version_1 = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(
-        ardupilotmega.MAVLink(None, 1, 1), force_mavlink1=True
-    )
-    assert not signing.accepts(received(version_1))
+    assert not signing.accepts(received(heartbeat_1(ardupilotmega.MAVLink(None, 1, 1))))
     assert signing.verified == 0
+
+
+def test_a_frame_of_mavlink_1_is_never_signed_whatever_its_sequence_number() -> None:
+    """Its sequence number stands where a frame of MAVLink 2 has the flag."""
+    mav = ardupilotmega.MAVLink(None, 1, 1)
+    for sequence in range(4):
+        mav.seq = sequence
+        assert not is_signed(received(heartbeat_1(mav)))
+
+
+def test_a_key_in_the_airframe_lets_nothing_in_that_is_not_signed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    make_key(tmp_path / "key", KEY)
+    unsigned = received(our_heartbeat())
+    clock = VirtualClock(NOW_S)
+    strict, setting_up = (signing_of(str(tmp_path / "key"), clock, **each) for each in ({}, {"accepts_unsigned": True}))
+    assert strict is not None
+    assert not strict.accepts(unsigned)
+    assert setting_up is not None
+    assert setting_up.accepts(unsigned)
+    assert signing_of(None, clock) is None
+
+
+def test_timestamps_begin_in_2015_as_the_standard_says() -> None:
+    assert datetime(2015, 1, 1, tzinfo=UTC).timestamp() == EPOCH_S
+    assert Signing(KEY, VirtualClock(EPOCH_S + 1.0)).timestamp() == 100_000
 
 
 def test_a_sender_that_was_not_received_before_may_be_a_minute_behind() -> None:
@@ -108,7 +140,7 @@ def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each run starts at 1970, as a Raspberry Pi without a network does, and is killed after some time."""
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "new"))
     make_key(tmp_path / "key", KEY)
     last = 0
     for run_s in (0.0, 5.0, 45.0, 200.0):
@@ -120,7 +152,7 @@ def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
         for step in range(1, 101):
             clock.sleep_until(run_s * step / 100)
             last = signing.timestamp()
-        until_kept(tmp_path / "signing-time", last)
+        until_kept(tmp_path / "new" / "signing-time", last)
     assert last < 4 * 2 * RESERVED_UNITS + 400 * UNITS_PER_S, "no farther ahead than the runs and their reserves"
 
 
