@@ -1,6 +1,7 @@
 """The feed of a running bridge: what watchers get, and that none of them can hold it up."""
 
 import json
+import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -136,6 +137,18 @@ def test_a_path_that_cannot_be_used_is_one_sentence(tmp_path: Path) -> None:
         Feed(Path("/proc/none/status.sock"), dict, lambda time_s, text: None)
     with pytest.raises(FeedError, match="too long"):
         Feed(tmp_path / (200 * "x") / "status.sock", dict, lambda time_s, text: None)
+
+
+def test_in_a_folder_of_somebody_else_there_is_no_feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who owns the folder could put a socket of his own there."""
+    folder = tmp_path / "taken"
+    folder.mkdir()
+    if os.geteuid() == 0:
+        os.chown(folder, 4242, -1)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(FeedError, match="belongs to another user"):
+        Feed(folder / "status.sock", dict, lambda time_s, text: None)
 
 
 class Kept:
