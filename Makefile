@@ -82,11 +82,11 @@ compile: .venv/.installed
 	$(PYTHON) -m venv .venv
 
 .venv/.installed: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,kalman,web]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web]'
 	@touch $@
 
 .venv/.installed-test: pyproject.toml .venv/.installed
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,kalman,web,test,bench]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,test,bench]'
 	@touch $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.

@@ -8,6 +8,7 @@ EXTRAS = {
     "kalman": ("filterpy", "scipy"),
     "sim": ("matplotlib", "scipy"),
     "lab": ("jinja2", "matplotlib", "scipy"),
+    "logs": ("pyarrow", "pyulog", "rosbags"),
     "web": ("prometheus_client", "websockets"),
 }
 """Packages of each extra; a test compares it with pyproject.toml."""

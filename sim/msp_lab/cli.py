@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from msp_lab.gap.cli import app as gap_app
+from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
 from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
@@ -96,7 +97,10 @@ def collect(
 @report_user_errors
 def characterise(
     data: Annotated[
-        list[Path], typer.Argument(metavar="DATA...", help="measured readings (.csv) or recordings (.mcap)")
+        list[Path],
+        typer.Argument(
+            metavar="DATA...", help="measured readings (.csv), recordings (.mcap), or datasets of 'msp-lab import'"
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model file to make")],
     report: Annotated[
@@ -301,6 +305,7 @@ def filters(
             print(f"written: {path}")
 
 
+app.add_typer(import_app)
 app.add_typer(gap_app)
 
 

@@ -24,7 +24,12 @@ app = typer.Typer()
 Out = Annotated[Path, typer.Option(metavar="DIR", help="folder for gap.json, model.yaml, report.html and pictures")]
 OutArgument = Annotated[Path, typer.Argument(metavar="DIR", help="folder that 'msp-lab compare' or 'gap' made")]
 Measured = Annotated[
-    list[Path], typer.Argument(metavar="MEASURED", help="readings with a true range (.csv) or recordings (.mcap)")
+    list[Path],
+    typer.Argument(
+        metavar="MEASURED",
+        help="readings with a true range (.csv), recordings (.mcap), datasets of 'msp-lab import', or flight logs "
+        "(.BIN, .ulg, .tlog, .bag), which are imported into --out/readings first",
+    ),
 ]
 Reference = Annotated[
     Path, typer.Option("--model", metavar="MODEL.yaml", help="sensor model to compare the readings with")
@@ -48,9 +53,12 @@ Of = Annotated[
     ),
 ]
 TruthOption = Annotated[
-    Literal["recorded", "others"],
+    str,
     typer.Option(
-        "--truth", help="recorded: the files' true_range_cm; others: compare each sensor with the vehicle's other ones"
+        "--truth",
+        metavar="SOURCE",
+        help="recorded: the files' true_range_cm, or the best reference of a flight log; others: compare each sensor "
+        "with the vehicle's other ones; of a flight log also what 'msp-lab import --help' names",
     ),
 ]
 Last: TypeAlias = Literal["compare", "name", "add", "show"]
@@ -92,7 +100,9 @@ def _from_readings(last: Last) -> Callable[..., None]:
         effects: OwnEffects = None,
     ) -> None:
         from msp_lab.gap.findings import Settings
+        from msp_lab.logs.cli import with_logs_imported
 
+        measured, truth = with_logs_imported(measured, truth, column_map or [], out / "readings")
         settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
         if truth == "others":
             if until not in ("add", "show") or last != "show":

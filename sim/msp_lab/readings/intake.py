@@ -1,7 +1,8 @@
 """The one intake of readings, for everything that compares them with a truth.
 
-Files enter: CSV in the one form, recordings, or with a column map other people's tables. One table leaves, with what
-the files are and what was noticed. Rows stay in the order of the files and readings in the resolution of their file.
+Files enter: CSV in the one form, recordings, datasets of imported logs, or with a column map other people's tables. One
+table leaves, with what the files are and what was noticed. Rows stay in the order of the files and readings in the
+resolution of their file.
 """
 
 import hashlib
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
+from msp_lab.readings.dataset import is_dataset, read_dataset, sha256_of_dataset
 from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import with_runs
 from msp_lab.readings.vehicle import others_as_reference
@@ -43,6 +45,9 @@ EQUAL_RELATIVE = 1e-9
 """A column whose values differ by a smaller share than this is constant: 100.00000000000142 is 100. It is far above the
 rounding of arithmetic (1e-15) and far below any resolution."""
 
+
+FLIGHT_LOGS = (".bin", ".ulg", ".tlog", ".bag", ".db3")
+"""Endings of files that ``msp-lab import`` reads."""
 
 Truth = Literal["recorded", "others"]
 """Where the true range comes from: the files, or each sensor's neighbours."""
@@ -94,7 +99,8 @@ def load_readings(
     Parameters
     ----------
     paths
-        CSV files in the one form, recordings, or with `column_map` other people's tables.
+        CSV files in the one form, recordings, datasets of ``msp-lab import``, or with `column_map` other people's
+        tables.
     sensor
         Its limits and its code of no echo, to see whether units are right.
     column_map
@@ -166,7 +172,9 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal."""
+    """Return the SHA-256 of a file, or of a dataset's files, in hexadecimal."""
+    if path.is_dir():
+        return sha256_of_dataset(path)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -175,6 +183,10 @@ def _read_table(
     path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str]
 ) -> tuple[MeasuredData, Recording | None]:
     """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
+    if is_dataset(path):
+        return read_dataset(path), None
+    if path.suffix.lower() in FLIGHT_LOGS:
+        raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
     if column_map is not None:
         return read_mapped(path, column_map, sensor.maximum_cm), None
     if is_recording(path):

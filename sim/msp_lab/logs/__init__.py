@@ -1,0 +1,1 @@
+"""Logs that people have (autopilots, ROS, ground stations, our own recordings) as one dataset of readings."""

@@ -1,0 +1,215 @@
+"""An ArduPilot dataflash log (.BIN) as a `Log`.
+
+What the messages hold: https://ardupilot.org/copter/docs/logmessages.html. Whether EKF3 fuses the range into its height
+is decided by EK3_SRCn_POSZ = 2 and EK3_RNG_USE_HGT > 0 (AP_NavEKF3_PosVelFusion.cpp, selectHeightForFusion); its height
+above the terrain (XKF5.HAGL) always is the range finder's, since its terrain estimator has no other source.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.logs.dataflash import Messages, Progress, read_messages
+from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Log, Ranger, Reference, Series, readings_cm, series, tilt_deg
+
+DOWN = 25
+"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
+_NO_DATA, _TOO_FAR = 1, 3
+"""RangeFinder::Status: nothing was read; out of range, far (AP_RangeFinder.h)."""
+_RTK_FIXED = 6
+"""AP_GPS::GPS_OK_FIX_3D_RTK_FIXED: to centimetres; a float solution (5) is off by decimetres."""
+_RANGE_FINDER = 2
+"""AP_NavEKF_Source::SourceZ::RANGEFINDER."""
+
+WANTED = {
+    "RFND": ("TimeUS", "TimeMS", "Instance", "I", "Dist", "Stat", "Orient", "Dist1", "Orient1", "Dist2", "Orient2"),
+    "PARM": ("Name", "Value"),
+    "MSG": ("Message",),
+    "ATT": ("TimeUS", "TimeMS", "Roll", "Pitch"),
+    "XKF1": ("TimeUS", "C", "VD", "PD"),
+    "NKF1": ("TimeUS", "C", "VD", "PD"),
+    "GPS": ("TimeUS", "I", "Status", "Alt"),
+    "GPA": ("TimeUS", "I", "VAcc"),
+    "VISP": ("TimeUS", "PZ"),
+    "SIM": ("TimeUS", "Alt"),
+    "BARO": ("TimeUS", "I", "Alt", "Temp"),
+    "ARSP": ("TimeUS", "I", "Temp"),
+    "CTUN": ("TimeUS", "ThO"),
+    "VIBE": ("TimeUS", "IMU", "VibeX", "VibeY", "VibeZ"),
+}
+"""Messages and fields that are read; names of old versions next to today's."""
+
+
+def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> Log:
+    """Read a log.
+
+    Parameters
+    ----------
+    path
+        The file.
+    progress
+        Called with the share that is read.
+    extra
+        ``MESSAGE.FIELD`` of a reference in the log, as ``--truth column:`` names it.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    message, _, field = extra.partition(".")
+    wanted = WANTED | ({message: (*WANTED.get(message, ("TimeUS", "TimeMS")), field)} if field else {})
+    found, lost = read_messages(path, wanted, progress)
+    parameters = _parameters(found)
+    context = {
+        TILT: _attitude(found),
+        CLIMB: _negative(_first(found, "XKF1", "VD") or _first(found, "NKF1", "VD")),
+        THROTTLE: _first(found, "CTUN", "ThO"),
+        "air_temperature_c": _first(found, "ARSP", "Temp"),
+        "board_temperature_c": _first(found, "BARO", "Temp"),
+        "vibration_m_s2": _vibration(found),
+    }
+    references = [*_references(found, parameters)]
+    if field and (column := _first(found, message, field)) is not None:
+        references.append(Reference("column", column))
+    return Log(
+        path,
+        f"ArduPilot dataflash log, {_version(found)}",
+        tuple(_rangers(found, parameters)),
+        {name: each for name, each in context.items() if each is not None and len(each)},
+        tuple(references),
+        (f"{lost}.",) if lost else (),
+    )
+
+
+def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
+    rfnd = found.get("RFND", {})
+    if "Dist1" in rfnd:  # before 4.0
+        pairs = [(rfnd[f"Dist{n}"], rfnd.get(f"Orient{n}"), n) for n in (1, 2) if f"Dist{n}" in rfnd]
+        return [
+            _ranger(n, _time_s(rfnd), range_m, None, DOWN if facing is None else int(np.median(facing)), parameters)
+            for range_m, facing, n in pairs
+            if range_m.any()
+        ]
+    if "Dist" not in rfnd:
+        return []
+    instance = rfnd.get("Instance", rfnd.get("I", np.zeros(rfnd["Dist"].size)))
+    rangers = []
+    for each in np.unique(instance).tolist():
+        rows = instance == each
+        status = rfnd["Stat"][rows] if "Stat" in rfnd else None
+        facing = int(np.median(rfnd["Orient"][rows])) if "Orient" in rfnd else DOWN
+        rangers.append(_ranger(int(each) + 1, _time_s(rfnd)[rows], rfnd["Dist"][rows], status, facing, parameters))
+    return rangers
+
+
+def _ranger(
+    number: int,
+    time_s: NDArray[Any],
+    range_m: NDArray[Any],
+    status: NDArray[Any] | None,
+    facing: int,
+    parameters: Mapping[str, float],
+) -> Ranger:
+    prefix = f"RNGFND{number}"
+    maximum_m = parameters.get(f"{prefix}_MAX", parameters.get(f"{prefix}_MAX_CM", np.inf) / 100.0)
+    reading_cm = readings_cm(range_m, maximum_m)
+    if status is not None:
+        if np.isfinite(maximum_m):
+            reading_cm[status == _TOO_FAR] = 100.0 * maximum_m
+        reading_cm[status <= _NO_DATA] = np.nan
+    return Ranger(prefix, series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
+
+
+def _references(found: Messages, parameters: Mapping[str, float]) -> list[Reference]:
+    references = []
+    if (simulated := _first(found, "SIM", "Alt")) is not None:
+        references.append(Reference("simulator", simulated))
+    gps = found.get("GPS", {})
+    if (altitude := _first(found, "GPS", "Alt")) is not None and (gps.get("Status", np.zeros(1)) == _RTK_FIXED).any():
+        fixed = _first(found, "GPS", "Status")
+        assert fixed is not None
+        values = np.where(fixed.values == _RTK_FIXED, altitude.values, np.nan)
+        references.append(
+            Reference("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
+        )
+    if (seen := _negative(_first(found, "VISP", "PZ"))) is not None:
+        references.append(Reference("mocap", seen))
+    for message, refused in (("XKF1", _fused_by_ekf3(parameters)), ("NKF1", _fused_by_ekf2(parameters))):
+        if (height := _negative(_first(found, message, "PD"))) is not None:
+            references.append(Reference("ekf", height, refused=refused))
+    if (pressure := _first(found, "BARO", "Alt")) is not None:
+        references.append(Reference("barometer", pressure))
+    return references
+
+
+def _fused_by_ekf3(parameters: Mapping[str, float]) -> str:
+    """Why the height of EKF3 is no independent one; empty where it is."""
+    if not parameters:
+        return "the log has no parameters, so EK3_SRC1_POSZ is not known, and the range may be fused into it"
+    for name in ("EK3_SRC1_POSZ", "EK3_SRC2_POSZ", "EK3_SRC3_POSZ"):
+        if parameters.get(name) == _RANGE_FINDER:
+            return f"{name} is 2, so the range is fused into it"
+    if parameters.get("EK3_RNG_USE_HGT", -1.0) > 0.0:
+        return f"EK3_RNG_USE_HGT is {parameters['EK3_RNG_USE_HGT']:g}, so the range is fused into it near the ground"
+    return ""
+
+
+def _fused_by_ekf2(parameters: Mapping[str, float]) -> str:
+    if not parameters:
+        return "the log has no parameters, so EK2_ALT_SOURCE is not known, and the range may be fused into it"
+    if parameters.get("EK2_ALT_SOURCE") == 1.0 or parameters.get("EK2_RNG_USE_HGT", -1.0) > 0.0:
+        return "EK2_ALT_SOURCE or EK2_RNG_USE_HGT has the range fused into it"
+    return ""
+
+
+def _attitude(found: Messages) -> Series | None:
+    roll, pitch = _first(found, "ATT", "Roll"), _first(found, "ATT", "Pitch")
+    if roll is None or pitch is None:
+        return None
+    return Series("ATT", roll.time_s, tilt_deg(np.radians(roll.values), np.radians(pitch.values)))
+
+
+def _vibration(found: Messages) -> Series | None:
+    axes = [_first(found, "VIBE", f"Vibe{axis}") for axis in "XYZ"]
+    known = [each for each in axes if each is not None]
+    if len(known) < 3:
+        return None
+    return Series("VIBE", known[0].time_s, np.sqrt(sum(each.values**2 for each in known)))
+
+
+def _first(found: Messages, message: str, field: str) -> Series | None:
+    """A field of a message, of its first instance or core where there are several."""
+    fields = found.get(message, {})
+    if field not in fields or not ("TimeUS" in fields or "TimeMS" in fields):
+        return None
+    time_s, values = _time_s(fields), fields[field]
+    instance = next((fields[name] for name in ("I", "C", "IMU") if name in fields), None)
+    if instance is not None and instance.size:
+        time_s, values = time_s[instance == instance.min()], values[instance == instance.min()]
+    return series(f"{message}.{field}", time_s, values)
+
+
+def _time_s(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    return fields["TimeUS"] / 1e6 if "TimeUS" in fields else fields["TimeMS"] / 1e3
+
+
+def _negative(found: Series | None) -> Series | None:
+    return None if found is None else Series(found.source, found.time_s, -found.values)
+
+
+def _parameters(found: Messages) -> dict[str, float]:
+    """The values that parameters had last."""
+    parm = found.get("PARM", {})
+    names = [name.decode("ascii", "replace") for name in parm.get("Name", np.zeros(0, "S1")).tolist()]
+    return dict(zip(names, parm.get("Value", np.zeros(0)).tolist(), strict=False))
+
+
+def _version(found: Messages) -> str:
+    texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
+    named = (each.decode("ascii", "replace") for each in texts)
+    return next((each for each in named if re.match(r"\w+ V\d", each)), "unknown version")

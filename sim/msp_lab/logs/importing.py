@@ -1,0 +1,330 @@
+"""Logs into a dataset of readings, one after the other, with an account of what was found.
+
+Paths enter; a dataset and an `Imported` for each log leave. The account is kept in the dataset too.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_lab.logs.join import Joined, join
+from msp_lab.logs.log import Log, Reference
+from msp_lab.logs.opening import kind_of, open_log
+from msp_lab.logs.truth import OTHERS, Truth, choose
+from msp_lab.readings.column_map import ColumnMap
+from msp_lab.readings.dataset import origin, write_run
+from msp_lab.readings.intake import sha256
+from msp_lab.readings.runs import file_names
+from msp_lab.readings.vehicle import others_as_reference
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.model.model import Model
+
+Progress = Callable[[str, float], None]
+
+OBTAINABLE = {
+    TRUE_RANGE: "a true range: --truth, or a log with RTK, motion capture or a second range finder",
+    "range_rate_cm_s": "a vertical speed",
+    "incidence_deg": "the attitude",
+    "air_temperature_c": "a thermometer in the air (the autopilot's barometer is warmed by its board)",
+    "humidity_pct": "a hygrometer",
+    "throttle": "the throttle",
+    "neighbour_lag_ms": "the readings of the other range finders",
+}
+"""Columns that a log of a flight can have, and what gives them."""
+
+
+@dataclass(frozen=True)
+class FoundSeries:
+    """A series of a log: the column that it is for, where the log has it, its rate [Hz] and its number of samples."""
+
+    name: str
+    source: str
+    rate_hz: float | None
+    samples: int
+
+
+@dataclass(frozen=True)
+class FoundRanger:
+    """A range finder of a log.
+
+    Attributes
+    ----------
+    name, source, rate_hz, readings
+        What it is called, where the log has it, how often it was logged, and how often in all.
+    silent
+        Readings without an answer.
+    low_cm, high_cm
+        Smallest and largest reading.
+    is_down
+        Whether it looks down.
+    with_truth
+        Readings with a true range.
+    repeated
+        Share of the readings that are the one before them.
+    lag_s
+        How much later than the reference, and its 95 % interval; None: cannot be seen.
+    offset_cm
+        Readings less the reference, the median; taken off where the reference does not know the ground.
+    scatter_cm
+        Standard deviation of the differences, without outliers.
+    reference_std_cm
+        Standard deviation of the reference's error, and its 95 % interval; None: not known.
+    reference_std_from
+        What that is from.
+    """
+
+    name: str
+    source: str
+    rate_hz: float | None
+    readings: int
+    silent: int
+    low_cm: float | None
+    high_cm: float | None
+    is_down: bool
+    with_truth: int
+    repeated: float
+    lag_s: tuple[float, float, float] | None = None
+    offset_cm: float | None = None
+    scatter_cm: float | None = None
+    reference_std_cm: tuple[float, float, float] | None = None
+    reference_std_from: str = ""
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A column that the log does not give, what would, and the effects that can therefore not be found."""
+
+    column: str
+    what: str
+    effects: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was found in a log, and became a run of the dataset.
+
+    Attributes
+    ----------
+    run, file, sha256, form
+        Name of the run, path and SHA-256 of the log, and what it is.
+    duration_s
+        From the first to the last reading.
+    rangers
+        Its range finders.
+    series
+        What is known of the flight.
+    truth
+        Kind of the reference; empty: none.
+    truth_source
+        Where the log has it.
+    has_datum
+        Whether the reference knows the ground's height.
+    is_shifted
+        Whether the readings' lag was taken off.
+    others
+        References that the log has too, with their source, or the reason for which they are refused.
+    refused
+        Those of them that are refused.
+    missing
+        What is not there, and what that costs.
+    notes
+        What was lost, or is worth knowing.
+    """
+
+    run: str
+    file: str
+    sha256: str
+    form: str
+    duration_s: float
+    rangers: tuple[FoundRanger, ...]
+    series: tuple[FoundSeries, ...]
+    truth: str
+    truth_source: str
+    has_datum: bool
+    is_shifted: bool
+    others: Mapping[str, str]
+    refused: tuple[str, ...]
+    missing: tuple[Missing, ...]
+    notes: tuple[str, ...]
+
+
+def import_logs(
+    paths: Sequence[Path],
+    out: Path,
+    truth: Truth,
+    sensor: SensorModel,
+    *,
+    column_map: ColumnMap | None = None,
+    shift: bool = False,
+    seed: int = 1,
+    progress: Progress = lambda what, share: None,
+) -> list[Imported]:
+    """Import logs into a dataset.
+
+    Parameters
+    ----------
+    paths
+        The logs.
+    out
+        The dataset; runs are added to one that is there.
+    truth
+        Which reference.
+    sensor
+        Its maximum is the reading of no echo in CSV files; its biases are taken off where the others are the reference.
+    column_map
+        For CSV files.
+    shift
+        Whether the readings' lag is taken off.
+    seed
+        Random seed of the intervals.
+    progress
+        Called with what is being done and the share that is done.
+
+    Raises
+    ------
+    RecordingError
+        A log cannot be used; the runs before it are in the dataset.
+    """
+    for path in paths:
+        kind_of(path)
+    names = _run_names(paths)
+    known = origin(out)
+    taken = [name for name in names if name in known]
+    if taken:
+        raise RecordingError(
+            f"{out}: there is a run {taken[0]!r} already, of {known[taken[0]].get('file')}; use another --out"
+        )
+    found = []
+    for index, (path, run) in enumerate(zip(paths, names, strict=True)):
+
+        def share(of_file: float, index: int = index, path: Path = path) -> None:
+            progress(f"reading {path.name}", (index + of_file) / len(paths))
+
+        share(0.0)
+        log = open_log(path, share, field=truth.field, column_map=column_map, maximum_cm=sensor.maximum_cm)
+        if not log.rangers:
+            raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
+        reference = choose(log, truth)
+        joined = join(log, reference, np.random.default_rng(seed), shift=shift)
+        notes: list[str] = []
+        if truth.kind == OTHERS:
+            joined, notes = _others(path, joined, sensor)
+        account = _account(run, log, reference, joined, notes, truth)
+        for name, tables in _by_run(run, joined).items():
+            write_run(out, name, tables, asdict(account))
+        found.append(account)
+    return found
+
+
+def _run_names(paths: Sequence[Path]) -> list[str]:
+    """The files' names without their endings; as much of the path as is needed where two are called alike."""
+    return [name.rsplit(".", 1)[0] if "." in name else name for name in file_names(paths)]
+
+
+def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:
+    """Tables by run and sensor: a CSV file or a recording of a bench may have several runs."""
+    found: dict[str, dict[str, MeasuredData]] = {}
+    for each in joined:
+        words = each.data["run"] if "run" in each.data else np.full(len(each.data), name)
+        for word in dict.fromkeys(words.tolist()):
+            run = name if word in ("", Path(name).name) else f"{name}/{word}"
+            found.setdefault(run, {})[each.ranger.name] = each.data.select(words == word)
+    return found
+
+
+def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[list[Joined], list[str]]:
+    """The same readings with the other range finders as reference."""
+    columns = dict.fromkeys(name for each in joined for name in each.data.columns)
+    whole = MeasuredData(
+        {name: np.concatenate([_column(each.data, name) for each in joined if each.ranger.is_down]) for name in columns}
+    )
+    recording = Recording(path) if kind_of(path) == ".mcap" else None
+    data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
+    found = [
+        Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name)))
+        for each in joined
+        if each.ranger.is_down
+    ]
+    said = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
+    return found, [f"Each sensor reads more than the others by, and this is taken off: {said}."]
+
+
+def _column(data: MeasuredData, name: str) -> Any:
+    return data[name] if name in data else np.full(len(data), np.nan)
+
+
+def _account(
+    run: str, log: Log, reference: Reference | None, joined: Sequence[Joined], notes: Iterable[str], truth: Truth
+) -> Imported:
+    times = [each.data["time_s"] for each in joined if len(each.data)]
+    recorded = any(TRUE_RANGE in each.ranger.columns for each in joined)
+    kind = reference.kind if reference is not None else truth.kind or ("recorded" if recorded else "")
+    others = {
+        each.kind: each.refused or each.series.source
+        for each in log.references
+        if reference is None or each.series is not reference.series
+    }
+    return Imported(
+        run,
+        str(log.path),
+        sha256(log.path),
+        log.form,
+        max(float(each[-1]) for each in times) - min(float(each[0]) for each in times),
+        tuple(_found(each) for each in joined),
+        tuple(FoundSeries(name, each.source, _or_none(each.rate_hz), len(each)) for name, each in log.context.items()),
+        kind,
+        reference.series.source if reference is not None else "",
+        reference.has_datum if reference is not None else True,
+        any(each.is_shifted for each in joined),
+        others,
+        tuple(each.kind for each in log.references if each.refused),
+        _missing(joined),
+        (*log.notes, *notes),
+    )
+
+
+def _found(each: Joined) -> FoundRanger:
+    reading_cm, alignment, error = each.data["reading_cm"], each.alignment, each.error
+    known = reading_cm[np.isfinite(reading_cm)]
+    return FoundRanger(
+        each.ranger.name,
+        each.ranger.series.source,
+        _or_none(each.ranger.series.rate_hz),
+        reading_cm.size,
+        reading_cm.size - known.size,
+        float(known.min()) if known.size else None,
+        float(known.max()) if known.size else None,
+        each.ranger.is_down,
+        int(np.isfinite(each.data[TRUE_RANGE]).sum()) if TRUE_RANGE in each.data else 0,
+        float(np.mean(known[1:] == known[:-1])) if known.size > 1 else 0.0,
+        None
+        if alignment is None or not alignment.has_lag
+        else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),
+        None if alignment is None else alignment.offset_cm,
+        None if alignment is None else alignment.scatter_cm,
+        None if error is None else (error.std_cm, error.low_cm, error.high_cm),
+        "" if error is None else error.source,
+    )
+
+
+def _missing(joined: Sequence[Joined]) -> tuple[Missing, ...]:
+    """Columns that no range finder has, with the effects of the catalogue that require them."""
+    there = {name for each in joined for name in each.data.columns}
+    found = []
+    for column, what in OBTAINABLE.items():
+        if column not in there:
+            effects = tuple(sorted(each.name for each in CATALOGUE.values() if column in each.requires))
+            found.append(Missing(column, what, effects))
+    return tuple(found)
+
+
+def _or_none(number: float) -> float | None:
+    return float(number) if np.isfinite(number) else None

@@ -1,0 +1,181 @@
+"""Readings of a log with their true range and context, in the columns of the CSV form.
+
+A `Log` and a reference enter; for each range finder a table leaves, and how it fits the reference. A height above level
+ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the beam is
+multiplied by the cosine of the tilt.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from msp_lab.logs.alignment import Alignment, align, reference_std_cm
+from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Log, Ranger, Reference
+from msp_lab.logs.truth import second
+from msp_range.recording.csv_form import Column, MeasuredData
+from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
+
+RATE_STEP_S = 0.1
+"""Without a vertical speed, the rate of the range is that of the reference over so long before and after [s]. Shorter:
+noise of the reference; longer: the ends of a climb are rounded."""
+
+
+@dataclass(frozen=True)
+class ReferenceError:
+    """How well a reference is known: standard deviation [cm], its 95 % interval, and from what."""
+
+    std_cm: float
+    low_cm: float
+    high_cm: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Joined:
+    """A range finder's readings with everything that is known of them.
+
+    Attributes
+    ----------
+    ranger
+        The range finder.
+    data
+        Its table.
+    alignment
+        How its readings fit the reference; None: no reference, or hardly any reading with one.
+    error
+        How well the reference is known; None: nothing says.
+    is_shifted
+        Whether the lag was taken off.
+    """
+
+    ranger: Ranger
+    data: MeasuredData
+    alignment: Alignment | None = None
+    error: ReferenceError | None = None
+    is_shifted: bool = False
+
+
+def join(log: Log, reference: Reference | None, rng: np.random.Generator, *, shift: bool = False) -> list[Joined]:
+    """Join the readings of every range finder with reference and context.
+
+    Parameters
+    ----------
+    log
+        The log.
+    reference
+        From `msp_lab.logs.truth.choose`; None: without a true range, or with the one that was recorded.
+    rng
+        For the bootstraps.
+    shift
+        Whether the readings' lag behind the reference is taken off. It is the range finder's latency, unless the two
+        have different clocks.
+    """
+    joined = [_join(log, each, reference, rng, shift) for each in log.rangers]
+    _add_neighbours(joined)
+    return joined
+
+
+def _join(log: Log, ranger: Ranger, reference: Reference | None, rng: np.random.Generator, shift: bool) -> Joined:
+    time_s = ranger.series.time_s
+    columns: dict[str, Column] = {
+        "time_s": time_s,
+        "sensor": np.full(time_s.size, ranger.name),
+        "reading_cm": ranger.series.values,
+    }
+    for name in CONTEXT:
+        if name in log.context and name not in (TILT, CLIMB):
+            columns[name] = log.context[name].at(time_s)
+    if ranger.is_down and TILT in log.context:
+        columns["incidence_deg"] = log.context[TILT].at(time_s)
+    columns |= ranger.columns
+    alignment = error = None
+    # Of a sensor that looks elsewhere a height says nothing, and a sensor is no reference for itself.
+    is_itself = reference is not None and reference.series.source == f"{ranger.name}: {ranger.series.source}"
+    if reference is not None and not is_itself and (ranger.is_down or reference.kind == "column"):
+        answered = np.where(ranger.series.values < ranger.maximum_cm, ranger.series.values, np.nan)
+        alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
+        lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
+        error = _error(log, reference, time_s, answered, alignment, rng)
+        columns |= _true(log, reference, time_s - lag_s, alignment, error, shift)
+    if ranger.is_down and CLIMB in log.context:
+        columns["range_rate_cm_s"] = 100.0 * log.context[CLIMB].at(time_s)
+    known = {name: column for name, column in columns.items() if column.dtype.kind != "f" or np.isfinite(column).any()}
+    known.setdefault("reading_cm", columns["reading_cm"])
+    return Joined(ranger, MeasuredData(known), alignment, error, shift and alignment is not None and alignment.has_lag)
+
+
+def _expected_cm(log: Log, reference: Reference, time_s: Array) -> Array:
+    """Perpendicular distance by the reference, apart from a constant where it does not know the ground [cm]."""
+    found_cm = 100.0 * reference.series.at(time_s)
+    if reference.along_beam and TILT in log.context:
+        found_cm = found_cm * np.cos(np.radians(log.context[TILT].at(time_s)))
+    return found_cm
+
+
+def _error(
+    log: Log,
+    reference: Reference,
+    time_s: Array,
+    answered_cm: Array,
+    alignment: Alignment | None,
+    rng: np.random.Generator,
+) -> ReferenceError | None:
+    """How well the reference is known, by another one next to it, or by its own word."""
+    other = second(log, reference)
+    if other is not None and alignment is not None:
+        at = time_s - (alignment.lag_s if alignment.has_lag else 0.0)
+        found = reference_std_cm(answered_cm, _expected_cm(log, reference, at), _expected_cm(log, other, at), rng)
+        if found is not None:
+            return ReferenceError(*found, f"its differences to {other.series.source} and to the readings")
+    if reference.std is not None and len(reference.std):
+        std_cm = 100.0 * float(np.nanmedian(reference.std.values))
+        return ReferenceError(std_cm, std_cm, std_cm, f"the receiver's own word ({reference.std.source})")
+    return None
+
+
+def _true(
+    log: Log,
+    reference: Reference,
+    at_s: Array,
+    alignment: Alignment | None,
+    error: ReferenceError | None,
+    shift: bool,
+) -> Mapping[str, Column]:
+    """Columns of the true range at these times."""
+    true_cm = _expected_cm(log, reference, at_s)
+    if not reference.has_datum and alignment is not None:
+        true_cm = true_cm + alignment.offset_cm
+    rate_cm_s = (
+        _expected_cm(log, reference, at_s + RATE_STEP_S) - _expected_cm(log, reference, at_s - RATE_STEP_S)
+    ) / (2.0 * RATE_STEP_S)
+    std_cm = np.full(at_s.size, 0.0 if error is None else error.std_cm)
+    if shift and alignment is not None and alignment.has_lag:
+        std_cm = np.hypot(std_cm, np.nan_to_num(rate_cm_s) * alignment.lag_std_s)
+    known = np.isfinite(true_cm)
+    return {
+        # To a hundredth of a millimetre, like the readings.
+        TRUE_RANGE: np.round(true_cm, 3),
+        REFERENCE_STD: np.where(known & (std_cm > 0.0), np.round(std_cm, 3), np.nan),
+        "range_rate_cm_s": rate_cm_s,
+        REFERENCE: np.where(known, reference.kind, ""),
+    }
+
+
+def _add_neighbours(joined: list[Joined]) -> None:
+    """Time since the reading of another range finder and its true range, unless the log itself has them."""
+    tables = [each.data for each in joined]
+    for index, each in enumerate(joined):
+        others = [table for table in tables if table is not each.data]
+        if not others or "neighbour_lag_ms" in each.data or "run" in each.data:  # times of runs do not compare
+            continue
+        others_s = np.concatenate([other["time_s"] for other in others])
+        order = np.argsort(others_s, kind="stable")
+        last = np.searchsorted(others_s[order], each.data["time_s"], side="left") - 1
+        row = order[np.maximum(last, 0)]
+        lag_ms = np.where(last >= 0, 1e3 * (each.data["time_s"] - others_s[row]), np.nan)
+        columns = {**each.data.columns, "neighbour_lag_ms": np.round(lag_ms, 3)}
+        if all(TRUE_RANGE in other for other in others):
+            range_cm = np.concatenate([other[TRUE_RANGE] for other in others])
+            columns["neighbour_range_cm"] = np.where(last >= 0, range_cm[row], np.nan)
+        joined[index] = replace(each, data=MeasuredData(columns))

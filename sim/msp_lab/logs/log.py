@@ -1,0 +1,188 @@
+"""A flight log, whatever program wrote it: range finders, what is known of the flight, and possible references.
+
+Each format has a file of its own that makes a `Log`; everything after that is the same for all of them. Units are those
+of the names, times are seconds on the log's own clock.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.recording.csv_form import Column
+
+Array: TypeAlias = NDArray[np.float64]
+
+LONGEST_GAP_S = 1.0
+"""Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
+of the series [s]. Longer: a value is made up where the log was silent; shorter: series of 1 Hz have holes."""
+
+TILT, CLIMB, THROTTLE = "tilt_deg", "climb_m_s", "throttle"
+CONTEXT = {
+    TILT: "angle between the vehicle's down axis and straight down [deg]",
+    CLIMB: "vertical speed, up is positive [m/s]",
+    THROTTLE: "throttle, 0 to 1",
+    "air_temperature_c": "air temperature, by a thermometer in the air [deg C]",
+    "humidity_pct": "relative humidity [%]",
+    "board_temperature_c": "temperature of the autopilot's barometer, which its electronics warm [deg C]",
+    "vibration_m_s2": "vibration of the accelerometer, as the autopilot measures it [m/s^2]",
+}
+"""What a log may know of the time of a reading."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """A quantity over time.
+
+    Attributes
+    ----------
+    source
+        Where the log has it, such as ``RFND.Dist`` or ``/mocap/pose``.
+    time_s, values
+        In the order of time, of equal length; the unit is that of the name under which it is kept.
+    """
+
+    source: str
+    time_s: Array
+    values: Array
+
+    def __len__(self) -> int:
+        return self.time_s.size
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second: the inverse of the median interval; NaN for fewer than two."""
+        if self.time_s.size < 2:
+            return float("nan")
+        interval_s = float(np.median(np.diff(self.time_s)))
+        return 1.0 / interval_s if interval_s > 0.0 else float("nan")
+
+    def known(self) -> "Series":
+        """Without the samples that are not a number."""
+        good = np.isfinite(self.values)
+        return self if good.all() else Series(self.source, self.time_s[good], self.values[good])
+
+    def at(self, time_s: Array) -> Array:
+        """Values at other times, on straight lines between samples; NaN outside and in gaps.
+
+        Examples
+        --------
+        >>> height = Series("", np.array([0.0, 1.0, 2.0, 9.0]), np.array([0.0, 2.0, 2.0, 2.0]))
+        >>> height.at(np.array([0.5, 5.0, 10.0])).tolist()
+        [1.0, nan, nan]
+        """
+        series = self.known()
+        if len(series) < 2:
+            return np.full(time_s.shape, np.nan)
+        gaps_s = np.diff(series.time_s)
+        longest_s = max(LONGEST_GAP_S, 3.0 * float(np.median(gaps_s)))
+        after = np.clip(np.searchsorted(series.time_s, time_s), 1, len(series) - 1)
+        inside = (time_s >= series.time_s[0]) & (time_s <= series.time_s[-1]) & (gaps_s[after - 1] <= longest_s)
+        return np.where(inside, np.interp(time_s, series.time_s, series.values), np.nan)
+
+
+@dataclass(frozen=True)
+class Ranger:
+    """A range finder's readings.
+
+    Attributes
+    ----------
+    name
+        What the log calls it, or what distinguishes it from its other ones.
+    series
+        Readings [cm]; NaN: no answer. Readings beyond the maximum that the log states are that maximum: no echo.
+    is_down
+        Whether it looks down along the vehicle's axis.
+    maximum_cm
+        Reading of no echo; infinite where the log does not state it.
+    columns
+        What the log says of each reading, in the names of the CSV form.
+    """
+
+    name: str
+    series: Series
+    is_down: bool = True
+    maximum_cm: float = np.inf
+    columns: Mapping[str, Column] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A possible true range.
+
+    Attributes
+    ----------
+    kind
+        How ``--truth`` calls it.
+    series
+        Height above the ground or a range along the beam [m].
+    has_datum
+        Whether its zero is the ground's height; otherwise a constant is taken off.
+    along_beam
+        Whether it is a range along the vehicle's down axis and not a height.
+    std
+        Standard deviation of its error as the log states it [m].
+    refused
+        Why it is no independent reference; empty: it is one.
+    """
+
+    kind: str
+    series: Series
+    has_datum: bool = False
+    along_beam: bool = False
+    std: Series | None = None
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a log holds that matters here.
+
+    Attributes
+    ----------
+    path
+        The file.
+    form
+        What wrote it, for people: ``ArduPilot dataflash``.
+    rangers
+        Its range finders.
+    context
+        Names of `CONTEXT` -> series.
+    references
+        Possible references, the best ones first.
+    notes
+        What was lost, or is worth knowing, a sentence each.
+    """
+
+    path: Path
+    form: str
+    rangers: tuple[Ranger, ...]
+    context: Mapping[str, Series]
+    references: tuple[Reference, ...]
+    notes: tuple[str, ...] = ()
+
+
+def series(source: str, time_s: Array, values: Array) -> Series:
+    """A series in the order of time; samples of one time count once.
+
+    Examples
+    --------
+    >>> series("a", np.array([1.0, 0.0, 1.0]), np.array([5.0, 4.0, 6.0])).values.tolist()
+    [4.0, 5.0]
+    """
+    time_s, rows = np.unique(np.asarray(time_s, dtype=float), return_index=True)
+    return Series(source, time_s, np.asarray(values, dtype=float)[rows])
+
+
+def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
+    """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
+    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
+
+
+def readings_cm(range_m: Array, maximum_m: float = np.inf) -> Array:
+    """Ranges as readings: to a hundredth of a millimetre, since logs keep 32-bit numbers; beyond the maximum is no
+    echo, which is the maximum."""
+    return np.asarray(np.round(np.minimum(100.0 * np.asarray(range_m, dtype=float), 100.0 * maximum_m), 3), dtype=float)

@@ -1,0 +1,225 @@
+"""A PX4 ULog (.ulg) as a `Log`.
+
+What topics hold: https://docs.px4.io/main/en/msg_docs/. Whether EKF2 fuses the range into its height is in its flags
+(estimator_status_flags.cs_rng_hgt; where they are missing, EKF2_HGT_REF = 2 and EKF2_RNG_CTRL say whether it may). Its
+height above the terrain (dist_bottom) is not used: it is the range finder's wherever there is one.
+"""
+
+import contextlib
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyulog import ULog
+
+from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Log, Ranger, Reference, Series, readings_cm, series
+from msp_range.input_file import open_input
+from msp_range.recording.error import RecordingError
+
+DOWN = 25
+"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
+_RTK_FIXED = 6
+"""sensor_gps.fix_type: RTK fixed."""
+_RANGE_FINDER = 2
+"""EKF2_HGT_REF: the range sensor is the reference of the height."""
+_DEFAULT_TEMPERATURE = 0
+"""vehicle_air_data.temperature_source: no thermometer, 15 deg C are assumed."""
+LARGEST_BYTES = 4 * 2**30
+"""A larger log is refused: pyulog reads it message by message, 15 MB a second."""
+
+_TOPICS = [
+    "distance_sensor",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_local_position_groundtruth",
+    "estimator_status_flags",
+    "vehicle_gps_position",
+    "vehicle_visual_odometry",
+    "vehicle_mocap_odometry",
+    "vehicle_air_data",
+    "vehicle_thrust_setpoint",
+    "vehicle_imu_status",
+]
+_Topics = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+    """Read a log.
+
+    Parameters
+    ----------
+    path
+        The file.
+    progress
+        Called when it is read; pyulog reads it at once.
+    extra
+        ``topic.field`` of a reference in the log, as ``--truth column:`` names it.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    topic, _, field = extra.partition(".")
+    try:
+        # pyulog prints what it leaves out; what is lost is in its attributes too.
+        with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
+            log = ULog(file, [*_TOPICS, *([topic] if field else [])])
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    except (TypeError, ValueError, KeyError, IndexError, struct.error, UnicodeDecodeError, EOFError) as error:
+        raise RecordingError(f"{path}: no ULog, or damaged at its beginning: {error}") from None
+    except Exception as error:  # pyulog raises plain Exception for a wrong beginning
+        raise RecordingError(f"{path}: cannot be read: {str(error) or type(error).__name__}") from None
+    progress(1.0)
+    found: dict[str, Mapping[str, NDArray[Any]]] = {}
+    for each in log.data_list:
+        found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = each.data
+    parameters = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
+    context = {
+        TILT: _tilt(found),
+        CLIMB: _field(found, "vehicle_local_position", "vz", -1.0),
+        THROTTLE: _throttle(found),
+        "air_temperature_c": _air_temperature(found),
+        "vibration_m_s2": _field(found, "vehicle_imu_status", "accel_vibration_metric"),
+    }
+    references = _references(found, parameters)
+    if field and (column := _field(found, topic, field)) is not None:
+        references.append(Reference("column", column))
+    notes = []
+    if log.file_corruption:
+        notes.append("The file is damaged; what could be read is here.")
+    if log.dropouts:
+        lost_s = sum(each.duration for each in log.dropouts) / 1e3
+        notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.1f} s in all.")
+    return Log(
+        path,
+        f"PX4 ULog, {_version(log)}",
+        tuple(_rangers(found)),
+        {name: each for name, each in context.items() if each is not None and len(each)},
+        tuple(references),
+        tuple(notes),
+    )
+
+
+def _rangers(found: _Topics) -> list[Ranger]:
+    rangers = []
+    for name, data in found.items():
+        if not name.startswith("distance_sensor"):
+            continue
+        maximum_m = float(data["max_distance"].max())
+        reading_cm = readings_cm(data["current_distance"], maximum_m)
+        # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
+        reading_cm[data.get("signal_quality", np.full(reading_cm.size, -1)) == 0] = np.nan
+        facing = int(np.median(data["orientation"])) if "orientation" in data else DOWN
+        source = f"{name}.current_distance"
+        rangers.append(
+            Ranger(
+                name.replace("[", "_").rstrip("]"),
+                series(source, _time_s(data), reading_cm),
+                facing == DOWN,
+                100.0 * maximum_m,
+            )
+        )
+    return rangers
+
+
+def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[Reference]:
+    references = []
+    if (simulated := _field(found, "vehicle_local_position_groundtruth", "z", -1.0)) is not None:
+        references.append(Reference("simulator", simulated))
+    if (rtk := _rtk(found)) is not None:
+        references.append(Reference("rtk", rtk, std=_field(found, "vehicle_gps_position", "epv")))
+    for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry"):
+        seen = _field(found, topic, "position[2]", -1.0) or _field(found, topic, "z", -1.0)
+        if seen is not None:
+            references.append(Reference("mocap", seen))
+    if (height := _field(found, "vehicle_local_position", "z", -1.0)) is not None:
+        flags = _field(found, "estimator_status_flags", "cs_rng_hgt")
+        kept, refused = _without_fused(height, flags, parameters)
+        references.append(Reference("ekf", kept, refused=refused))
+    if (pressure := _field(found, "vehicle_air_data", "baro_alt_meter")) is not None:
+        references.append(Reference("barometer", pressure))
+    return references
+
+
+def _without_fused(height: Series, flags: Series | None, parameters: Mapping[str, Any]) -> tuple[Series, str]:
+    """EKF2's height while the range is not fused into it, and why it is refused where it always is."""
+    if parameters.get("EKF2_HGT_REF") == _RANGE_FINDER:
+        return height, "EKF2_HGT_REF is 2, so the range is its reference"
+    if flags is None or not len(flags):
+        control = parameters.get("EKF2_RNG_CTRL")
+        if control == 0:
+            return height, ""
+        return height, f"EKF2_RNG_CTRL is {control} and the log has no flags, so the range may be fused into it"
+    # Flags are logged when they change, and once a second.
+    before = np.clip(np.searchsorted(flags.time_s, height.time_s, side="right") - 1, 0, None)
+    fused = flags.values[before] != 0
+    # What was fused once stays in the height, and a bias of the barometer learnt from it too.
+    after = np.maximum.accumulate(fused)
+    if after.mean() > 0.5:
+        share = 100.0 * float(fused.mean())
+        return height, f"cs_rng_hgt is set for {share:.0f} % of the time, so the range is fused into it"
+    return Series(height.source, height.time_s, np.where(after, np.nan, height.values)), ""
+
+
+def _rtk(found: _Topics) -> Series | None:
+    gps = found.get("vehicle_gps_position", {})
+    fixed = gps.get("fix_type", np.zeros(0)) == _RTK_FIXED
+    if not fixed.any():
+        return None
+    # Millimetres before 1.14.
+    altitude_m = gps["altitude_msl_m"] if "altitude_msl_m" in gps else gps["alt"] / 1e3
+    return series("vehicle_gps_position.altitude_msl_m", _time_s(gps), np.where(fixed, altitude_m, np.nan))
+
+
+def _tilt(found: _Topics) -> Series | None:
+    data = found.get("vehicle_attitude", {})
+    if "q[3]" not in data:
+        return None
+    # The cosine of the tilt is the last element of the rotation matrix.
+    cosine = 1.0 - 2.0 * (data["q[1]"].astype(float) ** 2 + data["q[2]"].astype(float) ** 2)
+    return series("vehicle_attitude.q", _time_s(data), np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _throttle(found: _Topics) -> Series | None:
+    thrust = _field(found, "vehicle_thrust_setpoint", "xyz[2]", -1.0)
+    return None if thrust is None else Series(thrust.source, thrust.time_s, np.clip(thrust.values, 0.0, 1.0))
+
+
+def _air_temperature(found: _Topics) -> Series | None:
+    """Of a thermometer in the air: an external barometer or an airspeed sensor, since 1.15."""
+    source = _field(found, "vehicle_air_data", "temperature_source")
+    if source is None or not (source.values != _DEFAULT_TEMPERATURE).any():
+        return None
+    found_c = _field(found, "vehicle_air_data", "ambient_temperature")
+    if found_c is None:
+        return None
+    values = np.where(source.values != _DEFAULT_TEMPERATURE, found_c.values, np.nan)
+    return Series(found_c.source, found_c.time_s, values)
+
+
+def _field(found: _Topics, topic: str, field: str, factor: float = 1.0) -> Series | None:
+    data = found.get(topic, {})
+    if field not in data or not data[field].size:
+        return None
+    return series(f"{topic}.{field}", _time_s(data), factor * data[field].astype(float))
+
+
+def _time_s(data: Mapping[str, NDArray[Any]]) -> Array:
+    """When it was measured, where the topic has that next to when it was published."""
+    sampled = data.get("timestamp_sample")
+    stamps = sampled if sampled is not None and (sampled > 0).all() else data["timestamp"]
+    return np.asarray(stamps / 1e6)
+
+
+def _version(log: Any) -> str:
+    release = log.msg_info_dict.get("ver_sw_release")
+    return (
+        "unknown version"
+        if release is None
+        else "PX4 " + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
+    )

@@ -1,0 +1,79 @@
+"""Our own recordings (MCAP) and CSV tables as a `Log`: their readings have their context with them already."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from msp_lab.logs.log import TILT, Array, Log, Ranger, Series, series, tilt_deg
+from msp_lab.readings.column_map import ColumnMap, read_mapped
+from msp_range.recording.columns import BRIDGE_COLUMNS
+from msp_range.recording.csv_form import MeasuredData, read_csv
+from msp_range.recording.error import RecordingError
+from msp_range.recording.export import measured_data
+from msp_range.recording.pings import recorded_attitudes
+from msp_range.recording.reader import Recording
+
+LARGEST_RECORDING_BYTES = 200 * 2**20
+"""A larger recording of our own is refused: its messages are held as Python objects, some ten times the file. A flight
+of an hour with four sensors has 20 MB."""
+
+
+def read_recording(path: Path) -> Log:
+    """Read a recording of the bridge, of a simulator or of a bench.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or is too large.
+    """
+    recording = Recording(path)
+    if os.path.getsize(path) > LARGEST_RECORDING_BYTES:
+        raise RecordingError(
+            f"{path}: found {os.path.getsize(path) / 1e6:.0f} MB, expected at most {LARGEST_RECORDING_BYTES / 1e6:.0f} "
+            "MB for a recording of the bridge; cut it with 'mcap filter --start ... --end ...' and import the parts"
+        )
+    data = measured_data(recording)
+    lost = (f"The file is damaged; lost: {recording.losses}.",) if recording.losses else ()
+    angles = recorded_attitudes(recording)
+    context = {}
+    if angles:
+        rows = np.array([(each.time_s, each.roll_rad, each.pitch_rad) for _, each in angles])
+        context[TILT] = series("/attitude", rows[:, 0], tilt_deg(rows[:, 1], rows[:, 2]))
+    return Log(path, "recording of msp-range", tuple(rangers_of(path, data)), context, (), lost)
+
+
+def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> Log:
+    """Read a CSV file in the project's form, or with a map anybody's.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    if column_map is not None:
+        data = read_mapped(path, column_map, maximum_cm)
+    else:
+        try:
+            data = read_csv(path)
+        except RecordingError as error:
+            if "is missing" not in str(error):
+                raise
+            raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+    notes = (column_map.note,) if column_map is not None and column_map.note else ()
+    return Log(path, "CSV table", tuple(rangers_of(path, data)), {}, (), notes)
+
+
+def rangers_of(path: Path, data: MeasuredData) -> list[Ranger]:
+    """The range finders of a table, each with its rows in the order of time."""
+    if not len(data):
+        raise RecordingError(f"{path}: no readings")
+    rangers = []
+    for name in dict.fromkeys(data["sensor"].tolist()):
+        rows = np.flatnonzero(data["sensor"] == name)
+        rows = rows[np.argsort(data["time_s"][rows], kind="stable")]
+        left_out = {"time_s", "sensor", "reading_cm", *BRIDGE_COLUMNS}
+        columns = {key: column[rows] for key, column in data.columns.items() if key not in left_out}
+        reading_cm: Array = data["reading_cm"][rows]
+        rangers.append(Ranger(name, Series(path.name, data["time_s"][rows], reading_cm), columns=columns))
+    return rangers

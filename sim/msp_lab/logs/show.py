@@ -1,0 +1,109 @@
+"""What was found in a log, on the terminal."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from msp_lab.logs.importing import FoundRanger, Imported
+from msp_range.terminal import console
+
+MANY_REPEATS = 0.45
+"""With a larger share of repeats a line says so: a hover repeats a third of whole centimetres, double logging half."""
+MOST_EFFECTS = 4
+"""Names of effects in a line; the account in dataset.json has all."""
+
+
+def show(found: Sequence[Imported], out: Path | None = None) -> None:
+    """Print the account of an import; with the dataset's folder also how to go on."""
+    shown = console()
+    for each in found:
+        _show(shown, each)
+    if out is not None:
+        runs = f"{len(found)} run{'s' if len(found) != 1 else ''}"
+        readings = sum(ranger.readings for each in found for ranger in each.rangers)
+        shown.print(
+            f"{out}: {readings:,} readings in {runs}; 'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+def _show(shown: Console, found: Imported) -> None:
+    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", highlight=False, soft_wrap=True)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading, side in (("found", "left"), ("in the log", "left"), ("rate", "right"), ("", "left")):
+        table.add_column(heading, justify="right" if side == "right" else "left")
+    for ranger in found.rangers:
+        table.add_row(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger))
+    for each in found.series:
+        table.add_row(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples")
+    shown.print(table)
+    for line in _lines(found):
+        shown.print(line, highlight=False)
+
+
+def _lines(found: Imported) -> list[str]:
+    lines = [_truth(found)]
+    for ranger in found.rangers:
+        lines += [f"{ranger.name}: {line}" for line in _fit(ranger, found)]
+    if usable := [f"{kind} ({source})" for kind, source in found.others.items() if kind not in found.refused]:
+        lines.append(f"also in the log: {', '.join(usable)}")
+    lines += [f"refused: {kind}: {found.others[kind]}" for kind in found.refused]
+    for each in found.missing:
+        named = ", ".join(each.effects[:MOST_EFFECTS]) + (
+            f" and {len(each.effects) - MOST_EFFECTS} more" if len(each.effects) > MOST_EFFECTS else ""
+        )
+        lines.append(f"missing: {each.column}; without {each.what} these effects cannot be found: {named}")
+    return lines + [f"note: {each}" for each in found.notes]
+
+
+def _truth(found: Imported) -> str:
+    if not found.truth or found.truth == "none":
+        return "true range: none; readings can be compared with each other only (msp-lab gap --truth others)"
+    source = f" ({found.truth_source})" if found.truth_source else ""
+    ground = "" if found.has_datum else ", a height over level ground, whose constant is taken off"
+    return f"true range: {found.truth}{source}{ground}"
+
+
+def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
+    lines = []
+    if ranger.lag_s is not None:
+        lag_s, low_s, high_s = ranger.lag_s
+        what = "taken off" if found.is_shifted else "left in: it is the range finder's latency if both have one clock"
+        lines.append(f"{lag_s:.3f} s later than the reference ({low_s:.3f} to {high_s:.3f}), {what}")
+    elif ranger.scatter_cm is not None:
+        lines.append("its lag cannot be seen: the range hardly changes")
+    if ranger.scatter_cm is not None and ranger.offset_cm is not None:
+        constant = f"{ranger.offset_cm:+.1f} cm on average, " if found.has_datum else ""
+        lines.append(f"{constant}differences to the reference scatter by {ranger.scatter_cm:.1f} cm, outliers left out")
+    if ranger.reference_std_cm is not None:
+        std_cm, low_cm, high_cm = ranger.reference_std_cm
+        interval = f" ({low_cm:.1f} to {high_cm:.1f})" if high_cm > low_cm else ""
+        lines.append(f"the reference's own error is {std_cm:.1f} cm{interval}, by {ranger.reference_std_from}")
+    elif ranger.scatter_cm is not None:
+        lines.append("the reference's own error is not known, so its scatter counts as the range finder's")
+    if ranger.repeated > MANY_REPEATS:
+        lines.append(
+            f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before: the log may have a row more often "
+            "than the sensor measures"
+        )
+    return lines
+
+
+def _readings(ranger: FoundRanger) -> str:
+    words = [f"{ranger.readings:,} readings"]
+    if ranger.silent:
+        words.append(f"{ranger.silent:,} without an answer")
+    if ranger.low_cm is not None:
+        words.append(f"{ranger.low_cm:g} to {ranger.high_cm:g} cm")
+    words.append(f"{ranger.with_truth:,} with a true range" if ranger.with_truth else "no true range")
+    if not ranger.is_down:
+        words.append("does not look down")
+    return ", ".join(words)
+
+
+def _rate(rate_hz: float | None) -> str:
+    return "" if rate_hz is None else f"{rate_hz:.3g} Hz"

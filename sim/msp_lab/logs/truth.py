@@ -1,0 +1,132 @@
+"""Which reference a log is to be compared with, as ``--truth`` names it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from msp_lab.logs.log import Log, Reference, Series
+from msp_range.recording.error import RecordingError
+from msp_range.yaml_file import ConfigError
+
+RECORDED, OTHERS, NONE = "recorded", "others", "none"
+KINDS = {
+    RECORDED: "the log's own true_range_cm (our recordings, CSV)",
+    "rtk": "altitude of a GNSS receiver with an RTK fix, over level ground",
+    "mocap": "height by motion capture or an external pose",
+    "ekf": "the autopilot's height, refused while the range is fused into it",
+    "simulator": "what the autopilot's simulator knows",
+    "barometer": "height by the barometer, which drifts by a metre",
+    OTHERS: "for each sensor the other ones; three at least",
+    NONE: "no true range",
+}
+"""Words of ``--truth`` that stand alone."""
+BEST = ("simulator", "rtk", "mocap", "ekf")
+"""Without ``--truth`` the first of these that a log has is used; a barometer only where it is asked for."""
+INDEPENDENT = {"simulator", "rtk", "mocap", "barometer", "sensor", "column"}
+"""References that are independent of each other; an EKF has the others fused into it."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What ``--truth`` asks for.
+
+    Attributes
+    ----------
+    kind
+        A key of `KINDS`, ``sensor``, ``column``, or empty: the best that the log has.
+    name
+        Of the sensor, or MESSAGE.FIELD of the column.
+    factor
+        From the column's unit to metres.
+    """
+
+    kind: str = ""
+    name: str = ""
+    factor: float = 1.0
+
+    @property
+    def field(self) -> str:
+        """The field of the log that has to be read for it; empty: none."""
+        return self.name if self.kind == "column" else ""
+
+
+def parse_truth(text: str) -> Truth:
+    """What an option asks for.
+
+    Raises
+    ------
+    ConfigError
+        It is no source of a true range.
+
+    Examples
+    --------
+    >>> parse_truth("column:LIDR.Dist*0.01")
+    Truth(kind='column', name='LIDR.Dist', factor=0.01)
+    """
+    kind, colon, name = text.partition(":")
+    if text in KINDS:
+        return Truth(text)
+    if colon and name and kind == "sensor":
+        return Truth(kind, name)
+    if colon and name and kind == "column":
+        column, star, factor = name.partition("*")
+        try:
+            return Truth(kind, column.strip(), float(factor) if star else 1.0)
+        except ValueError:
+            raise ConfigError(f"--truth {text}: found the factor {factor!r}, expected a number") from None
+    known = "; ".join(f"{word}: {meaning}" for word, meaning in KINDS.items())
+    raise ConfigError(
+        f"--truth {text}: expected {known}; sensor:NAME: another range finder of the log; column:MESSAGE.FIELD*FACTOR: "
+        "any field, in metres after the factor"
+    )
+
+
+def choose(log: Log, truth: Truth) -> Reference | None:
+    """The reference that is asked for; None for what needs none.
+
+    Raises
+    ------
+    RecordingError
+        The log does not have it, or it is not independent of the range finder.
+    """
+    usable = {each.kind: each for each in reversed(log.references) if not each.refused}
+    if truth.kind == "":
+        if any("true_range_cm" in ranger.columns for ranger in log.rangers):
+            return None
+        return next((usable[kind] for kind in BEST if kind in usable), None)
+    if truth.kind in (RECORDED, OTHERS, NONE):
+        return None
+    if truth.kind == "sensor":
+        return _other_sensor(log, truth.name)
+    refused = next((each.refused for each in log.references if each.kind == truth.kind and each.refused), "")
+    if truth.kind not in usable:
+        there = ", ".join(sorted(usable)) or "none"
+        if refused:
+            raise RecordingError(
+                f"{log.path}: --truth {truth.kind}: {refused}, and it would be compared with itself. Independent "
+                f"references in the log: {there}"
+            )
+        named = f"column:{truth.name}" if truth.kind == "column" else truth.kind
+        raise RecordingError(f"{log.path}: no {named} in this log. References that it has: {there}")
+    found = usable[truth.kind]
+    if truth.factor != 1.0:
+        series = found.series
+        found = replace(found, series=Series(series.source, series.time_s, truth.factor * series.values))
+    return found
+
+
+def second(log: Log, first: Reference) -> Reference | None:
+    """Another reference whose errors are independent of the first one's; None where there is none."""
+    if first.kind not in INDEPENDENT:
+        return None
+    return next((each for each in log.references if each.kind in INDEPENDENT - {first.kind} and not each.refused), None)
+
+
+def _other_sensor(log: Log, name: str) -> Reference:
+    ranger = next((each for each in log.rangers if each.name == name), None)
+    if ranger is None:
+        there = ", ".join(each.name for each in log.rangers) or "none"
+        raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {there}")
+    series = ranger.series
+    range_m = np.where(series.values < ranger.maximum_cm, series.values / 100.0, np.nan)
+    return Reference("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True)

@@ -1,0 +1,161 @@
+"""A dataset of readings: a folder of Parquet files, one for each run and sensor, and what is known of their origin.
+
+``DIR/run=NAME/sensor=NAME/readings.parquet`` holds the columns of the CSV form; names of runs and sensors are in the
+folders, where pyarrow, pandas, polars, DuckDB and Spark look for them. ``DIR/dataset.json`` says of each run which file
+it is from and what was found there. Only the files and columns that are asked for are read.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from msp_range.extras import require
+from msp_range.input_file import making, read_text
+from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.error import RecordingError
+
+ORIGIN = "dataset.json"
+READINGS = "readings.parquet"
+_MOST_ORIGIN_BYTES = 64 * 2**20
+
+
+def is_dataset(path: Path) -> bool:
+    """True for a folder that `write_run` has made."""
+    return (path / ORIGIN).is_file()
+
+
+def origin(folder: Path) -> dict[str, Any]:
+    """What a dataset says of its runs, by name; empty where there is none yet.
+
+    Raises
+    ------
+    RecordingError
+        The file is damaged.
+    """
+    if not is_dataset(folder):
+        return {}
+    try:
+        found = json.loads(read_text(folder / ORIGIN, _MOST_ORIGIN_BYTES))
+        runs = found["runs"]
+        assert isinstance(runs, dict)
+    except (OSError, ValueError, KeyError, TypeError, AssertionError):
+        raise RecordingError(f"{folder / ORIGIN}: cannot be read; import the logs again into a new folder") from None
+    return runs
+
+
+def write_run(folder: Path, run: str, tables: Mapping[str, MeasuredData], about: Mapping[str, Any]) -> None:
+    """Add a run to a dataset, which is made where there is none.
+
+    Parameters
+    ----------
+    folder
+        The dataset.
+    run
+        Name of the run.
+    tables
+        Sensor -> its readings; columns ``run`` and ``sensor`` are not needed.
+    about
+        What ``dataset.json`` is to say of the run.
+
+    Raises
+    ------
+    RecordingError
+        There is such a run already, or a file cannot be written.
+    """
+    require("logs", "A dataset of readings")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    runs = origin(folder)
+    if run in runs:
+        raise RecordingError(f"{folder}: there is a run {run!r} already, of {runs[run].get('file')}; use another --out")
+    try:
+        for sensor, table in tables.items():
+            place = folder / f"run={quote(run, safe='')}" / f"sensor={quote(sensor, safe='')}"
+            place.mkdir(parents=True, exist_ok=True)
+            columns = {
+                name: pa.array(column, from_pandas=column.dtype.kind == "f")
+                for name, column in table.columns.items()
+                if name not in ("run", "sensor")
+            }
+            with making(place / READINGS, replacing=True) as unfinished:
+                pq.write_table(pa.table(columns), unfinished, compression="zstd")
+        with making(folder / ORIGIN, replacing=True) as unfinished:
+            unfinished.write_text(json.dumps({"runs": runs | {run: dict(about)}}, indent=2), encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{error.filename or folder}: cannot be written: {error.strerror}") from None
+
+
+def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
+    """The readings of a dataset, run by run and sensor by sensor.
+
+    Parameters
+    ----------
+    folder
+        The dataset.
+    sensors
+        Those that are read; none: all.
+
+    Raises
+    ------
+    RecordingError
+        A file is missing or damaged, or there is no reading.
+    """
+    require("logs", "A dataset of readings")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables: list[dict[str, Column]] = []
+    for path in _files(folder):
+        run, sensor = (unquote(part.partition("=")[2]) for part in path.parts[-3:-1])
+        if sensors and sensor not in sensors:
+            continue
+        try:
+            read = pq.read_table(path, partitioning=None)
+        except (OSError, pa.ArrowException) as error:
+            reason = str(error).splitlines()[0]
+            raise RecordingError(f"{path}: cannot be read: {reason}; import the log again") from None
+        found: dict[str, Column] = {"run": np.full(len(read), run), "sensor": np.full(len(read), sensor)}
+        for name in read.column_names:
+            values = read[name].to_numpy()
+            found[name] = values.astype(float) if values.dtype.kind in "fiub" else np.array(values.tolist(), dtype=str)
+        if not {"time_s", "reading_cm"} <= set(found):
+            raise RecordingError(f"{path}: no time_s and reading_cm; import the log again")
+        tables.append(found)
+    if not tables:
+        raise RecordingError(f"{folder}: no readings" + (f" of {', '.join(sensors)}" if sensors else ""))
+    names = dict.fromkeys(name for table in tables for name in table)
+    return MeasuredData({name: _joined(name, tables) for name in names})
+
+
+def sha256_of_dataset(folder: Path) -> str:
+    """SHA-256 over the names and contents of a dataset's files, in hexadecimal."""
+    whole = hashlib.sha256()
+    for path in _files(folder):
+        with path.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        whole.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
+    return whole.hexdigest()
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files of the runs that are whole: an import that was interrupted leaves files without an entry."""
+    return sorted(
+        path for run in origin(folder) for path in (folder / f"run={quote(run, safe='')}").glob(f"sensor=*/{READINGS}")
+    )
+
+
+def _joined(name: str, tables: Sequence[Mapping[str, Column]]) -> Column:
+    is_word = name in WORD_COLUMNS or any(table[name].dtype.kind == "U" for table in tables if name in table)
+    missing = "" if is_word else math.nan
+    kind = str if is_word else float
+    return np.concatenate(
+        [table[name].astype(kind) if name in table else np.full(len(table["run"]), missing) for table in tables]
+    )

@@ -1,0 +1,68 @@
+"""Whether the lag of readings behind a reference is found again, and how well a reference is known."""
+
+import numpy as np
+import pytest
+
+from msp_lab.logs.alignment import Alignment, align, reference_std_cm
+from msp_lab.logs.log import Array, Series
+
+
+def climbs(at_s: Array) -> Array:
+    """Height of a vehicle that climbs and descends by 1 to 2 m/s [cm]."""
+    return 300.0 + 150.0 * np.sin(at_s / 1.3) + 60.0 * np.sin(at_s / 0.61)
+
+
+def aligned(seed: int, lag_s: float = 0.21, seconds: float = 60.0) -> Alignment:
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, seconds, 0.1)
+    reading_cm = np.round(1.03 * climbs(time_s - lag_s) + 12.0 + rng.normal(0.0, 3.0, time_s.size))
+    reading_cm[rng.random(time_s.size) < 0.1] = 765.0
+    reading_cm[rng.random(time_s.size) < 0.05] = np.nan
+    reference = Series("", np.arange(0.0, seconds, 0.05), climbs(np.arange(0.0, seconds, 0.05)))
+    found = align(time_s, reading_cm, reference.at, np.random.default_rng(seed))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("lag_s", [-0.4, 0.0, 0.21, 1.1])
+def test_a_lag_is_found_next_to_a_scale_an_offset_and_outliers(lag_s: float) -> None:
+    found = aligned(1, lag_s)
+    assert abs(found.lag_s - lag_s) < 0.01
+    assert found.lag_low_s < found.lag_s < found.lag_high_s
+    assert found.lag_high_s - found.lag_low_s < 0.03
+    # 3 % of 300 cm and 12 cm.
+    assert abs(found.offset_cm - 21.0) < 2.0
+
+
+def test_the_interval_holds_the_lag_as_often_as_it_says() -> None:
+    found = [aligned(seed, seconds=40.0) for seed in range(60)]
+    held = sum(each.lag_low_s <= 0.21 <= each.lag_high_s for each in found)
+    # Of 60 intervals of 95 %, 53 or more with a probability of 99 %.
+    assert held >= 53
+
+
+def test_a_hover_has_no_lag() -> None:
+    rng = np.random.default_rng(1)
+    time_s = np.arange(0.0, 60.0, 0.1)
+    found = align(time_s, 300.0 + rng.normal(0.0, 2.0, time_s.size), lambda at: 300.0 + 0.0 * at, rng)
+    assert found is not None
+    assert not found.has_lag
+    assert 1.5 < found.scatter_cm < 2.5
+
+
+def test_hardly_any_readings_are_not_aligned() -> None:
+    time_s = np.arange(0.0, 3.0, 0.1)
+    assert align(time_s, climbs(time_s), climbs, np.random.default_rng(1)) is None
+
+
+def test_three_instruments_show_the_error_of_each() -> None:
+    rng = np.random.default_rng(1)
+    true_cm = climbs(np.arange(0.0, 200.0, 0.1))
+    reading_cm, reference_cm, other_cm = (
+        true_cm + offset + rng.normal(0.0, std, true_cm.size) for offset, std in ((5.0, 6.0), (0.0, 2.0), (-40.0, 4.0))
+    )
+    for first, second, std_cm in ((reference_cm, other_cm, 2.0), (other_cm, reference_cm, 4.0)):
+        found = reference_std_cm(reading_cm, first, second, rng)
+        assert found is not None
+        assert found[1] <= std_cm <= found[2]
+        assert found[2] - found[1] < 1.5

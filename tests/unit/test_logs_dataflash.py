@@ -1,0 +1,81 @@
+"""An ArduPilot log as pymavlink itself reads it, in pieces, cut, damaged, and as none."""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.DFReader import DFReader_binary
+
+from msp_lab.logs import dataflash
+from msp_lab.logs.ardupilot import WANTED, read_ardupilot
+from msp_lab.logs.dataflash import read_messages
+from msp_range.recording.error import RecordingError
+
+LOG = Path(__file__).parents[1] / "data" / "logs" / "arducopter.BIN"
+
+
+def nothing(share: float) -> None:
+    pass
+
+
+def test_values_are_those_of_pymavlink() -> None:
+    found, lost = read_messages(LOG, WANTED, nothing)
+    rows: dict[str, list[dict[str, Any]]] = {}
+    with contextlib.closing(DFReader_binary(str(LOG))) as peer:
+        while (message := peer.recv_match(type=list(WANTED))) is not None:
+            rows.setdefault(message.get_type(), []).append(message.to_dict())
+    assert lost == ""
+    assert set(found) == set(rows)
+    for name, fields in found.items():
+        for field, values in fields.items():
+            if values.dtype.kind == "f":
+                # pymavlink multiplies by 0.01 in another order: the last bit differs.
+                np.testing.assert_allclose(values, [row[field] for row in rows[name]], rtol=1e-14, err_msg=name)
+    assert {len(fields["TimeUS"]) for name, fields in found.items() if name == "RFND"} == {890}
+
+
+def test_pieces_give_what_the_whole_file_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, _ = read_messages(LOG, WANTED, nothing)
+    monkeypatch.setattr(dataflash, "PIECE_BYTES", 20_011)
+    shares: list[float] = []
+    pieces, lost = read_messages(LOG, WANTED, shares.append)
+    assert lost == ""
+    assert len(shares) > 10
+    assert shares[-1] == 1.0
+    for name, fields in whole.items():
+        for field, values in fields.items():
+            np.testing.assert_array_equal(values, pieces[name][field])
+
+
+def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
+    content = bytearray(LOG.read_bytes())
+    content[150_000:150_600] = bytes(600)
+    (tmp_path / "cut.bin").write_bytes(content[:-1000])
+    log = read_ardupilot(tmp_path / "cut.bin", nothing)
+    assert 850 < len(log.rangers[0].series) < 890
+    (note,) = log.notes
+    lost = int(note.split()[0])
+    assert note.endswith("bytes that belong to no message are left out.")
+    assert 500 < lost < 900
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xa3\x95", b"\xa3\x95" + bytes(3_000_000), b"not a log" * 1000, LOG.read_bytes()[:80]]
+)
+def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bad.bin"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"bad\.bin: no dataflash log"):
+        read_ardupilot(path, nothing)
+    assert capfd.readouterr().err == ""
+
+
+def test_heights_into_which_the_range_is_fused_are_refused() -> None:
+    from msp_lab.logs.ardupilot import _fused_by_ekf3
+
+    assert _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_RNG_USE_HGT": -1.0}) == ""
+    assert "EK3_SRC2_POSZ is 2" in _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_SRC2_POSZ": 2.0})
+    assert "EK3_RNG_USE_HGT is 70" in _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_RNG_USE_HGT": 70.0})
+    assert "not known" in _fused_by_ekf3({})

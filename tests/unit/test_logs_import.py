@@ -1,0 +1,175 @@
+"""Logs into a dataset and from there into an answer, by the commands."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner, Result
+
+from msp_lab.cli import app
+from msp_lab.logs import px4
+from msp_lab.logs.log import Series
+from msp_lab.readings.dataset import read_dataset
+from msp_lab.readings.intake import load_readings
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.recording.csv_form import read_csv, write_csv
+from tests.support.measured import MODEL, readings
+
+LOGS = Path(__file__).parents[1] / "data" / "logs"
+RECORDING = Path(__file__).parents[1] / "loop" / "recordings" / "old_keys.mcap"
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def imported(*arguments: object) -> list[dict[str, Any]]:
+    done = run("import", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found
+
+
+def test_an_ardupilot_log_has_readings_context_and_truth(tmp_path: Path) -> None:
+    (found,) = imported(LOGS / "arducopter.BIN", "--out", tmp_path / "set")
+    assert found["form"].startswith("ArduPilot dataflash log, ArduCopter V4.7.0-dev")
+    assert (found["truth"], found["truth_source"]) == ("simulator", "SIM.Alt")
+    (ranger,) = found["rangers"]
+    # Three silences of seconds, each a status of no data.
+    assert (ranger["readings"], ranger["silent"], ranger["high_cm"]) == (890, 173, 623.0)
+    lag_s, low_s, high_s = ranger["lag_s"]
+    # The bridge's own recordings of these flights say 0.06 s to the echo; polling and RFND's 20 Hz add the rest.
+    assert low_s < lag_s < high_s
+    assert 0.05 < low_s < high_s < 0.16
+    assert {each["column"] for each in found["missing"]} == {"air_temperature_c", "humidity_pct", "neighbour_lag_ms"}
+    data = read_dataset(tmp_path / "set")
+    assert set(data["run"]) == {"arducopter"}
+    flown = data["true_range_cm"] > 100.0
+    assert 550.0 < np.nanmax(data["true_range_cm"]) < 650.0
+    assert 0.3 < np.nanmedian(data["throttle"][flown]) < 0.4
+    assert np.nanmax(np.abs(data["range_rate_cm_s"])) < 300.0
+    assert np.nanmax(data["incidence_deg"]) < 10.0
+    error_cm = (data["reading_cm"] - data["true_range_cm"])[flown]
+    assert abs(np.nanmedian(error_cm)) < 3.0
+    table = pq.read_table(
+        tmp_path / "set" / "run=arducopter" / "sensor=RNGFND1" / "readings.parquet", partitioning=None
+    )
+    assert "run" not in table.column_names
+
+
+def test_the_lag_is_taken_off_where_it_is_asked_for(tmp_path: Path) -> None:
+    imported(LOGS / "arducopter.BIN", "--out", tmp_path / "left")
+    imported(LOGS / "arducopter.BIN", "--out", tmp_path / "off", "--align")
+    scatter = {}
+    for name in ("left", "off"):
+        data = read_dataset(tmp_path / name)
+        moving = np.abs(data["range_rate_cm_s"]) > 50.0
+        scatter[name] = np.nanmedian(np.abs(data["reading_cm"] - data["true_range_cm"])[moving])
+    assert scatter["off"] < 0.5 * scatter["left"]
+
+
+def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> None:
+    (found,) = imported(LOGS / "px4.ulg", "--out", tmp_path / "set")
+    assert found["form"] == "PX4 ULog, PX4 1.17.0"
+    (ranger,) = found["rangers"]
+    assert ranger["readings"] == ranger["with_truth"] == 596
+    lag_s, low_s, high_s = ranger["lag_s"]
+    assert 0.0 < low_s < lag_s < high_s < 0.12
+    assert "cs_rng_hgt is set" in found["others"]["ekf"]
+    done = run("import", LOGS / "px4.ulg", "--truth", "ekf", "--out", tmp_path / "other")
+    assert done.exit_code == 3
+    assert "cs_rng_hgt is set for 93 % of the time" in done.output
+    assert "Independent references in the log: barometer, simulator" in done.output
+
+
+def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
+    height = Series("z", np.arange(10.0), np.arange(10.0))
+    flags = Series("cs_rng_hgt", np.array([0.0, 6.5]), np.array([0.0, 1.0]))
+    kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
+    assert refused == ""
+    assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
+    assert "EKF2_HGT_REF" in px4._without_fused(height, flags, {"EKF2_HGT_REF": 2})[1]
+    assert px4._without_fused(height, None, {"EKF2_RNG_CTRL": 0})[1] == ""
+    assert "may be fused" in px4._without_fused(height, None, {"EKF2_RNG_CTRL": 1})[1]
+
+
+def test_any_field_can_be_the_truth(tmp_path: Path) -> None:
+    (found,) = imported(LOGS / "arducopter.BIN", "--truth", "column:SIM.Alt*0.5", "--out", tmp_path / "set")
+    assert (found["truth"], found["truth_source"]) == ("column", "SIM.Alt")
+    half = read_dataset(tmp_path / "set")["true_range_cm"]
+    imported(LOGS / "arducopter.BIN", "--out", tmp_path / "whole")
+    assert np.nanstd(half) == pytest.approx(0.5 * np.nanstd(read_dataset(tmp_path / "whole")["true_range_cm"]), 1e-3)
+
+
+def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
+    write_csv(tmp_path / "bench.csv", readings(400, runs=2))
+    found = imported(RECORDING, tmp_path / "bench.csv", "--out", tmp_path / "set")
+    assert [each["truth"] for each in found] == ["recorded", "recorded"]
+    data = read_dataset(tmp_path / "set")
+    assert set(data["run"]) == {"old_keys", "bench/run0", "bench/run1"} or len(set(data["run"])) == 3
+    given, kept = read_csv(tmp_path / "bench.csv"), data.select(np.char.startswith(data["run"], "bench"))
+    for name in ("reading_cm", "true_range_cm"):
+        assert sorted(kept[name].tolist()) == sorted(given[name].tolist())
+
+
+def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:
+    write_csv(tmp_path / "bench.csv", readings(400, runs=4))
+    imported(tmp_path / "bench.csv", "--out", tmp_path / "set")
+    model = load_sensor_model(MODEL)
+    direct, through = (load_readings([path], model) for path in (tmp_path / "bench.csv", tmp_path / "set"))
+    for name in ("reading_cm", "true_range_cm", "previous_reading_cm"):
+        assert np.nansum(direct.data[name]) == np.nansum(through.data[name])
+    assert len(set(through.data["run"])) == 4
+    again = load_readings([tmp_path / "set"], model)
+    assert again.sources == through.sources
+
+
+def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
+    out = tmp_path / "gap"
+    log, model = LOGS / "arducopter.BIN", MODEL.parent / "mb1242.yaml"
+    for _ in range(2):  # the second time over what the first one left
+        done = run("compare", log, "--truth", "simulator", "--model", model, "--out", out)
+        assert done.exit_code == 0, done.output
+    assert "0.112 s later than the reference" in done.output
+    findings = json.loads((out / "gap.json").read_text())
+    assert findings["sources"][0]["path"] == str(out / "readings")
+    done = run("name", out)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["{logs}/arducopter.BIN", "--truth", "rtk2"], "--truth rtk2: expected recorded:"),
+        (["{logs}/px4.ulg", "--truth", "mocap"], "no mocap in this log. References that it has: barometer, simulator"),
+        (["{logs}/px4.ulg", "--truth", "sensor:lidar"], "no range finder 'lidar' in this log; it has distance_sensor"),
+        (["{logs}/px4.ulg", "--truth", "column:a.b"], "no column:a.b in this log"),
+        (["{logs}/px4.ulg", "--map", "reading_cm=a"], "--map is for CSV tables"),
+        (["{tmp}/empty.bin"], "empty"),
+        (["{tmp}/none.bin"], "cannot be read: No such file"),
+        (["{tmp}/cut.ulg"], "cut.ulg"),
+        (["{tmp}/picture.png"], "no log that is known"),
+        (["{logs}/px4.ulg", "{logs}/px4.ulg"], "px4"),
+    ],
+)
+def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+    (tmp_path / "empty.bin").touch()
+    (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    given = [each.format(logs=LOGS, tmp=tmp_path) for each in arguments]
+    done = run("import", *given, "--out", tmp_path / "set")
+    assert done.exit_code == 3, done.output
+    assert said in done.output
+    assert done.output.count("\n") == 1
+
+
+def test_a_run_is_added_once(tmp_path: Path) -> None:
+    imported(LOGS / "px4.ulg", "--out", tmp_path / "set")
+    imported(LOGS / "arducopter.BIN", "--out", tmp_path / "set")
+    done = run("import", LOGS / "px4.ulg", "--out", tmp_path / "set")
+    assert done.exit_code == 3
+    assert "there is a run 'px4' already" in done.output
+    assert set(read_dataset(tmp_path / "set")["run"]) == {"px4", "arducopter"}
