@@ -103,14 +103,7 @@ def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
 def single_streams(airframe: Airframe) -> dict[str, Stream]:
     """The streams of sensors with a stream of their own, by name."""
     return {
-        sensor.name: make_stream(
-            sensor.id,
-            sensor.orientation,
-            sensor.sensor_model.minimum_cm,
-            sensor.sensor_model.maximum_cm,
-            airframe.link.autopilot,
-            _stream_type([sensor]),
-        )
+        sensor.name: _own_stream(airframe, sensor, sensor.orientation)
         for sensor in airframe.sensors
         if sensor.name in airframe.sent_names
     }
@@ -123,17 +116,15 @@ def object_streams(airframe: Airframe) -> dict[str, Stream]:
     would mix another downward stream with the fused one.
     """
     return {
-        sensor.name: make_stream(
-            sensor.id,
-            Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)),
-            sensor.sensor_model.minimum_cm,
-            sensor.sensor_model.maximum_cm,
-            airframe.link.autopilot,
-            _stream_type([sensor]),
-        )
+        sensor.name: _own_stream(airframe, sensor, Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)))
         for sensor in airframe.downward
         if sensor.name not in airframe.sent_names
     }
+
+
+def _own_stream(airframe: Airframe, sensor: SensorSettings, orientation: Orientation) -> Stream:
+    model, autopilot = sensor.sensor_model, airframe.link.autopilot
+    return make_stream(sensor.id, orientation, model.minimum_cm, model.maximum_cm, autopilot, _stream_type([sensor]))
 
 
 def fused_stream(airframe: Airframe) -> Stream | None:

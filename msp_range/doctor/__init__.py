@@ -7,5 +7,3 @@ mistake that a person can make is tested with the files that it leaves, an emula
 from msp_range.doctor.computer import Computer, User
 from msp_range.doctor.examination import examine
 from msp_range.doctor.finding import Finding, Verdict
-
-__all__ = ["Computer", "Finding", "User", "Verdict", "examine"]

@@ -7,23 +7,3 @@ from msp_range.fusion.mounting import DownwardSensor, Oblique
 from msp_range.fusion.outcome import OBJECT, OUTLIER, SUSPECT, Fused, Outcome
 from msp_range.fusion.vertical import Moved, RecordedMotion, VerticalMotion
 from msp_range.fusion.windows import Windows
-
-__all__ = [
-    "OBJECT",
-    "OUTLIER",
-    "SUSPECT",
-    "Angles",
-    "Attitude",
-    "AttitudeTrack",
-    "DownwardSensor",
-    "Fused",
-    "Fusion",
-    "Ground",
-    "Moved",
-    "Oblique",
-    "Outcome",
-    "RecordedAttitude",
-    "RecordedMotion",
-    "VerticalMotion",
-    "Windows",
-]

@@ -5,16 +5,3 @@ from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
 from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
-
-__all__ = [
-    "FUSED",
-    "BusHealth",
-    "Condition",
-    "Health",
-    "Observation",
-    "ObservationsBelow",
-    "OutputWatch",
-    "Reminder",
-    "Report",
-    "Severity",
-]

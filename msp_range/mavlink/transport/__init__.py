@@ -13,17 +13,6 @@ from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
 
-__all__ = [
-    "NetworkUrl",
-    "Nowhere",
-    "SerialUrl",
-    "Transport",
-    "TransportStats",
-    "TransportUrl",
-    "open_transport",
-    "parse_url",
-]
-
 _NETWORK: dict[str, Callable[[NetworkUrl, Clock], Transport]] = {
     "udpin": UdpIn,
     "udpout": UdpOut,

@@ -1,6 +1,6 @@
 """The figures by which the changepoint filter is assessed, with their goals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,72 +30,56 @@ class Goal:
     met: bool | None
 
 
-def check_goals(study: Study) -> Sequence[Goal]:
-    """Return all figures in the order of the report's chapter."""
-    found: list[Goal] = []
+def check_goals(study: Study) -> Iterator[Goal]:
+    """Yield all figures in the order of the report's chapter."""
     for name in NAMES:
         compared = study.report_noise[name]
         here = compared.mean(CHANGEPOINT)
         for centred, which in ((False, "causal nine"), (True, "nine, medians ahead")):
             best, cm = compared.best(centred=centred)
-            found.append(
-                Goal(f"{name}: RMS, best of the {which} ({best})", f"{here:.3f} cm, {cm:.3f}", "lower", here < cm)
-            )
+            yield Goal(f"{name}: RMS, best of the {which} ({best})", f"{here:.3f} cm, {cm:.3f}", "lower", here < cm)
         ratio = here / compared.mean(ORACLE)
-        found.append(
-            Goal(f"{name}: RMS over the oracle's", f"{ratio:.2f}", f"at most {ORACLE_RATIO}", ratio <= ORACLE_RATIO)
-        )
+        yield Goal(f"{name}: RMS over the oracle's", f"{ratio:.2f}", f"at most {ORACLE_RATIO}", ratio <= ORACLE_RATIO)
     for name in NAMES:
         outliers = study.outliers[name]
         for in_time, which, wanted in ((True, "samples", True), (False, "readings", False)):
             best, cm = outliers.best(in_time=in_time)
             best = best.removesuffix(" in time")
             ratio = outliers.mean(CHANGEPOINT) / cm
-            found.append(
-                Goal(
-                    f"{name}, with outliers: RMS over that of {best}, windows of {which}",
-                    f"{ratio:.2f}",
-                    f"at most {OUTLIER_RATIO}" if wanted else "",
-                    ratio <= OUTLIER_RATIO if wanted else None,
-                )
+            yield Goal(
+                f"{name}, with outliers: RMS over that of {best}, windows of {which}",
+                f"{ratio:.2f}",
+                f"at most {OUTLIER_RATIO}" if wanted else "",
+                ratio <= OUTLIER_RATIO if wanted else None,
             )
     for count, (share, wanted_share) in enumerate(zip(study.response.arrived[1:], ARRIVED, strict=True), start=2):
-        found.append(
-            Goal(
-                f"step of {STEP_CM:g} cm: within {NEAR_CM:g} cm after {count} readings",
-                f"{share:.1%}",
-                f"{wanted_share:.0%}",
-                share >= wanted_share,
-            )
+        yield Goal(
+            f"step of {STEP_CM:g} cm: within {NEAR_CM:g} cm after {count} readings",
+            f"{share:.1%}",
+            f"{wanted_share:.0%}",
+            share >= wanted_share,
         )
     moved_cm = study.response.moved_cm
-    found.append(
-        Goal(
-            f"one reading {OUTLIER_CM:g} cm off moves the output by at most",
-            f"{moved_cm:.2f} cm",
-            f"under {MOVED_CM:g} cm",
-            moved_cm < MOVED_CM,
-        )
+    yield Goal(
+        f"one reading {OUTLIER_CM:g} cm off moves the output by at most",
+        f"{moved_cm:.2f} cm",
+        f"under {MOVED_CM:g} cm",
+        moved_cm < MOVED_CM,
     )
     low, high = INNOVATION_BOUNDS
     for name in NAMES:
         runs = study.innovations[name]
         inside = float(((runs > low) & (runs < high)).mean())
-        found.append(
-            Goal(
-                f"{name}: squared normalised innovations, mean; runs within {low} to {high}",
-                f"{np.mean(runs):.2f}; {inside:.0%}",
-                f"mean within {low} to {high}",
-                bool(low < np.mean(runs) < high),
-            )
+        yield Goal(
+            f"{name}: squared normalised innovations, mean; runs within {low} to {high}",
+            f"{np.mean(runs):.2f}; {inside:.0%}",
+            f"mean within {low} to {high}",
+            bool(low < np.mean(runs) < high),
         )
         covered = study.report_noise[name].covered, study.outliers[name].covered
-        found.append(
-            Goal(
-                f"{name}: true range within 1.96 stated standard deviations; with outliers",
-                "{:.0%}; {:.0%}".format(*covered),
-                "",
-                None,
-            )
+        yield Goal(
+            f"{name}: true range within 1.96 stated standard deviations; with outliers",
+            "{:.0%}; {:.0%}".format(*covered),
+            "",
+            None,
         )
-    return found

@@ -95,7 +95,7 @@ def _explanation(verdict: Verdict) -> Iterable[str]:
         yield f"    {scenario:6} predicts (table): {predicted}"
 
 
-def print_goals(console: Console, goals: Sequence[Goal]) -> None:
+def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     """Print the changepoint filter's figures with their goals."""
     table = Shown(title="the changepoint filter", box=box.SIMPLE_HEAD)
     for heading in ("figure", "value", "goal", "met"):

@@ -368,18 +368,15 @@ def _are_knots(places: Any) -> bool:
 
 def _entry(entry: Mapping[str, Any], place: str) -> Term:
     """An entry of a model file's ``effects``."""
-    if entry.get("name") == CURVE:
-        keys: tuple[str, ...] = ("name", "channel", "variables", "knots", "values", "evidence")
-        for key in entry:
-            if key not in keys:
-                raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
-        return make_curve_term(
-            entry.get("channel"), entry.get("variables"), entry.get("knots"), entry.get("values"), place
-        )
-    keys = ("name", "of", "parameters", "evidence")
+    is_curve = entry.get("name") == CURVE
+    own_keys = ("channel", "variables", "knots", "values") if is_curve else ("of", "parameters")
+    keys = ("name", *own_keys, "evidence")
     for key in entry:
         if key not in keys:
             raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
+    if is_curve:
+        channel, variables, knots, values = map(entry.get, own_keys)
+        return make_curve_term(channel, variables, knots, values, place)
     parameters = entry.get("parameters", {})
     if not isinstance(parameters, dict):
         raise ConfigError(f"{place}.parameters: found {parameters!r}, expected names with numbers")

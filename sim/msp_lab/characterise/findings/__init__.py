@@ -25,37 +25,6 @@ from msp_lab.characterise.findings.questions import FactorEffect, Metric, Questi
 from msp_lab.characterise.findings.temperature import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_lab.readings.intake import SourceFile
 
-__all__ = [
-    "AirBefore",
-    "AnglePoint",
-    "Baseline",
-    "BreakawayAngle",
-    "CalibrationFindings",
-    "CompensationRow",
-    "FactorEffect",
-    "FieldOfView",
-    "Findings",
-    "Form",
-    "HeldOut",
-    "HotBox",
-    "HotBoxRow",
-    "IntervalEstimate",
-    "Knot",
-    "MaximumRange",
-    "Metric",
-    "Mixture",
-    "MixtureParameter",
-    "Oblique",
-    "Peak",
-    "PlacementError",
-    "PointResult",
-    "Question",
-    "SonarFit",
-    "SonarRow",
-    "Verdict",
-    "as_json",
-]
-
 
 @dataclass(frozen=True)
 class Findings:
