@@ -14,7 +14,7 @@ from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
 from msp_range.mavlink.signing import is_signed, signing_of
-from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.params.client import ParameterClient, same
 from msp_range.params.commands import described, differences
@@ -37,7 +37,7 @@ FIELD_OF_VIEW_RAD = 0.4
 QUALITY = 100
 
 
-class Tap:
+class Tap(Wrapped):
     """A transport that counts what arrives.
 
     Attributes
@@ -49,42 +49,17 @@ class Tap:
     """
 
     def __init__(self, transport: Transport) -> None:
-        self._transport = transport
+        super().__init__(transport)
         self._reader = FrameReader()
         self.received_bytes = 0
         self.frames: list[Frame] = []
-        self.stats = transport.stats
-        self.quiet_until_s = transport.quiet_until_s
-
-    @property
-    def description(self) -> str:
-        """The URL."""
-        return self._transport.description
-
-    @property
-    def last_error(self) -> str | None:
-        """Why the link is down."""
-        return self._transport.last_error
-
-    @property
-    def connected(self) -> bool:
-        """Whether somebody is there."""
-        return self._transport.connected
-
-    def send(self, frame: bytes) -> bool:
-        """Send one frame."""
-        return self._transport.send(frame)
 
     def receive(self) -> bytes:
         """Count and return what has arrived."""
-        arrived = self._transport.receive()
+        arrived = super().receive()
         self.received_bytes += len(arrived)
         self.frames += self._reader.read(arrived)
         return arrived
-
-    def close(self) -> None:
-        """Release the link."""
-        self._transport.close()
 
 
 def check_autopilot(

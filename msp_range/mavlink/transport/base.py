@@ -96,6 +96,42 @@ class Nowhere:
         """Nothing to release."""
 
 
+class Wrapped:
+    """A transport on top of another one, which it passes everything on to; subclasses look at what passes."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.description = transport.description
+        self.stats = transport.stats
+
+    @property
+    def last_error(self) -> str | None:
+        """That of the other one."""
+        return self._transport.last_error
+
+    @property
+    def connected(self) -> bool:
+        """That of the other one."""
+        return self._transport.connected
+
+    @property
+    def quiet_until_s(self) -> float:
+        """That of the other one."""
+        return self._transport.quiet_until_s
+
+    def send(self, frame: bytes) -> bool:
+        """Send by the other one."""
+        return self._transport.send(frame)
+
+    def receive(self) -> bytes:
+        """What the other one has received."""
+        return self._transport.receive()
+
+    def close(self) -> None:
+        """Release the other one."""
+        self._transport.close()
+
+
 class Reconnecting(ABC):
     """Opens at once, then 0.5 s after a failure, with twice the delay after each further one, up to 5 s.
 

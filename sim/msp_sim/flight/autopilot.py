@@ -17,7 +17,7 @@ from msp_range.geometry import Vector, dot, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import pack
-from msp_range.mavlink.transport import Transport, TransportStats
+from msp_range.mavlink.transport import Transport, TransportStats, Wrapped
 from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
 
 BOOTED_BEFORE_S = 42.5
@@ -259,44 +259,22 @@ def _message_id(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
 
-class Tee:
+class Tee(Wrapped):
     """A real link next to the simulated autopilot: both receive the bridge, and the link also gets the autopilot's
     messages."""
 
-    quiet_until_s = float("-inf")
-
     def __init__(self, link: Transport, autopilot: LoopbackAutopilot) -> None:
-        self.description = link.description
-        self._link = link
+        super().__init__(link)
         self._autopilot = autopilot
-
-    @property
-    def stats(self) -> TransportStats:
-        """That of the real link."""
-        return self._link.stats
-
-    @property
-    def last_error(self) -> str | None:
-        """That of the real link."""
-        return self._link.last_error
-
-    @property
-    def connected(self) -> bool:
-        """That of the real link."""
-        return self._link.connected
 
     def send(self, frame: bytes) -> bool:
         """Send to both; True if the real link accepted it."""
         self._autopilot.send(frame)
-        return self._link.send(frame)
+        return super().send(frame)
 
     def receive(self) -> bytes:
         """Receive from both."""
         sent = self._autopilot.receive()
         if sent:
-            self._link.send(sent)
-        return sent + self._link.receive()
-
-    def close(self) -> None:
-        """Close the real link."""
-        self._link.close()
+            super().send(sent)
+        return sent + super().receive()

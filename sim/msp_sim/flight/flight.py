@@ -16,7 +16,7 @@ from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import LoopReader
-from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.emulated import emulated_bus
 from msp_sim.flight.autopilot import LoopbackAutopilot
@@ -25,7 +25,7 @@ from msp_sim.flight.scenario import Scenario
 from msp_sim.world.vehicle import Pose
 
 
-class _LoggingTransport:
+class _LoggingTransport(Wrapped):
     """A transport that also hashes what is sent and writes the frames to a telemetry log.
 
     The log has the format of ground stations' tlog files: before each frame the microseconds since 1970 as eight bytes,
@@ -33,37 +33,22 @@ class _LoggingTransport:
     """
 
     def __init__(self, transport: Transport, clock: Clock, tlog: Path | None) -> None:
-        self._transport = transport
+        super().__init__(transport)
         self._clock = clock
         self._utc_s = clock.utc() - clock.now()
         self._tlog = tlog.open("wb") if tlog is not None else None
         self.sha256 = hashlib.sha256()
-        self.receive = transport.receive
-        self.description = transport.description
-        self.stats = transport.stats
-
-    @property
-    def last_error(self) -> str | None:
-        return self._transport.last_error
-
-    @property
-    def connected(self) -> bool:
-        return self._transport.connected
-
-    @property
-    def quiet_until_s(self) -> float:
-        return self._transport.quiet_until_s
 
     def send(self, frame: bytes) -> bool:
         self.sha256.update(frame)
         if self._tlog is not None:
             self._tlog.write(round((self._clock.now() + self._utc_s) * 1e6).to_bytes(8, "big") + frame)
-        return self._transport.send(frame)
+        return super().send(frame)
 
     def close(self) -> None:
         if self._tlog is not None:
             self._tlog.close()
-        self._transport.close()
+        super().close()
 
 
 class Simulation:
