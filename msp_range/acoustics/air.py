@@ -9,11 +9,9 @@ functions for each reading, so plain numbers are computed with `math`; numpy is 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from msp_range.numbers import Numbers
 
 HEAT_CAPACITY_RATIO = 1.4
 """gamma of dry air: an ideal gas of two-atom molecules has 7/5."""
@@ -54,11 +52,7 @@ class Air(NamedTuple):
     source: str
 
 
-@overload
-def speed_of_sound(temperature_c: float) -> float: ...
-@overload
-def speed_of_sound(temperature_c: NDArray[np.float64]) -> NDArray[np.float64]: ...
-def speed_of_sound(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+def speed_of_sound(temperature_c: Numbers) -> Numbers:
     """Speed of sound in dry air, c = sqrt(gamma R T / M), T in kelvin (report eq 6).
 
     Parameters
@@ -85,15 +79,7 @@ def speed_of_sound(temperature_c: float | NDArray[np.float64]) -> float | NDArra
     return _square_root(_SPEED_SQUARED_PER_K * absolute_k)
 
 
-@overload
-def time_of_flight(range_m: float, temperature_c: float) -> float: ...
-@overload
-def time_of_flight(range_m: NDArray[np.float64], temperature_c: float | NDArray[np.float64]) -> NDArray[np.float64]: ...
-@overload
-def time_of_flight(range_m: float, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]: ...
-def time_of_flight(
-    range_m: float | NDArray[np.float64], temperature_c: float | NDArray[np.float64]
-) -> float | NDArray[np.float64]:
+def time_of_flight(range_m: Numbers, temperature_c: Numbers) -> Numbers:
     """Time from the ping to its echo in air of uniform temperature, t = 2 r / c (report eq 1).
 
     Parameters
@@ -123,21 +109,7 @@ def time_of_flight(
     return 2.0 * range_m / speed_of_sound(temperature_c)
 
 
-@overload
-def compensate_range(range_m: float, air_temperature_c: float, calibration_temperature_c: float) -> float: ...
-@overload
-def compensate_range(
-    range_m: NDArray[np.float64], air_temperature_c: float | NDArray[np.float64], calibration_temperature_c: float
-) -> NDArray[np.float64]: ...
-@overload
-def compensate_range(
-    range_m: float, air_temperature_c: NDArray[np.float64], calibration_temperature_c: float
-) -> NDArray[np.float64]: ...
-def compensate_range(
-    range_m: float | NDArray[np.float64],
-    air_temperature_c: float | NDArray[np.float64],
-    calibration_temperature_c: float,
-) -> float | NDArray[np.float64]:
+def compensate_range(range_m: Numbers, air_temperature_c: Numbers, calibration_temperature_c: float) -> Numbers:
     """Range compensated for the air temperature, r = r_m sqrt(T_T / T_C) (report eq 7).
 
     r_m is the reading, T_T the true air temperature and T_C the one that the sensor assumes, both in kelvin.
@@ -205,7 +177,7 @@ def air_error_m(range_m: float, air: Air) -> float:
     return TWO_SIDED_95_PERCENT * math.sqrt(air_variance_m2(range_m, air))
 
 
-def _absolute_k(temperature_c: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+def _absolute_k(temperature_c: Numbers) -> Numbers:
     absolute_k = temperature_c + ZERO_CELSIUS_K
     too_cold = absolute_k <= 0.0 if isinstance(absolute_k, int | float) else (absolute_k <= 0.0).any()
     if too_cold:
@@ -214,7 +186,7 @@ def _absolute_k(temperature_c: float | NDArray[np.float64]) -> float | NDArray[n
     return absolute_k
 
 
-def _square_root(number: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+def _square_root(number: Numbers) -> Numbers:
     if isinstance(number, int | float):
         return math.sqrt(number)
     import numpy as np

@@ -11,11 +11,8 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, overload
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from msp_range.numbers import Numbers
 
 NARROWEST_HALF_ANGLE_DEG = 6.0
 """Smallest half angle that is used [deg]: a choice, about half of the smallest measured one (12.6 at 200 cm). A smaller
@@ -86,11 +83,7 @@ class BreakawayTable:
     def _half_angles_rad(self) -> tuple[float, ...]:
         return tuple(math.radians(max(angle_deg, self.narrowest_deg)) for angle_deg in self.half_angles_deg)
 
-    @overload
-    def half_angle_rad(self, range_m: float) -> float: ...
-    @overload
-    def half_angle_rad(self, range_m: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def half_angle_rad(self, range_m: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def half_angle_rad(self, range_m: Numbers) -> Numbers:
         """Half angle of the beam at a range.
 
         Parameters
@@ -116,10 +109,6 @@ class BreakawayTable:
         share = (range_m - ranges_m[i - 1]) / (ranges_m[i] - ranges_m[i - 1])
         return angles_rad[i - 1] + share * (angles_rad[i] - angles_rad[i - 1])
 
-    @overload
-    def field_of_view_rad(self, range_m: float) -> float: ...
-    @overload
-    def field_of_view_rad(self, range_m: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def field_of_view_rad(self, range_m: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def field_of_view_rad(self, range_m: Numbers) -> Numbers:
         """Whole angle of the beam at a range [rad], twice `half_angle_rad`."""
         return 2.0 * self.half_angle_rad(range_m)

@@ -11,13 +11,12 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol, overload
+from typing import TYPE_CHECKING, Protocol
+
+from msp_range.numbers import Numbers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
 
 SLOPES = (0.5, 2.0)
 """Limits of the slope [cm of reading per cm of range]; a flatter or steeper segment is an error and not a
@@ -70,19 +69,11 @@ class Calibration:
         """True if there are no knots: the reading is the range."""
         return not self.true_cm
 
-    @overload
-    def forward(self, true_cm: float) -> float: ...
-    @overload
-    def forward(self, true_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def forward(self, true_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def forward(self, true_cm: Numbers) -> Numbers:
         """Mean reading [cm], before rounding and limits, at a true range [cm]; NaN and infinity are kept."""
         return true_cm if self.is_identity else self._forward(true_cm)
 
-    @overload
-    def inverse(self, reading_cm: float) -> float: ...
-    @overload
-    def inverse(self, reading_cm: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def inverse(self, reading_cm: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def inverse(self, reading_cm: Numbers) -> Numbers:
         """Range [cm] with this mean reading: the inverse of `forward`."""
         return reading_cm if self.is_identity else self._inverse(reading_cm)
 
@@ -121,17 +112,12 @@ class PiecewiseLinear:
         self._x, self._y = x[:-1], y[:-1]
         self._slope = tuple((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(len(self._x)))
 
-    @overload
-    def __call__(self, x: float) -> float: ...
-    @overload
-    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def __call__(self, x: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    def __call__(self, x: Numbers) -> Numbers:
         if not isinstance(x, int | float):
             import numpy as np  # A vehicle needs single ranges only, and starts faster without this package.
 
             starts, values, slopes = (np.array(each) for each in (self._x, self._y, self._slope))
             piece = np.searchsorted(self._inner, x, side="right")
-            found: NDArray[np.float64] = values[piece] + slopes[piece] * (x - starts[piece])
-            return found
+            return np.asarray(values[piece] + slopes[piece] * (x - starts[piece]))
         i = bisect_right(self._inner, x)
         return self._y[i] + self._slope[i] * (x - self._x[i])

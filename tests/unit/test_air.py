@@ -61,14 +61,14 @@ def test_arrays_agree_with_numbers_and_broadcast() -> None:
     assert compensate_range(range_m, air_c, 22.5) == pytest.approx(
         [compensate_range(r, t, 22.5) for r, t in each], rel=1e-15
     )
-    assert compensate_range(range_m, 5.0, 22.5).shape == (4,)
-    assert compensate_range(1.0, air_c, 22.5).shape == (4,)
+    assert compensate_range(range_m, np.array(5.0), 22.5).shape == (4,)
+    assert compensate_range(np.array(1.0), air_c, 22.5).shape == (4,)
     assert time_of_flight(range_m[:, None], air_c).shape == (4, 4)
 
 
 def test_an_unknown_temperature_stays_unknown() -> None:
     assert math.isnan(compensate_range(3.0, math.nan, 22.5))
-    assert np.isnan(compensate_range(3.0, np.array([math.nan, 20.0]), 22.5)).tolist() == [True, False]
+    assert np.isnan(compensate_range(np.array(3.0), np.array([math.nan, 20.0]), 22.5)).tolist() == [True, False]
 
 
 def test_absolute_zero_and_below_are_refused() -> None:
