@@ -164,7 +164,9 @@ class Poller:
 
     def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
         """The failed measurement; None if the bus has to be reopened first, in a separate step."""
-        ranging = Ranging(Reading(ping_s, sensor.name, Status.NO_ANSWER), ping_s, now_s, error)
+        # Without its traceback, whose frames hold it in turn: only a garbage collection would release them.
+        kept = error.with_traceback(None)
+        ranging = Ranging(Reading(ping_s, sensor.name, Status.NO_ANSWER), ping_s, now_s, kept)
         # An adapter that was unplugged and one whose device does not acknowledge can give the same ENODEV.
         doubtful = error.bus_at_fault or error.errno == errno.ENODEV
         if not doubtful or now_s - self._reopened_s < REOPEN_INTERVAL_S:
@@ -178,5 +180,5 @@ class Poller:
         try:
             self._bus.reopen()
         except BusError as error:
-            return failed._replace(error=error)
+            return failed._replace(error=error.with_traceback(None))
         return failed

@@ -97,10 +97,7 @@ class EmulatedBus:
                 continue
             answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
         if answer is None:
-            error = BusError(self._nack_errno, "read", address)
-            if self._foretells and futile_s < math.inf:
-                error.futile_s = futile_s - ROUNDING_S
-            raise error
+            raise self._not_acknowledged(address, futile_s)
         return answer
 
     def reopen(self) -> None:
@@ -118,6 +115,17 @@ class EmulatedBus:
         if not self._have_second_addresses:
             return [each for each in self._devices if each.address == address]
         return [each for each in self._devices if address in (each.address, getattr(each, "also_at", None))]
+
+    def _not_acknowledged(self, address: int, futile_s: float) -> BusError:
+        """The error of a read that nobody acknowledged.
+
+        Made here because a function that raises an error which it keeps in a variable stays in memory until the next
+        garbage collection: the variable holds the error, whose traceback holds the variable.
+        """
+        error = BusError(self._nack_errno, "read", address)
+        if self._foretells and futile_s < math.inf:
+            error.futile_s = futile_s - ROUNDING_S
+        return error
 
     def _check_lines(self, verb: str, address: int) -> None:
         if self._closed:
