@@ -16,9 +16,6 @@ class BusError(OSError):
     acknowledge, so this is raised many times a second in normal work.
     """
 
-    futile_s: float = 0.0
-    """Time for which further attempts would fail in the same way [s]; 0: unknown, as on every real bus."""
-
     @property
     def verb(self) -> str:
         """What was tried; OSError has it as its text."""
@@ -67,6 +64,10 @@ class Bus(Protocol):
 
     def read(self, address: int, count: int) -> bytes:
         """Return ``count`` bytes from the 7-bit ``address``; raises BusError as `write` does."""
+        ...
+
+    def busy_s(self, address: int) -> float:
+        """For how long no device at ``address`` will answer a read [s]; 0: unknown, as on every real bus."""
         ...
 
     def reopen(self) -> None:

@@ -97,6 +97,10 @@ class KernelBus:
         except OSError as error:
             raise BusError(error.errno or errno.EIO, verb, address) from None
 
+    def busy_s(self, address: int) -> float:
+        """Unknown."""
+        return 0.0
+
     def reopen(self) -> None:
         """Close and open the device file; raises BusInUse if another process has locked it."""
         self.close()

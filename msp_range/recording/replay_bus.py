@@ -80,6 +80,10 @@ class ReplayBus:
             raise BusError(errno.EREMOTEIO, "read", address)
         return answer
 
+    def busy_s(self, address: int) -> float:
+        """Not told, so that the bridge asks as often as on the vehicle."""
+        return 0.0
+
     def reopen(self) -> None:
         """Nothing to do: a record does not lock up."""
 

@@ -1,7 +1,7 @@
 """Ping range finders in the order of a schedule, and read their answers.
 
 A sensor that is measuring has no answer yet, so it is read again every `POLL_INTERVAL_S` from the moment at which
-it could first be done, and never later than its deadline. Attempts that would fail, as far as an emulated bus states
+it could first be done, and never later than its deadline. Attempts that would fail, as far as an emulated bus knows
 it, are left out.
 """
 
@@ -46,10 +46,13 @@ class _Pending:
 
     __slots__ = ("from_s", "next_try_s", "ping_s", "sensor")
 
-    def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float) -> None:
+    def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float, busy_s: float) -> None:
         self.sensor = sensor
         self.from_s, self.ping_s = from_s, ping_s
+        deadline_s = ping_s + sensor.timing.deadline_s
         self.next_try_s = ping_s + sensor.timing.first_answer_s
+        while self.next_try_s < min(ping_s + busy_s, deadline_s):
+            self.next_try_s = min(self.next_try_s + POLL_INTERVAL_S, deadline_s)
 
 
 _next_try_s = attrgetter("next_try_s")
@@ -64,7 +67,7 @@ class Poller:
     Parameters
     ----------
     bus
-        Used only to reopen it after a lock-up; transfers go through the sensors.
+        Used to reopen it after a lock-up, and asked how long a pinged sensor is busy; transfers go through the sensors.
     clock
         Time of pings and answers.
     schedule
@@ -122,19 +125,18 @@ class Poller:
         self._acknowledged = False
 
     def _ping(self, sensor: PolledSensor) -> Ranging | None:
-        ranging = None
         from_s = self._clock.now()
         try:
             sensor.device.ping()
         except BusError as error:
-            now_s = self._clock.now()
-            ranging = self._no_answer(sensor, now_s, now_s, error)
-        else:
-            self._pending.append(_Pending(sensor, from_s, self._clock.now()))
-            self._acknowledged = True
+            self._last_ping_s = self._clock.now()
+            return self._no_answer(sensor, self._last_ping_s, self._last_ping_s, error)
         # Taken after the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
         self._last_ping_s = self._clock.now()
-        return ranging
+        busy_s = self._bus.busy_s(sensor.device.address)
+        self._pending.append(_Pending(sensor, from_s, self._last_ping_s, busy_s))
+        self._acknowledged = True
+        return None
 
     def _ask(self, pending: _Pending, now_s: float) -> Ranging | None:
         sensor = pending.sensor
@@ -150,10 +152,7 @@ class Poller:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
             deadline_s = pending.ping_s + timing.deadline_s
             if now_s < deadline_s and not error.bus_at_fault:
-                try_s = now_s + POLL_INTERVAL_S
-                while try_s < now_s + error.futile_s:
-                    try_s += POLL_INTERVAL_S
-                pending.next_try_s = min(try_s, deadline_s)
+                pending.next_try_s = min(now_s + POLL_INTERVAL_S, deadline_s)
                 return None
             self._pending.remove(pending)
             return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)

@@ -58,6 +58,9 @@ class ScriptedBus:
         assert len(answer) == count
         return answer
 
+    def busy_s(self, address: int) -> float:
+        return 0.0
+
     def reopen(self) -> None:
         self._next("reopen", 0)
 

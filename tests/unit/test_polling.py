@@ -437,6 +437,9 @@ class Reopened:
     def read(self, address: int, count: int) -> bytes:
         return b""
 
+    def busy_s(self, address: int) -> float:
+        return 0.0
+
     def reopen(self) -> None:
         self.reopened_s.append(self._clock.now())
 

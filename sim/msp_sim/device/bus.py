@@ -44,8 +44,8 @@ class EmulatedBus:
     nack_errno
         What the adapter's driver reports where nobody acknowledges: 121 on a Raspberry Pi, 6 or 19 on others.
     foretells
-        Whether an error states for how long a sensor stays busy (`BusError.futile_s`), as far as no device has faults:
-        in virtual time the attempts in between are all that happens then.
+        Whether `busy_s` is told, as far as no device has faults: in virtual time the attempts to read a busy
+        sensor are all that happens then.
 
     Notes
     -----
@@ -88,17 +88,22 @@ class EmulatedBus:
         if self._closed or self._lock_ups:
             self._check_lines("read", address)
         answer: bytes | None = None
-        futile_s = math.inf
         for device in self._at(address):
             try:
                 sent = device.read(count)
-            except NotAcknowledged as silence:
-                futile_s = min(futile_s, silence.futile_s)
+            except NotAcknowledged:
                 continue
             answer = sent if answer is None else bytes(a & b for a, b in zip(answer, sent, strict=True))
         if answer is None:
-            raise self._not_acknowledged(address, futile_s)
+            raise BusError(self._nack_errno, "read", address)
         return answer
+
+    def busy_s(self, address: int) -> float:
+        """For how long no device at ``address`` will answer a read [s]; 0: not told."""
+        if not self._foretells:
+            return 0.0
+        until_s = min([getattr(device, "busy_until_s", -math.inf) for device in self._at(address)], default=-math.inf)
+        return max(until_s - self._now() - ROUNDING_S, 0.0)
 
     def reopen(self) -> None:
         """Open the bus again; a line that is no longer held is then free."""
@@ -115,17 +120,6 @@ class EmulatedBus:
         if not self._have_second_addresses:
             return [each for each in self._devices if each.address == address]
         return [each for each in self._devices if address in (each.address, getattr(each, "also_at", None))]
-
-    def _not_acknowledged(self, address: int, futile_s: float) -> BusError:
-        """The error of a read that nobody acknowledged.
-
-        Made here because a function that raises an error which it keeps in a variable stays in memory until the next
-        garbage collection: the variable holds the error, whose traceback holds the variable.
-        """
-        error = BusError(self._nack_errno, "read", address)
-        if self._foretells and futile_s < math.inf:
-            error.futile_s = futile_s - ROUNDING_S
-        return error
 
     def _check_lines(self, verb: str, address: int) -> None:
         if self._closed:

@@ -15,17 +15,7 @@ CLOCK_FAULT_BIT = 0x8000
 
 
 class NotAcknowledged(Exception):
-    """Nobody pulled the data line low.
-
-    Attributes
-    ----------
-    futile_s
-        Time for which nobody will [s]; 0: unknown.
-    """
-
-    def __init__(self, futile_s: float = 0.0) -> None:
-        super().__init__()
-        self.futile_s = futile_s
+    """Nobody pulled the data line low."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +208,11 @@ class RangeFinder:
         self._ranged = False
         self._busy_until_s = float("-inf")
         self._may_miss_read = True
+
+    @property
+    def busy_until_s(self) -> float:
+        """Until when it ranges or does something else that keeps it from answering [s]."""
+        return self._busy_until_s
 
     def _with_power(self) -> float:
         """Return the time [s] of a transfer that no fault keeps from the sensor."""

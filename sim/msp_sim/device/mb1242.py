@@ -78,7 +78,7 @@ class EmulatedMB1242(RangeFinder):
         """Return the time [s] of a transfer that the sensor takes part in."""
         now_s = self._with_power()
         if now_s < self._busy_until_s:
-            raise NotAcknowledged(self._busy_until_s - now_s)
+            raise NotAcknowledged
         return now_s
 
     def _change_address(self, new_8bit: int, now_s: float) -> None:
