@@ -54,6 +54,20 @@ def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+def rotate(rotation: Matrix, vector: Vector) -> Vector:
+    """A vector in the other frame: R v."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    x, y, z = vector
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def rotate_back(rotation: Matrix, vector: Vector) -> Vector:
+    """The vector that `rotate` takes to this one: R^T v."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    x, y, z = vector
+    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+
+
 def angle_between(a: Vector, b: Vector) -> float:
     """Angle between two unit vectors [rad], 0 to pi; exact near 0 and pi, where the arc cosine is not."""
     difference = math.sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)))

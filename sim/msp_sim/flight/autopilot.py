@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from msp_range.clock import Clock
-from msp_range.geometry import Vector, dot, rotation_matrix
+from msp_range.geometry import Vector, rotate_back, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import pack
+from msp_range.mavlink.frames import pack_values
 from msp_range.mavlink.transport import Transport, TransportStats, Wrapped
 from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
 
@@ -101,10 +101,10 @@ class LoopbackAutopilot:
         self._refused = () if sends_motion else _MOTION
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
-        self._draw = draw
+        self._gauss = draw.gauss if draw else lambda mean, std: mean
         self._drift_m, self._drift_s = 0.0, 0.0
         self._sampled = pose(0.0)
-        self._force_bias = [draw.gauss(0.0, ACCELEROMETER_BIAS_M_S2) if draw else 0.0 for _ in range(3)]
+        self._force_bias = [self._gauss(0.0, ACCELEROMETER_BIAS_M_S2) for _ in range(3)]
         self._outgoing = bytearray()
 
     @property
@@ -176,29 +176,27 @@ class LoopbackAutopilot:
                 continue
             self._due_s[what] = max(due_s + self._intervals_s[what], now_s)
             if what == "heartbeat":
-                message = dialect.MAVLink_heartbeat_message(
-                    dialect.MAV_TYPE_QUADROTOR, self._kind, 0, 0, dialect.MAV_STATE_ACTIVE, 3
-                )
+                flying = dialect.MAV_TYPE_QUADROTOR, self._kind, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+                self._put(dialect.MAVLink_heartbeat_message, *flying)
             elif what == "system_time":
-                message = dialect.MAVLink_system_time_message(0, boot_ms)
+                self._put(dialect.MAVLink_system_time_message, 0, boot_ms)
             else:
                 pose = pose or self._pose(now_s)
-                message = self._measured(what, boot_ms, now_s, pose)
-            self._put(message)
+                self._put_measured(what, boot_ms, now_s, pose)
 
-    def _measured(self, what: str, boot_ms: int, now_s: float, pose: Pose) -> Any:
+    def _put_measured(self, what: str, boot_ms: int, now_s: float, pose: Pose) -> None:
         if what == "attitude":
             pose = self._sent_pose(pose)
-            return dialect.MAVLink_attitude_message(boot_ms, pose.roll_rad, pose.pitch_rad, pose.yaw_rad, 0.0, 0.0, 0.0)
-        if what == "pressure":
-            return self._pressure(boot_ms, now_s, pose)
-        x, y, z = self._specific_force(pose)
-        if what == "raw_imu":
-            milli_g = [round(1000 * each / GRAVITY_M_S2) for each in (x, y, z)]
-            return dialect.MAVLink_raw_imu_message(1000 * boot_ms, *milli_g, 0, 0, 0, 0, 0, 0)
-        return dialect.MAVLink_highres_imu_message(
-            1000 * boot_ms, x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 15.0, 7
-        )
+            angles = pose.roll_rad, pose.pitch_rad, pose.yaw_rad
+            self._put(dialect.MAVLink_attitude_message, boot_ms, *angles, 0.0, 0.0, 0.0)
+        elif what == "pressure":
+            self._put(dialect.MAVLink_scaled_pressure_message, boot_ms, *self._pressure(now_s, pose), 0)
+        elif what == "raw_imu":
+            milli_g = [round(1000 * each / GRAVITY_M_S2) for each in self._specific_force(pose)]
+            self._put(dialect.MAVLink_raw_imu_message, 1000 * boot_ms, *milli_g, 0, 0, 0, 0, 0, 0, 0, 0)
+        else:
+            values = *self._specific_force(pose), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 15.0, 7, 0
+            self._put(dialect.MAVLink_highres_imu_message, 1000 * boot_ms, *values)
 
     def _specific_force(self, pose: Pose) -> Vector:
         """Specific force that the accelerometer measures, body FRD: f = R^T (a - g), with its noise [m/s^2].
@@ -213,30 +211,25 @@ class LoopbackAutopilot:
             (east - east_before) / elapsed_s,
             (down - down_before) / elapsed_s - GRAVITY_M_S2,
         )
-        x_axis, y_axis, z_axis = zip(*rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad), strict=True)
+        x, y, z = rotate_back(rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad), net)
         bias_x, bias_y, bias_z = self._force_bias
-        return (
-            dot(x_axis, net) + bias_x + self._noise(ACCELEROMETER_STD_M_S2),
-            dot(y_axis, net) + bias_y + self._noise(ACCELEROMETER_STD_M_S2),
-            dot(z_axis, net) + bias_z + self._noise(ACCELEROMETER_STD_M_S2),
-        )
+        gauss, std = self._gauss, ACCELEROMETER_STD_M_S2
+        return x + bias_x + gauss(0.0, std), y + bias_y + gauss(0.0, std), z + bias_z + gauss(0.0, std)
 
-    def _noise(self, std: float) -> float:
-        return self._draw.gauss(0.0, std) if self._draw else 0.0
-
-    def _pressure(self, boot_ms: int, now_s: float, pose: Pose) -> Any:
-        """Barometric formula p = p0 exp(-h / 8434 m); the temperature is that of the barometer's chip."""
-        self._drift_m += self._noise(BAROMETER_DRIFT_M * math.sqrt(now_s - self._drift_s))
+    def _pressure(self, now_s: float, pose: Pose) -> tuple[float, float, int]:
+        """Pressure by the barometric formula p = p0 exp(-h / 8434 m) [hPa], the difference that is not measured, and
+        the temperature of the barometer's chip [1/100 deg C]."""
+        self._drift_m += self._gauss(0.0, BAROMETER_DRIFT_M * math.sqrt(now_s - self._drift_s))
         self._drift_s = now_s
-        height_m = self._drift_m + self._noise(BAROMETER_STD_M) - pose.position_ned_m[2]
+        height_m = self._drift_m + self._gauss(0.0, BAROMETER_STD_M) - pose.position_ned_m[2]
         temperature_cdeg = round((self._air_c(pose) + BAROMETER_WARMER_C) * 100)
         pressure_hpa = SEA_LEVEL_HPA * math.exp(-height_m / 8434.0)
-        return dialect.MAVLink_scaled_pressure_message(boot_ms, pressure_hpa, 0.0, temperature_cdeg)
+        return pressure_hpa, 0.0, temperature_cdeg
 
     def _answer(self, now_s: float, message: Any) -> None:
         kind = message.get_type()
         if kind == "TIMESYNC" and message.tc1 == 0:
-            self._put(dialect.MAVLink_timesync_message(round((now_s - self._boot_s) * 1e9), message.ts1))
+            self._put(dialect.MAVLink_timesync_message, round((now_s - self._boot_s) * 1e9), message.ts1)
         elif kind == "COMMAND_LONG" and message.target_component == dialect.MAV_COMP_ID_AUTOPILOT1:
             source = (message.get_srcSystem(), message.get_srcComponent())
             result = dialect.MAV_RESULT_ACCEPTED
@@ -247,10 +240,11 @@ class LoopbackAutopilot:
                 else:
                     self._intervals_s[what] = message.param2 * 1e-6
                     self._due_s.setdefault(what, now_s)
-            self._put(dialect.MAVLink_command_ack_message(message.command, result, 0, 0, *source))
+            self._put(dialect.MAVLink_command_ack_message, message.command, result, 0, 0, *source)
 
-    def _put(self, message: Any) -> None:
-        self._outgoing += pack(message, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
+    def _put(self, kind: Any, *values: float) -> None:
+        """Send a message, from its class and all of its fields."""
+        self._outgoing += pack_values(kind, values, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
         self._sequence = (self._sequence + 1) % 256
 
 

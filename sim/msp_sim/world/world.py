@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
-from msp_range.geometry import Matrix, Vector, dot, rotation_matrix
+from msp_range.geometry import Vector, dot, rotate, rotation_matrix
 from msp_range.yaml_file import Section
 from msp_sim.world.surfaces import Block, Echo, GroundSection, HalfAngle, Terrain
 from msp_sim.world.vehicle import Pose
@@ -149,9 +149,9 @@ class World:
         """The truth of a ping that a sensor sends from this pose."""
         rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         north_m, east_m, down_m = pose.position_ned_m
-        ahead_m, right_m, below_m = _rotate(rotation, beam.position_m)
+        ahead_m, right_m, below_m = rotate(rotation, beam.position_m)
         sensor = (north_m + ahead_m, east_m + right_m, down_m + below_m)
-        axis = _rotate(rotation, beam.boresight)
+        axis = rotate(rotation, beam.boresight)
         is_ray = beam.half_angle_rad is None
         echo = None if beam.half_angle_rad is None else self._nearest_echo(sensor, axis, beam.half_angle_rad)
         surface = echo or self._ray(sensor, axis)
@@ -203,8 +203,3 @@ class World:
         for block in self._blocks:
             first = block.ray(sensor, axis, first.slant_m if first else math.inf) or first
         return first
-
-
-def _rotate(rotation: Matrix, vector: Vector) -> Vector:
-    """Rotate a vector from the body frame into the world frame."""
-    return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)
