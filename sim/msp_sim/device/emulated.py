@@ -23,8 +23,8 @@ from msp_sim.world.world import MountedBeam, Ping, World
 
 RUN = "flight"
 """Run of the readings of a simulated flight: one session."""
-KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, float]], None]
-"""Takes a sensor's name, the time of a ping in the flight [s], what it met, and further context by column."""
+KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, Any]], None]
+"""Takes a sensor's name, the time of a ping in the flight [s], what it met, and all of its context by column."""
 
 
 class EmulatedSensor:
@@ -44,7 +44,7 @@ class EmulatedSensor:
     generator
         Its chance.
     keep
-        Called with (time of the ping in the flight [s], truth, further context) for each ping.
+        Called for each ping.
     others
         Time [s] and true range [cm] of the last ping of each sensor of the vehicle, by name; kept up to date here.
     """
@@ -73,18 +73,18 @@ class EmulatedSensor:
         """The reading [cm] of a ping at a time of the flight [s]."""
         pose = self._pose(ping_s)
         ping = self._world.ping(pose, self._beam)
-        extra: dict[str, float] = {"uptime_s": ping_s}
+        context: dict[str, Any] = ping._asdict()
+        context["uptime_s"] = ping_s
         if pose.throttle is not None:
-            extra["throttle"] = pose.throttle
+            context["throttle"] = pose.throttle
         neighbours = [each for name, each in self._others.items() if name != self._name]
         if neighbours:
             neighbour_s, neighbour_cm = max(neighbours)
-            extra["neighbour_lag_ms"] = 1e3 * (ping_s - neighbour_s)
+            context["neighbour_lag_ms"] = 1e3 * (ping_s - neighbour_s)
             if neighbour_cm is not None:
-                extra["neighbour_range_cm"] = neighbour_cm
+                context["neighbour_range_cm"] = neighbour_cm
         self._others[self._name] = (ping_s, ping.true_range_cm)
-        self._keep(self._name, ping_s, ping, extra)
-        context: dict[str, Any] = ping._asdict() | extra
+        self._keep(self._name, ping_s, ping, context)
         context["sensor"], context["run"], context["time_in_run_s"] = self._name, RUN, ping_s
         context["previous_reading_cm"] = self._previous_cm
         if not ping.has_echo:

@@ -6,6 +6,7 @@ Pings and the bridge's steps enter; a `FlightResult` leaves, from which table, p
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.bridge import Bridge, Records, Step
@@ -109,8 +110,8 @@ class FlightLog:
         self._ground_m: float | None = None
         self._edge_s = float("-inf")
 
-    def record_truth(self, sensor: str, ping_s: float, ping: Ping, extra: Mapping[str, float]) -> None:
-        """Record the truth of a ping at a time of the flight [s], with further context."""
+    def record_truth(self, sensor: str, ping_s: float, ping: Ping, context: Mapping[str, Any]) -> None:
+        """Record the truth of a ping at a time of the flight [s], with all of its context."""
         self._truths[sensor] = ping
         mounted = self._downward.get(sensor)
         if mounted is not None and ping.slant_range_cm is not None:
@@ -120,8 +121,8 @@ class FlightLog:
                 self._steps_m[sensor] = down_m - below_m
         if self._recorder is not None:
             not_recorded = ("has_echo", "slant_range_cm")
-            truth = {key: each for key, each in ping._asdict().items() if each is not None and key not in not_recorded}
-            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth | dict(extra))
+            truth = {key: each for key, each in context.items() if each is not None and key not in not_recorded}
+            self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
 
     def record_step(self, step: Step) -> None:
         """Record what became of a reading."""

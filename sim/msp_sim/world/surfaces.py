@@ -10,6 +10,7 @@ nearest point within the beam. Not modelled: corner reflectors, shadows behind o
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from typing import Annotated, NamedTuple
 
@@ -233,7 +234,7 @@ class Terrain:
         length = math.hypot(1.0, grade_across)
         self._lip = (-self._heading_e / length, self._heading_n / length, -grade_across / length)
         self._rough = {name: RoughSurface(roughness) for name, roughness in ground.rough.items()}
-        starts_m = [-math.inf, *(step.at_m for step in ground.steps)]
+        self._starts_m = starts_m = [-math.inf, *(step.at_m for step in ground.steps)]
         rises_m, surfaces = [0.0], [ground.surface]
         self._walls = []
         for step in ground.steps:
@@ -249,13 +250,8 @@ class Terrain:
 
     def elevation_m(self, north_m: float, east_m: float) -> float:
         """Height of the ground above the origin [m]."""
-        x = self._along_m(north_m, east_m)
-        rise_m = 0.0
-        for start_m, _, strip_rise_m, _ in self._strips:
-            if x < start_m:
-                break
-            rise_m = strip_rise_m
-        return self._plane_m(north_m, east_m) + rise_m
+        strip = bisect_right(self._starts_m, self._along_m(north_m, east_m)) - 1
+        return self._plane_m(north_m, east_m) + self._strips[strip][2]
 
     def strip_echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
         """Echoes of the ground between its steps.
@@ -313,7 +309,7 @@ class Terrain:
         if sinks > 0:
             for start_m, end_m, rise_m, surface in self._strips:
                 over_m = base_m - rise_m
-                slant_m = max(over_m, 0.0) / sinks
+                slant_m = over_m / sinks if over_m > 0.0 else 0.0
                 if slant_m < first_m and over_m >= -TOUCH_M and start_m <= x + slant_m * ahead < end_m:
                     first_m = slant_m
                     first = Echo(slant_m * sinks * self._cos_slope, self._into, slant_m, surface, None)
@@ -393,8 +389,8 @@ class Block:
         The box is treated as extending down without limit.
         """
         north_m, east_m = sensor[0] - self._north_m, sensor[1] - self._east_m
-        if max(abs(north_m), abs(east_m)) - self._radius_m > within_m:
-            return None
+        if max(abs(north_m), abs(east_m)) - self._radius_m > within_m * math.hypot(axis[0], axis[1]):
+            return None  # The ray does not get as far as that sideways.
         x, y = self._turn(north_m, east_m)
         own_axis = (*self._turn(axis[0], axis[1]), axis[2])
         enters_m, leaves_m, side = -math.inf, math.inf, 0
