@@ -57,6 +57,7 @@ class AirTemperature:
         self._air = self._fixed
         self._history = RangeHistory()
         self._tracks = [(source, TemperatureTrack(source, self._history)) for source in parameters.sources]
+        self._received = [(source, track) for source, track in self._tracks if isinstance(source, MavlinkSource)]
         self._had_value_s = start_s
         self._settled = BACK
         fixed_error_m = air_error_m(maximum_m, self._fixed)
@@ -68,8 +69,8 @@ class AirTemperature:
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
         kind = message.get_type()
-        for source, track in self._tracks:
-            if isinstance(source, MavlinkSource) and source.message == kind:
+        for source, track in self._received:
+            if source.message == kind:
                 reported_c = getattr(message, source.field) * MAVLINK_FIELDS[kind, source.field].c_per_unit
                 if reported_c not in (_NO_SOURCE.get((kind, source.field)), _NO_SOURCE.get(source.field)):
                     track.update(now_s, reported_c)

@@ -140,16 +140,12 @@ class Link:
         frames = self._frames.read(self.transport.receive())
         if frames:
             self._sort(now_s, frames)
-        for waiting, count in (
-            (self._from_autopilot, DECODED_FROM_AUTOPILOT),
-            (self._from_others, DECODED_FROM_OTHERS),
-        ):
-            for _ in range(min(len(waiting), count)):
-                self._take(*waiting.popleft())
+        self._take_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
+        self._take_first(self._from_others, DECODED_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
-        if self.autopilot_is_present:
+        if now_s - self._heartbeat_s < AUTOPILOT_LOST_S:
             self._ask(now_s)
         quiet_until_s = self.transport.quiet_until_s
         if quiet_until_s > self.next_event_s and not self._from_autopilot and not self._from_others:
@@ -209,8 +205,10 @@ class Link:
                 continue
             if self._is_accepted(now_s, frame):
                 waiting.append((now_s, frame))
-        self._from_autopilot = _newest(self._from_autopilot, WAITING_FROM_AUTOPILOT)
-        self._from_others = _newest(self._from_others, WAITING_FROM_OTHERS)
+        if len(self._from_autopilot) > WAITING_FROM_AUTOPILOT:
+            self._from_autopilot = _newest(self._from_autopilot, WAITING_FROM_AUTOPILOT)
+        if len(self._from_others) > WAITING_FROM_OTHERS:
+            self._from_others = _newest(self._from_others, WAITING_FROM_OTHERS)
 
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
@@ -222,6 +220,12 @@ class Link:
         if frame.is_autopilot_heartbeat and not accepted:
             self._participants.on_unsigned(now_s)
         return accepted
+
+    def _take_first(self, waiting: deque[tuple[float, Frame]], count: int) -> None:
+        """Decode up to ``count`` of the waiting messages."""
+        while waiting and count:
+            self._take(*waiting.popleft())
+            count -= 1
 
     def _take(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
@@ -309,9 +313,7 @@ class Link:
 
 
 def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[float, Frame]]:
-    """Limit the number of messages; of more, the newest of each type and system are kept."""
-    if len(waiting) <= count:
-        return waiting
+    """Of more messages than ``count``, the newest of each type and system."""
     newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
     return deque(list(newest.values())[-count:])
 

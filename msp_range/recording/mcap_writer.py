@@ -24,7 +24,8 @@ _ATTACHMENT, _ATTACHMENT_INDEX, _STATISTICS, _METADATA, _METADATA_INDEX, _SUMMAR
 
 _HEAD = Struct("<BQ")
 _MESSAGE_HEAD = Struct("<BQHIQQ")
-_MESSAGE_FIELD_BYTES = _MESSAGE_HEAD.size - _HEAD.size
+_INDEX_HEAD = Struct("<BQHI")
+_MESSAGE_FIELD_BYTES, _INDEX_FIELD_BYTES = _MESSAGE_HEAD.size - _HEAD.size, _INDEX_HEAD.size - _HEAD.size
 _U16, _U32, _U64, _TWO_U64, _COUNT = Struct("<H"), Struct("<I"), Struct("<Q"), Struct("<QQ"), Struct("<HQ")
 _CHUNK_FIELDS, _CHUNK_INDEX_FIELDS, _FOOTER_FIELDS = Struct("<QQQI"), Struct("<QQQQ"), Struct("<QQI")
 _ATTACHMENT_INDEX_FIELDS, _STATISTICS_FIELDS, _OFFSET_FIELDS = Struct("<QQQQQ"), Struct("<QHIIIIQQ"), Struct("<BQQ")
@@ -155,20 +156,21 @@ class McapWriter:
         fields = _CHUNK_FIELDS.pack(first_ns, last_ns, len(content), checksum) + _text(COMPRESSION)
         chunk = _record(_CHUNK, fields + _U64.pack(len(packed)) + packed)
         start = self._file.tell()
-        indexes, index_places = [], []
-        indexes_at = start + len(chunk)
+        parts, index_places = [chunk], []
+        end = start + len(chunk)
         for channel, index in self._in_chunk.items():
-            index_places.append(_COUNT.pack(channel, indexes_at))
-            indexes.append(_record(_MESSAGE_INDEX, _U16.pack(channel) + _block([index])))
-            indexes_at += len(indexes[-1])
+            index_places.append(_COUNT.pack(channel, end))
+            head = _INDEX_HEAD.pack(_MESSAGE_INDEX, _INDEX_FIELD_BYTES + len(index), channel, len(index))
+            parts.append(head + index)
+            end += len(parts[-1])
             count = len(index) // _TWO_U64.size
             self._message_counts[channel] = self._message_counts.get(channel, 0) + count
-        self._file.write(b"".join([chunk, *indexes]))
+        self._file.write(b"".join(parts))
         self._chunk_indexes += _record(
             _CHUNK_INDEX,
             _CHUNK_INDEX_FIELDS.pack(first_ns, last_ns, start, len(chunk))
             + _block(index_places)
-            + _U64.pack(indexes_at - start - len(chunk))
+            + _U64.pack(end - start - len(chunk))
             + _text(COMPRESSION)
             + _TWO_U64.pack(len(packed), len(content)),
         )
