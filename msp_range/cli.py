@@ -13,7 +13,7 @@ import typer
 
 from msp_range import __version__
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
-from msp_range.user_errors import report_user_errors
+from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ app = typer.Typer(
     name="msp-range",
     help="Bridge from ultrasonic range finders on I2C to ArduPilot or PX4 by MAVLink DISTANCE_SENSOR.",
     epilog="Start with: msp-range check configs/quad_pallet.yaml, then: msp-range run configs/quad_pallet.yaml",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -61,7 +62,6 @@ DriverOption = Annotated[
 
 
 @app.command()
-@report_user_errors
 def run(
     airframe_file: AirframeFile,
     log: Annotated[Literal["text", "json"], typer.Option(help="format of log lines")] = "text",
@@ -141,7 +141,6 @@ def driver_of(text: str) -> "type[Driver]":
 
 
 @app.command()
-@report_user_errors
 def check(airframe_file: AirframeFile) -> None:
     """Read an airframe file and show its sensors, directions and streams. Touches no hardware."""
     from msp_range.check import show
@@ -152,7 +151,6 @@ def check(airframe_file: AirframeFile) -> None:
 
 
 @app.command()
-@report_user_errors
 def doctor(
     airframe_file: Annotated[
         Path, typer.Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")
@@ -177,7 +175,6 @@ def doctor(
 
 
 @app.command()
-@report_user_errors
 def status(
     once: Annotated[
         bool, typer.Option("--once", help="print once and exit; default where there is no terminal")
@@ -195,7 +192,6 @@ def status(
 
 
 @app.command()
-@report_user_errors
 def params(
     airframe_file: AirframeFile,
     out: Annotated[Path | None, typer.Option(help="file to write (.parm) instead of printing")] = None,
@@ -245,7 +241,6 @@ def params(
 
 
 @app.command()
-@report_user_errors
 def sign(
     airframe_file: AirframeFile,
     passphrase: Annotated[
@@ -281,7 +276,6 @@ def sign(
 
 
 @app.command()
-@report_user_errors
 def schema(
     kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:
@@ -301,7 +295,6 @@ def schema(
 
 
 @app.command()
-@report_user_errors
 def scan(
     bus: BusOption = "1",
     ping: Annotated[
@@ -332,7 +325,6 @@ def scan(
 
 
 @app.command()
-@report_user_errors
 def address(
     old: Annotated[str, typer.Argument(help="the sensor's present 7-bit address, e.g. 0x70")],
     new: Annotated[str, typer.Argument(help="its new 7-bit address, e.g. 0x71")],
@@ -369,7 +361,6 @@ def _address(text: str) -> int:
 
 
 @app.command()
-@report_user_errors
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
     airframe_file: Annotated[
@@ -414,7 +405,6 @@ def replay(
 
 
 @app.command()
-@report_user_errors
 def tune(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
     airframe_file: Annotated[
@@ -436,7 +426,6 @@ def tune(
 
 
 @app.command()
-@report_user_errors
 def recover(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
     out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the repaired copy to write")],
@@ -450,7 +439,6 @@ def recover(
 
 
 @app.command()
-@report_user_errors
 def export(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
     out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
@@ -465,7 +453,6 @@ def export(
 
 
 @app.command()
-@report_user_errors
 def layout(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
     out: Annotated[

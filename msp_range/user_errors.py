@@ -5,12 +5,13 @@ import signal
 import sys
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import typer
+from typer.core import TyperGroup
 
+from msp_range.errors import UserError
 from msp_range.input_file import printable
-from msp_range.yaml_file import ConfigError
 
 EXIT_FILE = 3
 """Exit code: a file, or something named in it, cannot be used."""
@@ -29,18 +30,13 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
 
     @wraps(command)
     def reporting(*args: Parameters.args, **kwargs: Parameters.kwargs) -> None:
-        # Imported late, so that --help does not wait for them.
-        from msp_range.bus import BusError
-        from msp_range.recording.error import RecordingError
-        from msp_range.sensors.base import AddressError
-
         try:
             if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
             command(*args, **kwargs)
         except KeyboardInterrupt:
             raise typer.Exit(EXIT_INTERRUPTED) from None
-        except (ConfigError, RecordingError, AddressError, BusError) as error:
+        except UserError as error:
             print(printable(str(error)), file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None
         except OSError as error:
@@ -50,3 +46,11 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
             raise typer.Exit(EXIT_FILE) from None
 
     return reporting
+
+
+class Commands(TyperGroup):
+    """The commands of a program: all of them report user errors."""
+
+    def invoke(self, context: Any) -> Any:
+        """Run the command that was named."""
+        return report_user_errors(super().invoke)(context)

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationErro
 from pydantic_core import CoreSchema
 
 from msp_range.descriptions import descriptions
+from msp_range.errors import UserError
 from msp_range.input_file import printable, read_text
 from msp_range.yaml_loader import load_yaml
 
@@ -33,7 +34,7 @@ LONGEST_LINE = 1000
 _QUOTE = "'"
 
 
-class ConfigError(ValueError):
+class ConfigError(UserError, ValueError):
     """A configuration file that cannot be used; the message is for the author of the file."""
 
 

@@ -4,11 +4,13 @@ import errno as errno_names
 import os
 from typing import Protocol
 
+from msp_range.errors import UserError
+
 # Not ENODEV (19), although an adapter that was unplugged gives it: others give it where a device does not acknowledge.
 _NO_BUS = frozenset({errno_names.ENOENT, errno_names.EBADF, errno_names.EACCES})
 
 
-class BusError(OSError):
+class BusError(UserError, OSError):
     """A transfer that failed: BusError(errno, verb, address).
 
     ``errno`` is the kernel's (121 not acknowledged on a Raspberry Pi, 110 timed out, 5 clock stretch timeout, 6 and

@@ -217,13 +217,14 @@ def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
         except ValueError:
             pass
         if is_known:
-            row = next(row for row, cell in enumerate(cells) if not _is_number(cell))
+            row = next(row for row, cell in enumerate(cells) if not is_number(cell))
             expected = "a number, or nothing where it is unknown"
             raise _cell_error(path, name, first + row, repr(cells[row][:LONGEST_CELL]), expected)
     return word_column(str(path), name, cells)
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a cell of a column of numbers can be one: a number, or nothing."""
     try:
         return not cell or not abs(float(cell)) > LARGEST_NUMBER
     except ValueError:

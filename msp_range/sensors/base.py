@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
+from msp_range.errors import UserError
 from msp_range.reading import Status
 
 POLL_INTERVAL_S = 0.003
@@ -27,7 +28,7 @@ OTHERS = {
 sheets: a hint in the output of a scan."""
 
 
-class AddressError(ValueError):
+class AddressError(UserError, ValueError):
     """An address change that was refused or did not succeed."""
 
 

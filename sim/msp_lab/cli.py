@@ -10,7 +10,7 @@ import typer
 from msp_lab.gap.cli import app as gap_app
 from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
-from msp_range.user_errors import report_user_errors
+from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import OwnEffects
 
@@ -21,6 +21,7 @@ app = typer.Typer(
     name="msp-lab",
     help="Laboratory of msp-range: measures a sensor, makes its model, and finds what a model is missing.",
     epilog="Start with: msp-lab collect configs/campaigns/table_4_1.yaml --simulate --out campaign",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -28,7 +29,6 @@ app = typer.Typer(
 
 
 @app.command()
-@report_user_errors
 def collect(
     campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
     out: Annotated[
@@ -94,7 +94,6 @@ def collect(
 
 
 @app.command()
-@report_user_errors
 def characterise(
     data: Annotated[
         list[Path],
@@ -214,7 +213,6 @@ def _is_date(text: str) -> bool:
 
 
 @app.command()
-@report_user_errors
 def effects(
     as_json: Annotated[bool, typer.Option("--json", help="print everything as JSON")] = False,
     own_effects: OwnEffects = None,
@@ -230,7 +228,6 @@ def effects(
 
 
 @app.command("check-effect")
-@report_user_errors
 def check_effect(
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="Python file with one effect or more")],
     sensor: Annotated[
@@ -265,7 +262,6 @@ def check_effect(
 
 
 @app.command()
-@report_user_errors
 def filters(
     table: Annotated[
         Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")

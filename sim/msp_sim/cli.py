@@ -8,7 +8,7 @@ import typer
 
 from msp_range.extras import DRAWING, require
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
-from msp_range.user_errors import report_user_errors
+from msp_range.user_errors import Commands
 from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
@@ -25,6 +25,7 @@ app = typer.Typer(
     name="msp-sim",
     help="Simulator of msp-range: the real bridge on emulated sensors, with no hardware.",
     epilog="Start with: msp-sim fly configs/scenarios/demo.yaml --out flights/demo",
+    cls=Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -32,7 +33,6 @@ app = typer.Typer(
 
 
 @app.command()
-@report_user_errors
 def fly(
     scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
     model: SensorModelOption = None,
@@ -77,7 +77,6 @@ def fly(
 
 
 @app.command()
-@report_user_errors
 def sitl(
     airframe_file: Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")],
     link: Annotated[
@@ -124,7 +123,6 @@ def sitl(
 
 
 @app.command()
-@report_user_errors
 def sample(
     model: Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="sensor model file")],
     contexts: Annotated[
@@ -161,7 +159,6 @@ def sample(
 
 
 @app.command()
-@report_user_errors
 def show(
     recording: Annotated[
         Path, typer.Argument(metavar="FLIGHT.mcap", help="a recording of 'msp-sim fly' or 'msp-range run'")

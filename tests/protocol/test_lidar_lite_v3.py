@@ -184,9 +184,9 @@ def test_one_of_four_that_is_stuck_is_found_in_a_climb() -> None:
 def wires(*devices: tuple[int, int]) -> tuple[EmulatedBus, VirtualClock, list[EmulatedLidarLiteV3]]:
     """Sensors by address and serial number."""
     clock = VirtualClock(10.0)
-    sensors = [
-        EmulatedLidarLiteV3(address, clock.now, lambda ping_s: 258, serial=serial) for address, serial in devices
-    ]
+    sensors = [EmulatedLidarLiteV3(address, clock.now, lambda ping_s: 258) for address, _ in devices]
+    for each, (_, serial) in zip(sensors, devices, strict=True):
+        each.serial = serial
     return EmulatedBus(sensors, clock.now), clock, sensors
 
 

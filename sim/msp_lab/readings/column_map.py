@@ -19,7 +19,7 @@ from pydantic import Field, field_validator
 
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
-from msp_range.recording.csv_form import BLOCK, Column, MeasuredData, join_columns, word_column
+from msp_range.recording.csv_form import BLOCK, Column, MeasuredData, is_number, join_columns, word_column
 from msp_range.recording.csv_rows import csv_rows, short_list
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load
@@ -244,7 +244,7 @@ class _Part:
 
     def has_words(self, name: str) -> bool:
         """Whether a column of one's own holds anything but numbers."""
-        return any(not _is_number(cell) for piece in self._columns.get(name, []) for cell in np.unique(piece).tolist())
+        return any(not is_number(cell) for piece in self._columns.get(name, []) for cell in np.unique(piece).tolist())
 
     def column(self, name: str, own_words: bool = False) -> list[Column]:
         """Pieces of a column, one after the other; unknown where this table does not have it."""
@@ -322,15 +322,8 @@ def _units(name: str) -> dict[str, tuple[float, float]]:
     return _KINDS[endings[-1]] if endings else {}
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        return not cell or not abs(float(cell)) > LARGEST_NUMBER
-    except ValueError:
-        return False
-
-
 def _number(path: Path, line: int, column: str, cell: str) -> float:
-    number = (float(cell) if cell else math.nan) if _is_number(cell) else math.inf
+    number = (float(cell) if cell else math.nan) if is_number(cell) else math.inf
     if abs(number) > LARGEST_NUMBER:
         raise RecordingError(
             f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing"

@@ -5,10 +5,7 @@ sensor without a signal has in its distance registers is a guess. Only the stand
 seconds on the ``now`` clock that the device is given.
 """
 
-import random
-from collections.abc import Callable, Sequence
-
-from msp_sim.device.device import FAULT_KINDS, DeviceTiming, Fault, RangeFinder
+from msp_sim.device.device import FAULT_KINDS, DeviceTiming, RangeFinder
 
 DEFAULT_ADDRESS = 0x62
 COMMAND, STATUS, DISTANCE, SERIAL = 0x00, 0x01, 0x0F, 0x16
@@ -48,21 +45,9 @@ class EmulatedLidarLiteV3(RangeFinder):
     default_timing = TIMING
     # It does not stretch the clock, so that is not read too early; and eight bits are nobody's type for 40 m.
     fault_kinds = frozenset(FAULT_KINDS) - {"clock_fault", "saturated"}
-
-    def __init__(
-        self,
-        address: int,
-        now: Callable[[], float],
-        echo: Callable[[float], int],
-        timing: DeviceTiming | None = None,
-        faults: Sequence[Fault] = (),
-        chance: random.Random | None = None,
-        serial: int = 0x3080,
-    ) -> None:
-        self.also_at: int | None = None
-        self.serial = serial
-        self._powered = False
-        super().__init__(address, now, echo, timing, faults, chance)
+    serial = 0x3080
+    also_at: int | None = None
+    _powered = False
 
     def power_cycle(self) -> None:
         """Forget everything, a changed address too."""

@@ -35,20 +35,12 @@ class EmulatedRangeFinder(Protocol):
 class EmulatedKind(Protocol):
     """Makes one: address, time [s], reading [cm] by the time of a ping [s], timing, faults, chance of the faults."""
 
-    @property
-    def default_timing(self) -> DeviceTiming:
-        """How long such a sensor is busy."""
-        ...
-
-    @property
-    def minimum_cm(self) -> int:
-        """Shortest reading [cm]."""
-        ...
-
-    @property
-    def no_echo_cm(self) -> int:
-        """Reading without an echo, beyond the longest [cm]."""
-        ...
+    default_timing: DeviceTiming
+    """How long such a sensor is busy."""
+    minimum_cm: int
+    """Shortest reading [cm]."""
+    no_echo_cm: int
+    """Reading without an echo, beyond the longest [cm]."""
 
     def check_fault(self, fault: Fault) -> None:
         """Raise ValueError where such a sensor cannot show a fault."""
