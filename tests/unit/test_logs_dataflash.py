@@ -70,12 +70,3 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
     with pytest.raises(RecordingError, match=r"bad\.bin: no dataflash log"):
         read_ardupilot(path, nothing)
     assert capfd.readouterr().err == ""
-
-
-def test_heights_into_which_the_range_is_fused_are_refused() -> None:
-    from msp_lab.logs.ardupilot import _fused_by_ekf3
-
-    assert _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_RNG_USE_HGT": -1.0}) == ""
-    assert "EK3_SRC2_POSZ is 2" in _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_SRC2_POSZ": 2.0})
-    assert "EK3_RNG_USE_HGT is 70" in _fused_by_ekf3({"EK3_SRC1_POSZ": 1.0, "EK3_RNG_USE_HGT": 70.0})
-    assert "not known" in _fused_by_ekf3({})

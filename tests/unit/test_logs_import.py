@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
 from msp_lab.logs import px4
+from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
 from msp_lab.logs.log import Series
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
@@ -91,9 +92,20 @@ def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
     assert refused == ""
     assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
-    assert "EKF2_HGT_REF" in px4._without_fused(height, flags, {"EKF2_HGT_REF": 2})[1]
-    assert px4._without_fused(height, None, {"EKF2_RNG_CTRL": 0})[1] == ""
-    assert "may be fused" in px4._without_fused(height, None, {"EKF2_RNG_CTRL": 1})[1]
+    assert px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
+    assert "may be fused" in px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
+
+
+def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None:
+    baro = {"EK3_SRC1_POSZ": 1.0, "EK3_SRC2_POSZ": 0.0, "EK3_RNG_USE_HGT": -1.0}
+    assert by_any(baro) == ""
+    assert "EK3_SRC2_POSZ is 2" in by_any(baro | {"EK3_SRC2_POSZ": 2.0})
+    assert "EK3_RNG_USE_HGT is 70" in by_any(baro | {"EK3_RNG_USE_HGT": 70.0})
+    assert "may be fused" in by_any({})
+    assert "EKF2_HGT_REF is 2" in by_any({"EKF2_HGT_REF": 2.0})
+    assert "may be fused" in by_any({"EKF2_HGT_REF": 0.0})
+    assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 0.0}) == ""
+    assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 1.0}) != ""
 
 
 def test_any_field_can_be_the_truth(tmp_path: Path) -> None:
@@ -130,9 +142,9 @@ def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:
 def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
     out = tmp_path / "gap"
     log, model = LOGS / "arducopter.BIN", MODEL.parent / "mb1242.yaml"
-    for _ in range(2):  # the second time over what the first one left
-        done = run("compare", log, "--truth", "simulator", "--model", model, "--out", out)
-        assert done.exit_code == 0, done.output
+    imported(log, "--out", out / "readings")  # what an earlier comparison left
+    done = run("compare", log, "--truth", "simulator", "--model", model, "--out", out)
+    assert done.exit_code == 0, done.output
     assert "0.112 s later than the reference" in done.output
     findings = json.loads((out / "gap.json").read_text())
     assert findings["sources"][0]["path"] == str(out / "readings")

@@ -1,8 +1,7 @@
 """An ArduPilot dataflash log (.BIN) as a `Log`.
 
-What the messages hold: https://ardupilot.org/copter/docs/logmessages.html. Whether EKF3 fuses the range into its height
-is decided by EK3_SRCn_POSZ = 2 and EK3_RNG_USE_HGT > 0 (AP_NavEKF3_PosVelFusion.cpp, selectHeightForFusion); its height
-above the terrain (XKF5.HAGL) always is the range finder's, since its terrain estimator has no other source.
+What the messages hold: https://ardupilot.org/copter/docs/logmessages.html. The height above the terrain (XKF5.HAGL) is
+not used: it always is the range finder's, since EKF3's estimator of the terrain has no other source.
 """
 
 import re
@@ -14,7 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.logs.dataflash import Messages, Progress, read_messages
-from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Log, Ranger, Reference, Series, readings_cm, series, tilt_deg
+from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3
+from msp_lab.logs.log import (
+    CLIMB,
+    THROTTLE,
+    TILT,
+    Log,
+    Ranger,
+    Reference,
+    Series,
+    negative,
+    readings_cm,
+    series,
+    tilt_deg,
+)
 
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looks down."""
@@ -22,8 +34,6 @@ _NO_DATA, _TOO_FAR = 1, 3
 """RangeFinder::Status: nothing was read; out of range, far (AP_RangeFinder.h)."""
 _RTK_FIXED = 6
 """AP_GPS::GPS_OK_FIX_3D_RTK_FIXED: to centimetres; a float solution (5) is off by decimetres."""
-_RANGE_FINDER = 2
-"""AP_NavEKF_Source::SourceZ::RANGEFINDER."""
 
 WANTED = {
     "RFND": ("TimeUS", "TimeMS", "Instance", "I", "Dist", "Stat", "Orient", "Dist1", "Orient1", "Dist2", "Orient2"),
@@ -67,7 +77,7 @@ def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> Log:
     parameters = _parameters(found)
     context = {
         TILT: _attitude(found),
-        CLIMB: _negative(_first(found, "XKF1", "VD") or _first(found, "NKF1", "VD")),
+        CLIMB: _up(found, "XKF1", "VD") or _up(found, "NKF1", "VD"),
         THROTTLE: _first(found, "CTUN", "ThO"),
         "air_temperature_c": _first(found, "ARSP", "Temp"),
         "board_temperature_c": _first(found, "BARO", "Temp"),
@@ -137,34 +147,14 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[Refere
         references.append(
             Reference("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
         )
-    if (seen := _negative(_first(found, "VISP", "PZ"))) is not None:
+    if (seen := _up(found, "VISP", "PZ")) is not None:
         references.append(Reference("mocap", seen))
-    for message, refused in (("XKF1", _fused_by_ekf3(parameters)), ("NKF1", _fused_by_ekf2(parameters))):
-        if (height := _negative(_first(found, message, "PD"))) is not None:
+    for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):
+        if (height := _up(found, message, "PD")) is not None:
             references.append(Reference("ekf", height, refused=refused))
     if (pressure := _first(found, "BARO", "Alt")) is not None:
         references.append(Reference("barometer", pressure))
     return references
-
-
-def _fused_by_ekf3(parameters: Mapping[str, float]) -> str:
-    """Why the height of EKF3 is no independent one; empty where it is."""
-    if not parameters:
-        return "the log has no parameters, so EK3_SRC1_POSZ is not known, and the range may be fused into it"
-    for name in ("EK3_SRC1_POSZ", "EK3_SRC2_POSZ", "EK3_SRC3_POSZ"):
-        if parameters.get(name) == _RANGE_FINDER:
-            return f"{name} is 2, so the range is fused into it"
-    if parameters.get("EK3_RNG_USE_HGT", -1.0) > 0.0:
-        return f"EK3_RNG_USE_HGT is {parameters['EK3_RNG_USE_HGT']:g}, so the range is fused into it near the ground"
-    return ""
-
-
-def _fused_by_ekf2(parameters: Mapping[str, float]) -> str:
-    if not parameters:
-        return "the log has no parameters, so EK2_ALT_SOURCE is not known, and the range may be fused into it"
-    if parameters.get("EK2_ALT_SOURCE") == 1.0 or parameters.get("EK2_RNG_USE_HGT", -1.0) > 0.0:
-        return "EK2_ALT_SOURCE or EK2_RNG_USE_HGT has the range fused into it"
-    return ""
 
 
 def _attitude(found: Messages) -> Series | None:
@@ -194,12 +184,14 @@ def _first(found: Messages, message: str, field: str) -> Series | None:
     return series(f"{message}.{field}", time_s, values)
 
 
+def _up(found: Messages, message: str, field: str) -> Series | None:
+    """A field that counts downwards, upwards."""
+    down = _first(found, message, field)
+    return None if down is None else negative(down)
+
+
 def _time_s(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     return fields["TimeUS"] / 1e6 if "TimeUS" in fields else fields["TimeMS"] / 1e3
-
-
-def _negative(found: Series | None) -> Series | None:
-    return None if found is None else Series(found.source, found.time_s, -found.values)
 
 
 def _parameters(found: Messages) -> dict[str, float]:

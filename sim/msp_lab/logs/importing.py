@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import Log, Reference
@@ -29,6 +30,9 @@ from msp_sim.model.model import Model
 
 Progress = Callable[[str, float], None]
 
+REPEATS_ROWS = 10
+"""Repeats are counted where the range changes by more than a centimetre a row over so many rows: there a sensor of
+whole centimetres repeats none. Longer: short climbs are left out; shorter: outliers count as a change."""
 OBTAINABLE = {
     TRUE_RANGE: "a true range: --truth, or a log with RTK, motion capture or a second range finder",
     "range_rate_cm_s": "a vertical speed",
@@ -68,7 +72,7 @@ class FoundRanger:
     with_truth
         Readings with a true range.
     repeated
-        Share of the readings that are the one before them.
+        Share of the readings that are the one before them, while the range changes.
     lag_s
         How much later than the reference, and its 95 % interval; None: cannot be seen.
     offset_cm
@@ -304,7 +308,7 @@ def _found(each: Joined) -> FoundRanger:
         float(known.max()) if known.size else None,
         each.ranger.is_down,
         int(np.isfinite(each.data[TRUE_RANGE]).sum()) if TRUE_RANGE in each.data else 0,
-        float(np.mean(known[1:] == known[:-1])) if known.size > 1 else 0.0,
+        _repeated(known),
         None
         if alignment is None or not alignment.has_lag
         else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),
@@ -313,6 +317,14 @@ def _found(each: Joined) -> FoundRanger:
         None if error is None else (error.std_cm, error.low_cm, error.high_cm),
         "" if error is None else error.source,
     )
+
+
+def _repeated(reading_cm: NDArray[np.float64]) -> float:
+    """Share of readings that are the one before them, where the range changes by a centimetre from one to the next."""
+    around = REPEATS_ROWS // 2
+    change_cm = np.abs(reading_cm[REPEATS_ROWS:] - reading_cm[:-REPEATS_ROWS])
+    moving = np.flatnonzero((change_cm > REPEATS_ROWS) & (change_cm < 10.0 * REPEATS_ROWS)) + around
+    return float(np.mean(reading_cm[moving] == reading_cm[moving - 1])) if moving.size > 3 * REPEATS_ROWS else 0.0
 
 
 def _missing(joined: Sequence[Joined]) -> tuple[Missing, ...]:

@@ -177,6 +177,11 @@ def series(source: str, time_s: Array, values: Array) -> Series:
     return Series(source, time_s, np.asarray(values, dtype=float)[rows])
 
 
+def negative(found: Series) -> Series:
+    """What counts downwards, upwards."""
+    return Series(found.source, found.time_s, -found.values)
+
+
 def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
     """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
     return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))

@@ -28,8 +28,13 @@ FORMATS = {
 _READERS = {
     ".bin": ("ardupilot", "read_ardupilot"),
     ".ulg": ("px4", "read_px4"),
+    ".tlog": ("telemetry", "read_telemetry"),
+    ".bag": ("ros", "read_bag"),
+    ".db3": ("ros", "read_bag"),
 }
 """Ending -> module of this package, and its function of path, progress and field."""
+_ROS_PROFILES = (b"\4\0\0\0ros2", b"\4\0\0\0ros1")
+"""How the header of an MCAP file goes on after 8 bytes of magic, the record's kind and its length (mcap.dev/spec)."""
 _MAGIC = {b"\xa3\x95": ".bin", b"ULog\x01\x12\x35": ".ulg", b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap"}
 
 
@@ -96,10 +101,12 @@ def kind_of(path: Path) -> str:
         return ".db3"
     try:
         with open_input(path, LARGEST_FILE_BYTES) as file:
-            begins = file.read(16)
+            begins = file.read(64)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     by_content = next((kind for magic, kind in _MAGIC.items() if begins.startswith(magic)), None)
+    if by_content == ".mcap" and begins[17:].startswith(_ROS_PROFILES):
+        return ".db3"
     suffix = ".csv" if path.name.lower().endswith(".csv.gz") else path.suffix.lower()
     kind = by_content or (suffix if suffix in FORMATS else None)
     if kind is None:

@@ -1,8 +1,8 @@
 """A PX4 ULog (.ulg) as a `Log`.
 
 What topics hold: https://docs.px4.io/main/en/msg_docs/. Whether EKF2 fuses the range into its height is in its flags
-(estimator_status_flags.cs_rng_hgt; where they are missing, EKF2_HGT_REF = 2 and EKF2_RNG_CTRL say whether it may). Its
-height above the terrain (dist_bottom) is not used: it is the range finder's wherever there is one.
+(estimator_status_flags.cs_rng_hgt); where they are missing its parameters say whether it may. Its height above the
+terrain (dist_bottom) is not used: it is the range finder's wherever there is one.
 """
 
 import contextlib
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyulog import ULog
 
+from msp_lab.logs.fused import by_px4
 from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Log, Ranger, Reference, Series, readings_cm, series
 from msp_range.input_file import open_input
 from msp_range.recording.error import RecordingError
@@ -23,8 +24,6 @@ DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looks down."""
 _RTK_FIXED = 6
 """sensor_gps.fix_type: RTK fixed."""
-_RANGE_FINDER = 2
-"""EKF2_HGT_REF: the range sensor is the reference of the height."""
 _DEFAULT_TEMPERATURE = 0
 """vehicle_air_data.temperature_source: no thermometer, 15 deg C are assumed."""
 LARGEST_BYTES = 4 * 2**30
@@ -148,13 +147,8 @@ def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[Reference
 
 def _without_fused(height: Series, flags: Series | None, parameters: Mapping[str, Any]) -> tuple[Series, str]:
     """EKF2's height while the range is not fused into it, and why it is refused where it always is."""
-    if parameters.get("EKF2_HGT_REF") == _RANGE_FINDER:
-        return height, "EKF2_HGT_REF is 2, so the range is its reference"
     if flags is None or not len(flags):
-        control = parameters.get("EKF2_RNG_CTRL")
-        if control == 0:
-            return height, ""
-        return height, f"EKF2_RNG_CTRL is {control} and the log has no flags, so the range may be fused into it"
+        return height, by_px4(parameters)
     # Flags are logged when they change, and once a second.
     before = np.clip(np.searchsorted(flags.time_s, height.time_s, side="right") - 1, 0, None)
     fused = flags.values[before] != 0

@@ -10,8 +10,8 @@ from rich.table import Table
 from msp_lab.logs.importing import FoundRanger, Imported
 from msp_range.terminal import console
 
-MANY_REPEATS = 0.45
-"""With a larger share of repeats a line says so: a hover repeats a third of whole centimetres, double logging half."""
+MANY_REPEATS = 0.3
+"""With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
 MOST_EFFECTS = 4
 """Names of effects in a line; the account in dataset.json has all."""
 
@@ -62,7 +62,8 @@ def _lines(found: Imported) -> list[str]:
 
 def _truth(found: Imported) -> str:
     if not found.truth or found.truth == "none":
-        return "true range: none; readings can be compared with each other only (msp-lab gap --truth others)"
+        others = ", but the range finders can be compared with each other: msp-lab gap --truth others"
+        return "true range: none" + (others if sum(each.is_down for each in found.rangers) > 2 else "")
     source = f" ({found.truth_source})" if found.truth_source else ""
     ground = "" if found.has_datum else ", a height over level ground, whose constant is taken off"
     return f"true range: {found.truth}{source}{ground}"
@@ -87,8 +88,8 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
         lines.append("the reference's own error is not known, so its scatter counts as the range finder's")
     if ranger.repeated > MANY_REPEATS:
         lines.append(
-            f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before: the log may have a row more often "
-            "than the sensor measures"
+            f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before while the range changes: the log "
+            "has more rows than there are readings"
         )
     return lines
 

@@ -5,7 +5,6 @@ folders, where pyarrow, pandas, polars, DuckDB and Spark look for them. ``DIR/da
 it is from and what was found there. Only the files and columns that are asked for are read.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -133,16 +132,6 @@ def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
         raise RecordingError(f"{folder}: no readings" + (f" of {', '.join(sensors)}" if sensors else ""))
     names = dict.fromkeys(name for table in tables for name in table)
     return MeasuredData({name: _joined(name, tables) for name in names})
-
-
-def sha256_of_dataset(folder: Path) -> str:
-    """SHA-256 over the names and contents of a dataset's files, in hexadecimal."""
-    whole = hashlib.sha256()
-    for path in _files(folder):
-        with path.open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
-        whole.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
-    return whole.hexdigest()
 
 
 def _files(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
-from msp_lab.readings.dataset import is_dataset, read_dataset, sha256_of_dataset
+from msp_lab.readings.dataset import is_dataset, read_dataset
 from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import with_runs
 from msp_lab.readings.vehicle import others_as_reference
@@ -172,9 +172,11 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, or of a dataset's files, in hexadecimal."""
+    """Return the SHA-256 of a file, or of the names and contents of a folder's files, in hexadecimal."""
     if path.is_dir():
-        return sha256_of_dataset(path)
+        files = sorted(each for each in path.rglob("*") if each.is_file())
+        lines = [f"{each.relative_to(path).as_posix()} {sha256(each)}\n" for each in files]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -1,0 +1,53 @@
+"""Whether the range is fused into an autopilot's height, by its parameters: such a height is no reference for it.
+
+EKF3 decides by EK3_SRCn_POSZ = 2 and EK3_RNG_USE_HGT > 0 (AP_NavEKF3_PosVelFusion.cpp, selectHeightForFusion), EKF2 of
+PX4 by EKF2_HGT_REF = 2 and EKF2_RNG_CTRL > 0 (range_height_control.cpp). Each function returns the reason, or nothing.
+"""
+
+from collections.abc import Mapping
+
+_RANGE_FINDER = 2
+"""AP_NavEKF_Source::SourceZ::RANGEFINDER, and PX4's EKF2_HGT_REF."""
+
+
+def by_ekf3(parameters: Mapping[str, float]) -> str:
+    """ArduPilot's EKF3.
+
+    Examples
+    --------
+    >>> by_ekf3({"EK3_SRC1_POSZ": 1, "EK3_SRC2_POSZ": 2})
+    'EK3_SRC2_POSZ is 2, so the range is fused into it'
+    """
+    if "EK3_SRC1_POSZ" not in parameters:
+        return "the log does not have EK3_SRC1_POSZ, so the range may be fused into it"
+    for name in ("EK3_SRC1_POSZ", "EK3_SRC2_POSZ", "EK3_SRC3_POSZ"):
+        if parameters.get(name) == _RANGE_FINDER:
+            return f"{name} is 2, so the range is fused into it"
+    if parameters.get("EK3_RNG_USE_HGT", -1.0) > 0.0:
+        return f"EK3_RNG_USE_HGT is {parameters['EK3_RNG_USE_HGT']:g}, so the range is fused into it near the ground"
+    return ""
+
+
+def by_ekf2_of_ardupilot(parameters: Mapping[str, float]) -> str:
+    """ArduPilot's EKF2, before 4.0."""
+    if "EK2_ALT_SOURCE" not in parameters:
+        return "the log does not have EK2_ALT_SOURCE, so the range may be fused into it"
+    if parameters["EK2_ALT_SOURCE"] == 1.0 or parameters.get("EK2_RNG_USE_HGT", -1.0) > 0.0:
+        return "by EK2_ALT_SOURCE or EK2_RNG_USE_HGT the range is fused into it"
+    return ""
+
+
+def by_px4(parameters: Mapping[str, float]) -> str:
+    """EKF2 of PX4, where its flags are not in the log."""
+    if parameters.get("EKF2_HGT_REF") == _RANGE_FINDER:
+        return "EKF2_HGT_REF is 2, so the range is its reference"
+    if "EKF2_RNG_CTRL" not in parameters:
+        return "the log has neither cs_rng_hgt nor EKF2_RNG_CTRL, so the range may be fused into it"
+    if parameters["EKF2_RNG_CTRL"] != 0:
+        return f"EKF2_RNG_CTRL is {parameters['EKF2_RNG_CTRL']:g}, so the range may be fused into it"
+    return ""
+
+
+def by_any(parameters: Mapping[str, float]) -> str:
+    """Of an autopilot that is known by its parameters only."""
+    return by_px4(parameters) if "EKF2_HGT_REF" in parameters else by_ekf3(parameters)

@@ -1,0 +1,194 @@
+"""A ROS 1 or 2 bag (.bag, .db3, .mcap, or a folder with metadata.yaml) as a `Log`.
+
+Range finders are topics of sensor_msgs/Range; what else is used is known by its type, and where one type serves several
+purposes by the topic's name. Times are those of the header, where it has one. Axes: x forward, y left, z up (REP 103);
+ranges that are infinite are out of range (REP 117).
+"""
+
+import re
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Log, Ranger, Reference, Series, readings_cm, series
+from msp_range.recording.error import RecordingError
+
+_EXTERNAL = re.compile(r"vicon|vrpn|mocap|motion_capture|optitrack|qualisys|ground_?truth|gazebo", re.IGNORECASE)
+"""Poses of such topics are from outside the vehicle."""
+_OWN = re.compile(r"local_position/(pose|odom)$")
+"""MAVROS: the autopilot's own estimate."""
+_BOARD = re.compile(r"imu|baro|fcu", re.IGNORECASE)
+"""Thermometers of such topics are on a board."""
+_GBAS = 2
+"""NavSatStatus.STATUS_GBAS_FIX: with a ground station, which drivers use for RTK."""
+_RTK_STD_M = 0.1
+"""A height with a larger standard deviation is no fixed RTK solution [m]: those have 0.02."""
+_FIELDS: Mapping[str, tuple[str, ...]] = {
+    "sensor_msgs/msg/Range": ("range", "max_range"),
+    "sensor_msgs/msg/Imu": ("orientation.x", "orientation.y", "orientation_covariance.0"),
+    "sensor_msgs/msg/NavSatFix": ("altitude", "status.status", "position_covariance.8"),
+    "sensor_msgs/msg/Temperature": ("temperature",),
+    "sensor_msgs/msg/RelativeHumidity": ("relative_humidity",),
+    "geometry_msgs/msg/TwistStamped": ("twist.linear.z",),
+    "geometry_msgs/msg/PoseStamped": ("pose.position.z",),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose.position.z",),
+    "geometry_msgs/msg/TransformStamped": ("transform.translation.z",),
+    "nav_msgs/msg/Odometry": ("pose.pose.position.z",),
+    "mavros_msgs/msg/VfrHud": ("throttle",),
+    "mavros_msgs/msg/VFR_HUD": ("throttle",),
+}
+"""Type of a message -> the fields that are read."""
+_POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
+
+
+class _Topic:
+    """Values of some fields of a topic's messages, with the time of each."""
+
+    def __init__(self, name: str, kind: str, fields: tuple[str, ...]) -> None:
+        self.name, self.kind, self.fields = name, kind.rsplit("/", 1)[-1], fields
+        self._time_s = array("d")
+        self._values = {field: array("d") for field in fields}
+
+    def add(self, time_s: float, message: Any) -> None:
+        """Add a message."""
+        self._time_s.append(time_s)
+        for field in self.fields:
+            self._values[field].append(_field(message, field))
+
+    def __getitem__(self, field: str) -> Array:
+        return np.array(self._values[field])
+
+    def series(self, field: str = "", values: Array | None = None) -> Series:
+        """A field, or what follows from several, as a series."""
+        found = self[field] if values is None else values
+        return series(f"{self.name}.{field}" if field else self.name, np.array(self._time_s), found)
+
+
+def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+    """Read a bag.
+
+    Parameters
+    ----------
+    path
+        The file, or the folder of a ROS 2 bag.
+    progress
+        Called with the share that is read.
+    extra
+        ``/topic.field.of.field`` of a reference in the bag, as ``--truth column:`` names it.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    topic, _, field = extra.partition(".")
+    topics: dict[str, _Topic] = {}
+    columns: dict[str, _Topic] = {}
+    notes = ["A bag does not say which way range finders look: all count as looking down."]
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for each in reader.connections:
+                if each.msgtype in _FIELDS:
+                    topics[each.topic] = _Topic(each.topic, each.msgtype, _FIELDS[each.msgtype])
+                if field and each.topic == topic:
+                    columns[each.topic] = _Topic(each.topic, each.msgtype, (field,))
+            wanted = [each for each in reader.connections if each.topic in topics or each.topic in columns]
+            if wanted:
+                for time_s, connection, message in _messages(path, reader, wanted, progress, notes):
+                    for found in (topics, columns):
+                        if connection.topic in found:
+                            found[connection.topic].add(time_s, message)
+    except RecordingError:
+        raise
+    except Exception as error:  # of rosbags, its storage, and types that damaged definitions make
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RecordingError(f"{path}: cannot be read as a ROS bag: {reason}") from None
+    references = _references(topics)
+    references += [Reference("column", found.series(field)) for found in columns.values()]
+    return Log(path, "ROS bag", tuple(_rangers(topics)), _context(topics), tuple(references), tuple(notes))
+
+
+def _messages(
+    path: Path, reader: Any, wanted: list[Any], progress: Callable[[float], None], notes: list[str]
+) -> Iterator[tuple[float, Any, Any]]:
+    """Messages with their time since the bag's beginning [s]; where the bag is damaged, those before, and a note."""
+    start_ns, length_ns = reader.start_time, max(reader.duration, 1)
+    count = 0
+    try:
+        for connection, arrived_ns, content in reader.messages(connections=wanted):
+            message = reader.deserialize(content, connection.msgtype)
+            stamp = getattr(getattr(message, "header", None), "stamp", None)
+            sent_ns = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+            count += 1
+            if count % 1000 == 0:
+                progress(min(1.0, (arrived_ns - start_ns) / length_ns))
+            yield ((sent_ns or arrived_ns) - start_ns) / 1e9, connection, message
+    except Exception as error:
+        if not count:
+            raise
+        notes.append(f"The bag is damaged after {count} messages ({error}); those before are here.")
+
+
+def _field(message: Any, path: str) -> float:
+    """A number in a message, by the names of fields and the places in arrays on the way to it."""
+    for name in path.split("."):
+        message = message[int(name)] if name.isdigit() else getattr(message, name)
+    return float(message)
+
+
+def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
+    rangers = []
+    for each in topics.values():
+        if each.kind == "Range" and each["range"].size:
+            maximum_m = float(np.nanmax(each["max_range"]))
+            maximum_m = maximum_m if np.isfinite(maximum_m) and maximum_m > 0.0 else np.inf
+            range_m = each["range"]
+            reading_cm = readings_cm(np.where(np.isneginf(range_m), np.nan, range_m), maximum_m)
+            reading_cm[np.isinf(reading_cm)] = np.nan
+            name = each.name.strip("/").replace("/", "_")
+            rangers.append(Ranger(name, each.series("range", reading_cm), True, 100.0 * maximum_m))
+    return rangers
+
+
+def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
+    found: dict[str, Series] = {}
+    for each in topics.values():
+        if each.kind == "Imu" and (known := each["orientation_covariance.0"] != -1.0).any():
+            # The cosine of the tilt is the last element of the rotation matrix; -1 says that there is no orientation.
+            cosine = 1.0 - 2.0 * (each["orientation.x"] ** 2 + each["orientation.y"] ** 2)
+            tilt = np.where(known, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), np.nan)
+            found.setdefault(TILT, each.series("orientation", tilt))
+        elif each.kind == "TwistStamped" and each.name.endswith("velocity_local"):
+            found[CLIMB] = each.series("twist.linear.z")
+        elif each.kind == "Temperature":
+            found.setdefault(
+                "board_temperature_c" if _BOARD.search(each.name) else "air_temperature_c", each.series("temperature")
+            )
+        elif each.kind == "RelativeHumidity":
+            found["humidity_pct"] = each.series("relative_humidity", 100.0 * each["relative_humidity"])
+        elif each.kind in ("VfrHud", "VFR_HUD"):
+            found[THROTTLE] = each.series("throttle")
+    return {name: each for name, each in found.items() if len(each)}
+
+
+def _references(topics: Mapping[str, _Topic]) -> list[Reference]:
+    references = []
+    for each in topics.values():
+        if each.kind == "NavSatFix":
+            std_m = np.sqrt(np.maximum(each["position_covariance.8"], 0.0))
+            fixed = (each["status.status"] == _GBAS) & (std_m > 0.0) & (std_m < _RTK_STD_M)
+            if fixed.any():
+                altitude = each.series("altitude", np.where(fixed, each["altitude"], np.nan))
+                references.append(Reference("rtk", altitude, std=each.series("position_covariance", std_m)))
+        elif each.kind in _POSES and each[each.fields[0]].size:
+            if _EXTERNAL.search(each.name):
+                references.append(Reference("mocap", each.series(each.fields[0])))
+            elif _OWN.search(each.name):
+                refused = "the bag does not say whether the range is fused into it"
+                references.append(Reference("ekf", each.series(each.fields[0]), refused=refused))
+    return references

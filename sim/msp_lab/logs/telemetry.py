@@ -1,0 +1,276 @@
+"""A ground station's log of MAVLink messages (.tlog) as a `Log`.
+
+Before each frame are the microseconds since 1970 at which it arrived, in eight bytes; those are the times here, since
+senders have different clocks. Frames of other messages are stepped over by their length; those that matter are decoded
+by the bridge's own link. Messages: https://mavlink.io/en/messages/common.html.
+"""
+
+import struct
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_lab.logs.fused import by_any
+from msp_lab.logs.log import (
+    CLIMB,
+    THROTTLE,
+    TILT,
+    Array,
+    Log,
+    Ranger,
+    Reference,
+    Series,
+    negative,
+    readings_cm,
+    series,
+    tilt_deg,
+)
+from msp_range.input_file import open_input
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import LARGEST_FILE_BYTES
+
+DOWN = 25
+"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
+RTK_FIXED = 6
+"""GPS_FIX_TYPE_RTK_FIXED."""
+LATEST_US = 4_000_000_000_000_000
+"""Times after the year 2096 are none [us]: the log is damaged there."""
+MOST_BAD_BYTES = 2**20
+"""After so many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
+MOST_BAD_SHARE = 0.5
+"""A file of which a larger share is not in frames is no log. A damaged one has a few per cent."""
+_BLOCK_BYTES = 2**20
+_STAMP_BYTES, _LONGEST_FRAME = 8, 280
+_VERSION_1, _VERSION_2, _SIGNED = 0xFE, 0xFD, 0x01
+_INTEGER_TYPES = range(dialect.MAV_PARAM_TYPE_UINT8, dialect.MAV_PARAM_TYPE_REAL32)
+
+FIELDS: Mapping[str, tuple[str, ...]] = {
+    "ATTITUDE": ("roll", "pitch"),
+    "GLOBAL_POSITION_INT": ("relative_alt", "vz"),
+    "VFR_HUD": ("throttle",),
+    "GPS_RAW_INT": ("fix_type", "alt", "v_acc"),
+    "SCALED_PRESSURE": ("temperature",),
+    "VIBRATION": ("vibration_x", "vibration_y", "vibration_z"),
+    "HYGROMETER_SENSOR": ("temperature", "humidity"),
+    "SIM_STATE": ("alt",),
+    "HIL_STATE_QUATERNION": ("alt",),
+    "ATT_POS_MOCAP": ("z",),
+    "VISION_POSITION_ESTIMATE": ("z",),
+}
+"""Messages and fields of the flight; those of several components are taken from the first one that sends them."""
+
+
+class _Columns:
+    """Values of some fields of one sender's messages, with the time of each."""
+
+    def __init__(self, fields: tuple[str, ...]) -> None:
+        self.fields = fields
+        self.time_s = array("d")
+        self.values = {name: array("d") for name in fields}
+
+    def add(self, time_s: float, message: Any) -> None:
+        """Add a message."""
+        self.time_s.append(time_s)
+        for name in self.fields:
+            self.values[name].append(float(getattr(message, name)))
+
+    def __getitem__(self, name: str) -> Array:
+        return np.array(self.values[name])
+
+
+def read_telemetry(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+    """Read a log.
+
+    Parameters
+    ----------
+    path
+        The file.
+    progress
+        Called with the share that is read.
+    extra
+        ``MESSAGE.field`` of a reference in the log, as ``--truth column:`` names it.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or is no such log.
+    """
+    message, _, field = extra.partition(".")
+    fields = dict(FIELDS) | ({message: (*FIELDS.get(message, ()), field)} if field else {})
+    ids = {kind.id: kind.msgname for kind in dialect.mavlink_map.values() if kind.msgname in fields}
+    if field and (message not in ids.values() or field not in _kind(message).fieldnames):
+        raise RecordingError(f"{path}: MAVLink's common messages have no {extra}")
+    distances: dict[tuple[int, int, int], _Columns] = {}
+    flight: dict[str, _Columns] = {}
+    senders: dict[str, tuple[int, int]] = {}
+    parameters: dict[str, float] = {}
+    wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
+    start_s: float | None = None
+    bad, size = 0, 0
+    for time_s, frame, read, skipped, size in _frames(path, wanted):
+        progress(read / size)
+        bad += skipped
+        if frame is None:
+            continue
+        start_s = time_s if start_s is None else start_s
+        decoded = frame.decode()
+        sender = (frame.system, frame.component)
+        if frame.message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
+            columns = distances.setdefault(
+                (*sender, decoded.id), _Columns(("current_distance", "max_distance", "orientation", "signal_quality"))
+            )
+            columns.add(time_s - start_s, decoded)
+        elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+            parameters[decoded.param_id] = _parameter(decoded)
+        else:
+            name = ids[frame.message_id]
+            if senders.setdefault(name, sender) == sender:
+                flight.setdefault(name, _Columns(fields[name])).add(time_s - start_s, decoded)
+    if bad > MOST_BAD_SHARE * size:
+        raise RecordingError(f"{path}: no telemetry log: {bad} of {size} bytes are in no frame")
+    notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
+    if bad:
+        notes.append(f"{bad} bytes that belong to no message are left out.")
+    references = _references(flight, parameters)
+    if field and message in flight:
+        references.append(Reference("column", _series(flight, message, field)))
+    return Log(
+        path, "telemetry log (MAVLink)", tuple(_rangers(distances)), _context(flight), tuple(references), tuple(notes)
+    )
+
+
+def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None, int, int, int]]:
+    """Wanted frames with their time [s], the bytes read, the bytes skipped since the last one, and the file's size."""
+    try:
+        with open_input(path, LARGEST_FILE_BYTES) as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            if not size:
+                raise RecordingError(f"{path}: no telemetry log: the file is empty")
+            rest, skipped = b"", 0
+            while block := file.read(_BLOCK_BYTES):
+                data = rest + block
+                at, end = 0, len(data)
+                is_last = file.tell() >= size
+                while end - at > _STAMP_BYTES + _LONGEST_FRAME or (is_last and end - at > _STAMP_BYTES + 3):
+                    begin = at + _STAMP_BYTES
+                    length, message_id = _header(data, begin)
+                    stop = begin + length
+                    if not length or stop > end or not (stop == end or _is_frame(data, stop, end)):
+                        at += 1
+                        skipped += 1
+                        continue
+                    if message_id in wanted:
+                        for frame in FrameReader().read(data[begin:stop]):
+                            stamp_us = int.from_bytes(data[at:begin], "big")
+                            yield stamp_us / 1e6, frame, file.tell(), skipped, size
+                            skipped = 0
+                    at = stop
+                rest = data[at:]
+                if skipped > MOST_BAD_BYTES:
+                    break
+            yield 0.0, None, size, skipped + len(rest) + size - file.tell(), size
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _header(data: bytes, begin: int) -> tuple[int, int]:
+    """Length of the frame that begins here and its message; length 0: none does."""
+    if data[begin] == _VERSION_2 and begin + 10 <= len(data):
+        signature = 13 * (data[begin + 2] & _SIGNED)
+        return 12 + data[begin + 1] + signature, int.from_bytes(data[begin + 7 : begin + 10], "little")
+    if data[begin] == _VERSION_1 and begin + 6 <= len(data):
+        return 8 + data[begin + 1], data[begin + 5]
+    return 0, -1
+
+
+def _is_frame(data: bytes, at: int, end: int) -> bool:
+    """Whether a time and the first byte of a frame follow, as far as they are here."""
+    begin = at + _STAMP_BYTES
+    if begin >= end:
+        return True
+    return data[begin] in (_VERSION_1, _VERSION_2) and int.from_bytes(data[at:begin], "big") < LATEST_US
+
+
+def _kind(message: str) -> Any:
+    return next(kind for kind in dialect.mavlink_map.values() if kind.msgname == message)
+
+
+def _parameter(message: Any) -> float:
+    """A parameter's value: PX4 sends the bytes of an integer in the place of a float, ArduPilot its value."""
+    if message.param_id.startswith("EKF2_") and message.param_type in _INTEGER_TYPES:
+        number: int = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+        return float(number)
+    return float(message.param_value)
+
+
+def _rangers(distances: Mapping[tuple[int, int, int], _Columns]) -> list[Ranger]:
+    rangers = []
+    numbers = [number for _, _, number in distances]
+    for (system, component, number), found in distances.items():
+        name = f"distance_sensor_{number}" + (f"_of_{system}_{component}" if numbers.count(number) > 1 else "")
+        maximum_m = float(found["max_distance"].max()) / 100.0
+        reading_cm = readings_cm(found["current_distance"] / 100.0, maximum_m)
+        # 1 is an invalid signal, 0 an unknown one (common.xml).
+        reading_cm[found["signal_quality"] == 1] = np.nan
+        rangers.append(
+            Ranger(
+                name,
+                series("DISTANCE_SENSOR.current_distance", np.array(found.time_s), reading_cm),
+                int(np.median(found["orientation"])) == DOWN,
+                100.0 * maximum_m,
+            )
+        )
+    return rangers
+
+
+def _context(flight: Mapping[str, _Columns]) -> dict[str, Series]:
+    found = {}
+    if "ATTITUDE" in flight:
+        attitude = flight["ATTITUDE"]
+        found[TILT] = series("ATTITUDE", np.array(attitude.time_s), tilt_deg(attitude["roll"], attitude["pitch"]))
+    if "VIBRATION" in flight:
+        axes = [flight["VIBRATION"][f"vibration_{axis}"] for axis in "xyz"]
+        time_s = np.array(flight["VIBRATION"].time_s)
+        found["vibration_m_s2"] = series("VIBRATION", time_s, np.sqrt(sum(axis**2 for axis in axes)))
+    for name, message, field, factor in (
+        (CLIMB, "GLOBAL_POSITION_INT", "vz", -0.01),
+        (THROTTLE, "VFR_HUD", "throttle", 0.01),
+        ("air_temperature_c", "HYGROMETER_SENSOR", "temperature", 0.01),
+        ("humidity_pct", "HYGROMETER_SENSOR", "humidity", 0.01),
+        ("board_temperature_c", "SCALED_PRESSURE", "temperature", 0.01),
+    ):
+        if message in flight:
+            found[name] = _series(flight, message, field, factor)
+    return found
+
+
+def _references(flight: Mapping[str, _Columns], parameters: Mapping[str, float]) -> list[Reference]:
+    references = []
+    for message, factor in (("SIM_STATE", 1.0), ("HIL_STATE_QUATERNION", 0.001)):
+        if message in flight:
+            references.append(Reference("simulator", _series(flight, message, "alt", factor)))
+    gps = flight.get("GPS_RAW_INT")
+    if gps is not None and (gps["fix_type"] == RTK_FIXED).any():
+        altitude = _series(flight, "GPS_RAW_INT", "alt", 0.001)
+        fixed = _series(flight, "GPS_RAW_INT", "fix_type").values == RTK_FIXED
+        height = Series(altitude.source, altitude.time_s, np.where(fixed, altitude.values, np.nan))
+        std = _series(flight, "GPS_RAW_INT", "v_acc", 0.001)
+        references.append(Reference("rtk", height, std=std if (std.values > 0.0).any() else None))
+    for message in ("ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE"):
+        if message in flight:
+            references.append(Reference("mocap", negative(_series(flight, message, "z"))))
+    if "GLOBAL_POSITION_INT" in flight:
+        height = _series(flight, "GLOBAL_POSITION_INT", "relative_alt", 0.001)
+        references.append(Reference("ekf", height, refused=by_any(parameters)))
+    return references
+
+
+def _series(flight: Mapping[str, _Columns], message: str, field: str, factor: float = 1.0) -> Series:
+    found = flight[message]
+    return series(f"{message}.{field}", np.array(found.time_s), factor * found[field])
