@@ -7,9 +7,11 @@ from itertools import pairwise
 from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
-from msp_range.geometry import quaternion
+from msp_range.geometry import Vector, quaternion
+from msp_range.health import Expected, SensorWatch
 from msp_range.mavlink.distance_sensor import LASER, RADAR, ULTRASOUND, Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 
 
@@ -92,6 +94,62 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
         sensor.sensor_model.maximum_cm / 100 + _below_reference_m(airframe, sensor) for sensor in airframe.downward
     )
     return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
+
+
+MEAN_EFFECTS = frozenset(
+    {"mounting_offset", "session_offset", "range_scale", "bend", "warm_up", "flooring", "threshold_walk", "hot_box"}
+    | {"air_temperature", "thermometer_offset", "temperature_gradient", "humidity", "latency", "motion_during_ping"}
+    | {"slant_range", "nearest_point"}
+)
+"""Effects of a sensor model file that change the mean reading only, which the sensor watch does not ask for: it follows
+each sensor's offset from the others. A name too many lets good sensors be reported, one too few switches the watch
+off."""
+
+FACING_MARGIN_RAD = math.radians(3.0)
+"""Missed echoes are counted while a sensor faces level ground so much better than its beam requires [rad], for slopes
+and the attitude's error: less counts those of a leaning vehicle, more asks a smaller part of a flight."""
+
+
+def sensor_watch_of(airframe: Airframe) -> SensorWatch | str:
+    """The watch that holds each downward sensor against its model; or why there is none."""
+    if not airframe.sensor_watch:
+        return "switched off in the airframe file"
+    if airframe.send.fused is None:
+        return "there is no fused stream to compare with"
+    turn_s = windows_of(airframe).turn_s
+    expected = {}
+    for sensor in airframe.downward:
+        numbers = expected_of(sensor.sensor_model, sensor.boresight, turn_s)
+        if isinstance(numbers, str):
+            return f"{sensor.model}: {numbers}"
+        expected[sensor.name] = numbers
+    return SensorWatch(expected, turn_s)
+
+
+def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expected | str:
+    """What a sensor model says of a sensor's readings, as plain numbers; or why it cannot."""
+    mixture, in_flight = model.reading_model, model.in_flight
+    weights = mixture.weights
+    short, missed, random, spread = weights.short, weights.missed, weights.random, 1.0
+    if in_flight is not None:
+        short, missed, random = in_flight.short, in_flight.missed, 0.0
+        spread = in_flight.sigma_cm / mixture.sigma_cm
+    elif unknown := [name for each in model.effects if (name := str(each.get("name"))) not in MEAN_EFFECTS]:
+        return f"no numbers (in_flight) of what {', '.join(unknown)} make of the readings"
+    narrowest_rad = model.beam.half_angle_rad(model.maximum_cm / 100) if model.medium == "sound" else math.pi / 2
+    facing_rad = max(narrowest_rad - FACING_MARGIN_RAD, 0.0)
+    return Expected(
+        short,
+        missed,
+        random,
+        mixture.missed_growth_per_m,
+        mixture.correlation ** (turn_s / mixture.correlation_spacing_s),
+        spread,
+        model.minimum_cm / 100,
+        model.maximum_cm / 100,
+        boresight,
+        math.cos(facing_rad),
+    )
 
 
 def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:

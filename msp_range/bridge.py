@@ -5,12 +5,20 @@ downward ones become one distance, and messages go out. The same object runs on 
 recording: bus, clock, transport and recorder are arguments.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from msp_range.acoustics.air import NO_AIR, Air, compensate_range
-from msp_range.assembly import fused_stream, fusion_of, object_streams, polling_order, single_streams, windows_of
+from msp_range.assembly import (
+    fused_stream,
+    fusion_of,
+    object_streams,
+    polling_order,
+    sensor_watch_of,
+    single_streams,
+    windows_of,
+)
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, SensorSettings
@@ -22,6 +30,7 @@ from msp_range.filters.chain import Chain, Filtered
 from msp_range.fusion import (
     OBJECT,
     OUTLIER,
+    REPEATED,
     SUSPECT,
     Angles,
     Attitude,
@@ -41,8 +50,11 @@ from msp_range.health import (
     OutputWatch,
     Reminder,
     Report,
+    Seen,
+    SensorWatch,
     Severity,
 )
+from msp_range.health.finding import Finding
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
@@ -65,6 +77,16 @@ LOOK_INTERVAL_S = 0.25
 a time of its own, whatever this is."""
 TEMPERATURE_REQUEST_HZ = 1.0
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
+
+
+_SEEN = {
+    None: Seen.GROUND,
+    OBJECT: Seen.OTHER,
+    OUTLIER: Seen.OTHER,
+    REPEATED: Seen.REPEATED,
+    SUSPECT: Seen.MISSED,
+    Status.NO_ECHO.value: Seen.MISSED,
+}
 
 
 class Records(Protocol):
@@ -174,6 +196,8 @@ class Bridge:
     ----------
     started_s
         When it was made [s].
+    sensor_watch_off
+        Why sensors are not held against their models; None: they are.
     completed_s
         When a step last left nothing undone that was due, and every message had been handed to the link or counted as
         dropped [s]; whoever watches over the loop goes by it.
@@ -240,6 +264,9 @@ class Bridge:
         )
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())
+        watch = sensor_watch_of(airframe)
+        self._sensor_watch = None if isinstance(watch, str) else watch
+        self.sensor_watch_off = watch if isinstance(watch, str) else None
         self.health = Health(self._channels, self.notify)
         self._below = ObservationsBelow(self.notify)
         self._bus_health = BusHealth()
@@ -251,6 +278,11 @@ class Bridge:
     def air(self) -> Air:
         """The air that sound travels through now."""
         return self._air
+
+    @property
+    def sensor_findings(self) -> Sequence[Finding]:
+        """What the sensor watch finds now."""
+        return () if self._sensor_watch is None else self._sensor_watch.findings
 
     def record_to(self, recorder: Records) -> None:
         """Keep every stage of every reading from here on."""
@@ -284,6 +316,8 @@ class Bridge:
         if self._fusion is not None and channel.is_fused:
             outcome = self._fusion.update(reading, now_s)
             reading, fused, filtered = outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
+            if self._sensor_watch is not None:
+                self._compare(self._sensor_watch, self._fusion, outcome)
             self._send_fused(self._fusion, outcome, vehicle_air if self._fused_by_sound else air, now_s, boot_ms)
             if reading.range_m is not None and channel.by_sound:
                 self._temperature.record_range(ranging.reading)
@@ -296,6 +330,24 @@ class Bridge:
         self.health.on_ranging(ranging if reading.status is not Status.STUCK else ranging._replace(reading=reading))
         self._bus_health.on_ranging(now_s, ranging)
         return step
+
+    def _compare(self, watch: SensorWatch, fusion: Fusion, outcome: Outcome) -> None:
+        """Hold a reading against its sensor's model."""
+        reading, climb_m_s = outcome.reading, fusion.climb_m_s
+        seen = Seen.NOTHING if reading.status is Status.AT_MINIMUM else _SEEN.get(outcome.rejected, Seen.NOTHING)
+        if watch.is_single:
+            rate = self._motion.rate(reading.time_s)
+            climb_m_s = rate.m_s if rate is not None else 0.0
+        watch.update(
+            reading.sensor,
+            reading.time_s,
+            seen,
+            fusion.level_height_m,
+            reading.std_m,
+            reading.raw,
+            climb_m_s,
+            fusion.down,
+        )
 
     def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
         """Send the fused distance, and what is below the sensor that is not ground."""
@@ -366,7 +418,9 @@ class Bridge:
         if self._recorded_air is None:
             self._air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
-        conditions += self._output.conditions(now_s, self.health.failing_sensors)
+        findings = self.sensor_findings
+        finding = findings[-1].text if findings else None
+        conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
         for condition in conditions:
             self.health.set(*condition)

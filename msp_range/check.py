@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
-from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s
+from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
 from msp_range.config import Airframe
 from msp_range.correction.air_temperature import describe
 from msp_range.mavlink.distance_sensor import TIME_OUT_S
@@ -32,6 +32,8 @@ def lines(airframe: Airframe) -> Iterator[str]:
     yield _link(airframe)
     yield _polling(airframe)
     yield from _streams(airframe)
+    watch = sensor_watch_of(airframe)
+    yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
     yield from describe(airframe.temperature, airframe.maximum_by_sound_m)
     folder = airframe.recording.folder if airframe.recording else None
     yield f"recording: {folder}" if folder else "recording: none, unless --record names a folder"

@@ -173,6 +173,8 @@ class Airframe(Section):
     """the connection to the autopilot"""
     send: Send
     """streams to send"""
+    sensor_watch: bool = True
+    """compare each downward sensor with its model and the others while flying, and report what differs"""
     recording: RecordingSettings | None = None
     """where flights are recorded; default: only if the command line says so"""
 

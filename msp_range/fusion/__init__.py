@@ -4,6 +4,6 @@ from msp_range.fusion.attitude import Angles, Attitude, AttitudeTrack, RecordedA
 from msp_range.fusion.fusion import Fusion
 from msp_range.fusion.ground_filter import Ground
 from msp_range.fusion.mounting import DownwardSensor, Oblique
-from msp_range.fusion.outcome import OBJECT, OUTLIER, SUSPECT, Fused, Outcome
+from msp_range.fusion.outcome import OBJECT, OUTLIER, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.vertical import Moved, RecordedMotion, VerticalMotion
 from msp_range.fusion.windows import Windows

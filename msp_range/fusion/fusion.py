@@ -24,7 +24,7 @@ from msp_range.fusion.support import GroundSupport
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.votes import Sight, step_m, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
-from msp_range.geometry import Matrix
+from msp_range.geometry import Matrix, Vector
 from msp_range.reading import Reading, Status
 
 OTHER_PER_M = 0.002
@@ -83,6 +83,13 @@ class Fusion:
         How the vehicle moves by its accelerometer and barometer; None: nobody says.
     maximum_m
         The longest distance from the reference point that the sensors can tell [m].
+
+    Attributes
+    ----------
+    level_height_m
+        Height of the reference point by the newest reading alone, were the ground level [m]; None without a range.
+    down
+        Straight down as a unit vector, body FRD; None where the attitude is not known.
     """
 
     def __init__(
@@ -111,11 +118,18 @@ class Fusion:
         self._shared_m2 = 0.0
         self._fit = 1.0
         self._tilted = False
+        self.level_height_m: float | None = None
+        self.down: Vector | None = None
 
     @property
     def ground(self) -> Ground | None:
         """Height, climb and slope with their covariance at the time of the newest reading; None: not known."""
         return None if self._filter is None else self._filter.ground()
+
+    @property
+    def climb_m_s(self) -> float:
+        """How fast the height grows [m/s]; 0 where it is not known."""
+        return 0.0 if self._filter is None else self._filter.climb_m_s
 
     @property
     def fit(self) -> float:
@@ -146,6 +160,7 @@ class Fusion:
             Not one of the downward sensors.
         """
         sensor = self._sensors[reading.sensor]
+        self.level_height_m = None
         time_s = max(reading.time_s, self._time_s)
         self._predict(time_s)
         rotation = self._rotation(time_s)
@@ -183,6 +198,7 @@ class Fusion:
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
+        self.down = None if rotation is None else rotation[2]
         if (rotation is not None) != self._tilted:
             self._tilted = rotation is not None
             if self._filter is not None:
@@ -282,6 +298,8 @@ class Fusion:
             return PAST
         innovation_m = range_m - view.expected_m
         off_m = innovation_m / view.by_height
+        sloping_m = (view.by_north * known.rise_north + view.by_east * known.rise_east) / view.by_height
+        self.level_height_m = known.height_m + off_m + sloping_m
         sight, below = sensor.sight, sensor.below
         far = abs(innovation_m) >= self._gate_m and not below.is_object(off_m)
         if far and self._was_garbled(known, sensor, reading, range_m, view):

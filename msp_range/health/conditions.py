@@ -41,12 +41,14 @@ _WORDS = {
 
 
 class Condition(NamedTuple):
-    """What `Health.set` needs: a condition's key, what is wrong or None, what to report at its end, how bad it is."""
+    """What `Health.set` needs: a condition's key, what is wrong or None, what to report at its end, how bad it is, and
+    whether a text that changes is reported again."""
 
     key: str
     text: str | None
     over: str
     severity: Severity = Severity.WARNING
+    renews: bool = False
 
 
 class _SensorHealth:
@@ -127,7 +129,9 @@ class Health:
             if self.complete and not self.bad_sensors:
                 self._report(Severity.INFO, f"Range: all {len(self._sensors)} sensors good")
 
-    def set(self, condition: str, text: str | None, over: str, severity: Severity = Severity.WARNING) -> None:
+    def set(
+        self, condition: str, text: str | None, over: str, severity: Severity = Severity.WARNING, renews: bool = False
+    ) -> None:
         """Note a condition that is not a sensor's: ``text`` while it lasts, None when it is over.
 
         Parameters
@@ -138,8 +142,13 @@ class Health:
             What is wrong, or None.
         over
             What to say when it is over.
+        severity
+            How bad it is.
+        renews
+            Whether another text while it lasts is reported too.
         """
-        if text is not None and condition not in self._conditions:
+        known = self._conditions.get(condition)
+        if text is not None and (known is None or (renews and known[1] != text)):
             self._conditions[condition] = (severity, text)
             self._report(severity, text)
         elif text is None and self._conditions.pop(condition, None) is not None:

@@ -83,8 +83,18 @@ class OutputWatch:
         # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
         return [name for name, usable_s in self._usable_s.items() if now_s >= usable_s + self._silence_s]
 
-    def conditions(self, now_s: float, failing: Collection[str]) -> list[Condition]:
-        """As they are now; silence is not reported of sensors that are ``failing``, whose own faults are."""
+    def conditions(self, now_s: float, failing: Collection[str], finding: str | None = None) -> list[Condition]:
+        """As they are now.
+
+        Parameters
+        ----------
+        now_s
+            Now [s].
+        failing
+            Sensors whose own faults are reported, and not their silence.
+        finding
+            What `msp_range.health.sensor_watch` found of a sensor, the second source of 'noisy'.
+        """
         silent = self.silent(now_s)
         found = []
         for name in self._usable_s:
@@ -98,5 +108,5 @@ class OutputWatch:
         text = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
         found.append(Condition("disagree", text, "Range: readings agree"))
         text = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
-        found.append(Condition("noisy", text, "Range: readings are steady"))
+        found.append(Condition("noisy", finding or text, "Range: readings are steady", renews=True))
         return found

@@ -153,6 +153,19 @@ class MixtureParameters(Section):
         return content
 
 
+class InFlight(Section):
+    """Means over a flight of what all effects together make of the readings; the bridge watches the sensor by them."""
+
+    short: Probability
+    """share of readings that are more than four standard deviations nearer than the surface, whatever their cause"""
+
+    missed: Probability
+    """share of readings of the maximum or of its damaged form while the surface is in range"""
+
+    sigma_cm: float = Field(ge=0.01, le=100.0)
+    """standard deviation of a hit before it is rounded [cm]"""
+
+
 class SensorModel(Section):
     """A sensor model file."""
 
@@ -203,7 +216,11 @@ class SensorModel(Section):
     """Parameters of the base mixture that the readings follow."""
 
     effects: tuple[dict[str, Any], ...] = ()
-    """Effects on top of the base mixture, for the simulator; the bridge keeps them unread."""
+    """Effects on top of the base mixture, for the simulator; the bridge reads only their names."""
+
+    in_flight: InFlight | None = None
+    """What the effects make of the readings, as plain numbers; left out: the watch of the sensor is off if there are
+    effects that change more than the mean reading."""
 
     evidence: tuple[dict[str, Any], ...] = ()
     """Where parameters and effects come from; kept unread."""

@@ -70,9 +70,15 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
         "state": _STATES[link.system_status],
         "uptime_s": round(now_s - bridge.started_s, 1),
         "sensors": {
-            name: {"fault": faults[name], "readings": each.readings, "rejected": each.rejected}
+            name: {
+                "fault": faults[name],
+                "readings": each.readings,
+                "rejected": each.rejected,
+                "findings": [found.text for found in bridge.sensor_findings if found.sensor == name],
+            }
             for name, each in bridge.counts().items()
         },
+        "sensor_watch_off": bridge.sensor_watch_off,
         "faults": [{"severity": severity.name.lower(), "text": text} for severity, text in health.faults()],
         "air": {"temperature_c": air.temperature_c, "std_c": air.std_c, "source": air.source},
         "link": {

@@ -193,3 +193,25 @@ def test_a_single_silent_stream_whose_sensor_answers_is_reported() -> None:
     ] or ("Range front: no distance" in bench.reported(5.0, 8.0))
     dead: Any = Bench(vehicle, 500, faults={"front": [Fault("silent", 5.0, 15.0)]}).fly(20.0)
     assert "Range front: no distance" not in dead.reported(), "its fault says it already"
+
+
+def test_a_finding_about_one_sensor_is_the_second_source_of_noisy_readings() -> None:
+    texts: list[str] = []
+    health = Health((), lambda _, text: texts.append(text))
+    watch = OutputWatch([FUSED], 1.0, 0.0)
+
+    def look(now_s: float, fit: float, finding: str | None) -> None:
+        watch.on_range(True, fit)
+        for condition in watch.conditions(now_s, [FUSED], finding):
+            if condition.key == "noisy":
+                health.set(*condition)
+
+    for i in range(20):
+        look(0.25 * i, 9.0, None)
+    for i in range(20, 40):
+        look(0.25 * i, 9.0, "Range a: 5x expected short readings")
+    for i in range(40, 60):
+        look(0.25 * i, 1.0, "Range a: 5x expected short readings")
+    for i in range(60, 80):
+        look(0.25 * i, 1.0, None)
+    assert texts == ["Range: readings are noisy", "Range a: 5x expected short readings", "Range: readings are steady"]

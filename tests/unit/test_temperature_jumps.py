@@ -89,7 +89,7 @@ class Flight:
             if round(10 * self.time_s) % 2:
                 continue
             self.airs.append((self.time_s, self.temperature.now(self.time_s)))
-            for key, text, over, _ in self.temperature.conditions(self.time_s):
+            for key, text, over, *_ in self.temperature.conditions(self.time_s):
                 # As `msp_range.health.Health.set` does it.
                 if text is not None and key not in self._shown:
                     self.texts.append((self.time_s, text))

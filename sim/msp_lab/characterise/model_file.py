@@ -38,7 +38,8 @@ def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> Sensor
         fields["heard_on_axis_cm"] = None if heard_cm is None else max(heard_cm, farthest_cm)
     content = sensor.model_dump(mode="json")
     content |= {name: _plain(value) for name, value in fields.items()}
-    content["evidence"] = [*content["evidence"], provenance(findings)]
+    # The means over a flight were those of the starting model.
+    content |= {"in_flight": None, "evidence": [*content["evidence"], provenance(findings)]}
     try:
         return SensorModel.model_validate(_rounded(content))
     except ValidationError as error:
@@ -90,7 +91,7 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
         (_on_axis_comment(findings, changes, kept), ("heard_on_axis_cm",)),
         (_calibration_comment(findings, changes, kept), ("calibration",)),
         (_mixture_comment(findings, changes, kept), ("reading_model",)),
-        (_effects_comment(sensor, findings, changes, kept), ("effects",)),
+        (_effects_comment(sensor, findings, changes, kept), ("effects", "in_flight")),
         (["What this file was made from, the newest last."], ("evidence",)),
     ]
     named = {name for _, names in sections for name in names}

@@ -1,0 +1,147 @@
+"""What the other sensors say of the height at the time of a sensor's reading: a leave-one-out reference.
+
+The heights that successive readings of all sensors give enter; for the reading in the middle of the window leaves the
+height at its time by the readings of the others around it. Up to two before and two after are averaged, and the line
+through the two means is read at the reading's time, so a steady climb costs nothing. The reading itself, and all others
+of its sensor, take no part.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+from msp_range.geometry import Vector
+
+ACCELERATION_M_S2 = 0.5
+"""Standard deviation of the vehicle's acceleration [m/s^2], which bends the line between the readings before and those
+after: 0.6 cm at 0.1 s. Smaller takes manoeuvres for scatter, larger hides scatter of good sensors."""
+LARGEST_SPREAD = 4.0
+"""Readings that are farther from the line than so many standard deviations are not of one ground: no reference."""
+MOST_CLIMB_ERROR_M_S = 0.6
+"""Where the line climbs faster or slower than the vehicle by so much, the ground has a step: no reference [m/s]. The
+fused climb lags behind a hard start by half of this."""
+
+
+class Seen(Enum):
+    """What a reading was for the fused ground."""
+
+    GROUND = "ground"
+    """used for it"""
+    OTHER = "other"
+    """a range that does not fit it"""
+    MISSED = "missed"
+    """the code for no echo, or its damaged form"""
+    REPEATED = "repeated"
+    """the same answer as before, where others see other things"""
+    NOTHING = "nothing"
+    """a fault, or a range that nothing is known about"""
+
+
+class Sighting(NamedTuple):
+    """One reading of the window.
+
+    Attributes
+    ----------
+    time_s
+        Of the echo [s].
+    sensor
+        Its index.
+    common_m
+        Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
+        others [m]; None where it is not of the ground, so that it is no reference for others.
+    std_m
+        Standard deviation of the reading [m]; 0 without a range.
+    seen
+        What it was for the fused ground.
+    height_m
+        As ``common_m``, with the offset, of every reading with a range.
+    raw
+        The sensor's answer.
+    climb_m_s
+        How fast the vehicle climbs by all sensors [m/s].
+    down
+        Straight down, a unit vector in body FRD; None where the attitude is not known.
+    """
+
+    time_s: float
+    sensor: int
+    common_m: float | None
+    std_m: float
+    seen: Seen
+    height_m: float | None
+    raw: int | None
+    climb_m_s: float
+    down: Vector | None
+
+
+class Reference(NamedTuple):
+    """The height by the others.
+
+    Attributes
+    ----------
+    height_m, variance_m2
+        At the reading's time [m], and the variance of its error by the readings' own deviation [m^2].
+    climb_m_s
+        How fast it grows [m/s].
+    """
+
+    height_m: float
+    variance_m2: float
+    climb_m_s: float
+
+
+def reference(window: Sequence[Sighting], middle: int, scale: float) -> Reference | None:
+    """The height at the time of the window's reading ``middle`` by the other sensors; None where they do not agree.
+
+    Parameters
+    ----------
+    window
+        Successive readings of all sensors.
+    middle
+        Index of the reading.
+    scale
+        Variance of the readings over that of their model, more than 1 on rough ground.
+    """
+    time_s, sensor = window[middle].time_s, window[middle].sensor
+    count = 0
+    before_m = before_s = after_m = after_s = first_m = first_s = last_m = last_s = variance_m2 = 0.0
+    for i in range(middle - 1, -1, -1):
+        each = window[i]
+        common_m = each.common_m
+        if common_m is not None and each.sensor != sensor:
+            at_s = each.time_s
+            if count:
+                first_m, first_s = common_m - before_m, at_s - before_s
+                before_m, before_s, count = before_m + 0.5 * first_m, before_s + 0.5 * first_s, 2
+                break
+            before_m, before_s, variance_m2, count = common_m, at_s, each.std_m * each.std_m, 1
+    if not count:
+        return None
+    befores, count = count, 0
+    for i in range(middle + 1, len(window)):
+        each = window[i]
+        common_m = each.common_m
+        if common_m is not None and each.sensor != sensor:
+            at_s = each.time_s
+            if count:
+                last_m, last_s = common_m - after_m, at_s - after_s
+                after_m, after_s, count = after_m + 0.5 * last_m, after_s + 0.5 * last_s, 2
+                break
+            after_m, after_s, count = common_m, at_s, 1
+    if not count or after_s <= before_s:
+        return None
+    slope = (after_m - before_m) / (after_s - before_s)
+    spread_m2 = 2.0 * LARGEST_SPREAD * LARGEST_SPREAD * scale * variance_m2
+    first_m -= slope * first_s
+    last_m -= slope * last_s
+    if (
+        abs(slope - window[middle].climb_m_s) > MOST_CLIMB_ERROR_M_S
+        or first_m * first_m > spread_m2
+        or last_m * last_m > spread_m2
+    ):
+        return None
+    early_s, late_s = time_s - before_s, after_s - time_s
+    share = early_s / (early_s + late_s)
+    bend_m = 0.5 * ACCELERATION_M_S2 * early_s * late_s
+    variance_m2 *= (1.0 - share) * (1.0 - share) / befores + share * share / count
+    return Reference(before_m + slope * early_s, variance_m2 + bend_m * bend_m, slope)

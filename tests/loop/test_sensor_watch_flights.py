@@ -1,0 +1,57 @@
+"""The sensor watch in simulated flights: it finds the sensor that differs from its model, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+
+from msp_range.clock import VirtualClock
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
+
+SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
+GROUNDS = ("demo", "flat", "slope", "steps", "boxes", "rough_grass", "terrain", "hover", "sinusoid", "canted")
+
+
+def texts(scenario: Scenario, seed: int, model: SensorModel | None = None) -> list[str]:
+    """What the watch found in a flight."""
+    simulation = Simulation(scenario, VirtualClock(), seed, model=model)
+    found: list[str] = []
+    for steps in simulation.fly():
+        if steps:
+            found += [each.text for each in simulation.bridge.sensor_findings if each.text not in found]
+    assert [text for _, _, text in simulation.flight.texts if text in found] == found, "the pilot gets each"
+    return found
+
+
+@pytest.mark.parametrize(
+    ("fault", "starts"),
+    [
+        ({"kind": "no_echo", "probability": 0.2}, "Range front_left: "),
+        ({"kind": "offset", "offset_cm": -80, "probability": 0.2}, "Range front_left: "),
+        ({"kind": "noisy", "spread_cm": 5}, "Range front_left: "),
+    ],
+    ids=["20 % missed", "20 % short", "wider"],
+)
+def test_a_sensor_that_degrades_is_named_to_the_pilot(fault: dict[str, object], starts: str) -> None:
+    demo = load_scenario(SCENARIOS / "demo.yaml")
+    planned = PlannedFault.model_validate({"sensor": "front_left", "from_s": 12.0, "to_s": demo.duration_s} | fault)
+    found = texts(demo.model_copy(update={"faults": (planned,)}), 1)
+    assert len(found) == 1
+    assert found[0].startswith(starts)
+
+
+@pytest.mark.parametrize("name", ["rough_grass", "boxes"])
+def test_nothing_is_found_of_sensors_in_order(name: str) -> None:
+    assert texts(load_scenario(SCENARIOS / f"{name}.yaml"), 7) == []
+
+
+@pytest.mark.slow
+def test_nothing_is_found_in_ten_hours_of_flights() -> None:
+    flown_s, seed = 0.0, 100
+    while flown_s < 36_000.0:
+        for name in GROUNDS:
+            scenario = load_scenario(SCENARIOS / f"{name}.yaml")
+            assert texts(scenario, seed) == [], (name, seed)
+            flown_s += scenario.duration_s
+        seed += 1

@@ -1,0 +1,267 @@
+"""Sensors held against their reading models while they fly."""
+
+import math
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+import pytest
+
+from msp_range.assembly import expected_of, sensor_watch_of
+from msp_range.health import Expected, Seen, SensorWatch
+from msp_range.health.evidence import Evidence, Occurrences
+from msp_range.health.finding import LONGEST_TEXT, Finding, Kind
+from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.effects import CATALOGUE
+from tests.sensor_watch.drawn import MODEL, NAMES, SLOT_S, STD_M, TURN_S, Fault, Ground, draw, feed, watch_of
+from tests.support.bench import CONFIGS, FOUR_DOWN, airframe
+
+DOWN, LEANS = (0.0, 0.0, 1.0), (math.sin(0.1), 0.0, math.cos(0.1))
+KINDS: tuple[Kind, ...] = ("short", "missed", "wider", "shifted", "repeats")
+
+
+def test_a_report_without_a_change_takes_as_many_readings_as_its_threshold_on_average() -> None:
+    """E[T] >= A, with random ratios of expectation 1: of a normal mean of 1 against 0."""
+    draws = np.random.default_rng(1)
+    times = []
+    for _ in range(150):
+        evidence, count, is_found = Evidence(300.0), 0, False
+        while not is_found:
+            count += 1
+            is_found = evidence.update(math.exp(draws.standard_normal() - 0.5), 1.0, 1.0)
+        times.append(count)
+    assert 300.0 < np.mean(times) < 900.0
+
+
+def test_readings_in_which_nothing_happens_count_as_if_each_had_been_told() -> None:
+    one_by_one, at_once = Evidence(1e9), Evidence(1e9)
+    for evidence in (one_by_one, at_once):
+        for _ in range(5):
+            evidence.update(6.0, 0.1, 1.0)
+    for _ in range(40):
+        one_by_one.update(0.9, 0.1, 0.0)
+    at_once.update_many(0.9, 0.1, 40)
+    assert at_once.update(6.0, 0.1, 1.0) is one_by_one.update(6.0, 0.1, 1.0) is False
+    assert at_once._sum == pytest.approx(one_by_one._sum)
+
+
+def test_what_others_show_too_is_no_finding() -> None:
+    sensors = [Occurrences(1e8, 6.0) for _ in range(4)]
+    draws = np.random.default_rng(2)
+    for _ in range(3000):
+        for each in sensors:
+            if draws.random() < 0.15:
+                each.happens(0.01, [other for other in sensors if other is not each])
+            else:
+                each.nones += 1
+    assert not any(each.evidence.is_found for each in sensors[1:])
+    assert sensors[0].frequency == pytest.approx(0.15, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", [0.08, 1.94, 5.2, 250.0, -0.12])
+def test_every_text_fits_a_statustext_with_the_longest_name(kind: Kind, size: float) -> None:
+    if size < 0.0 and kind != "shifted":
+        return
+    longest, usual = Finding("a" * 32, kind, size).text, Finding("front_left", kind, size).text
+    assert len(longest) <= LONGEST_TEXT
+    assert len(usual) <= LONGEST_TEXT
+    assert usual.startswith("Range front_left: ")
+
+
+def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None:
+    """On a steady climb, exactly; its own reading and its own sensor's take no part."""
+    climb_m_s = 1.5
+
+    def seen(i: int, sensor: int, off_m: float = 0.0) -> Sighting:
+        height_m = 2.0 + climb_m_s * i * SLOT_S + off_m
+        return Sighting(i * SLOT_S, sensor, height_m, STD_M, Seen.GROUND, height_m, None, climb_m_s, DOWN)
+
+    window = [seen(0, 3), seen(1, 1, 5.0), seen(2, 0), seen(3, 1, 5.0), seen(4, 2), seen(5, 1, 5.0), seen(6, 3)]
+    found = reference(window, 3, 1.0)
+    assert found is not None
+    assert found.height_m == pytest.approx(2.0 + climb_m_s * 0.3)
+    assert found.climb_m_s == pytest.approx(climb_m_s)
+    # The mean of four, and an acceleration that bends the line between 0.2 s before and 0.2 s after.
+    assert found.variance_m2 == pytest.approx(STD_M**2 / 4 + (0.5 * ACCELERATION_M_S2 * 0.2**2) ** 2)
+    assert reference(window[:4], 3, 1.0) is None, "nobody after it"
+    stepped = window[:4] + [each._replace(common_m=(each.common_m or 0.0) + 0.3) for each in window[4:]]
+    assert reference(stepped, 3, 1.0) is None, "the ground has a step"
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "size", "within_s"),
+    [
+        (Fault(300.0, short=0.10), "short", 7.5, 60.0),
+        (Fault(300.0, short=0.20), "short", 14.0, 30.0),
+        (Fault(300.0, missed=0.20), "missed", 10.0, 30.0),
+        (Fault(300.0, wider=2.0), "wider", 2.0, 30.0),
+        (Fault(300.0, shift_m=-0.12), "shifted", -0.12, 30.0),
+    ],
+)
+def test_a_sensor_that_reads_otherwise_than_its_model_is_found_and_no_other(
+    fault: Fault, kind: Kind, size: float, within_s: float
+) -> None:
+    draws = np.random.default_rng(3)
+    delays_s, sizes = [], []
+    for _ in range(11):
+        time_s, finding = next(feed(watch_of(), draw(draws, 1200 / 3600, Ground(), fault)))
+        assert time_s >= fault.from_s
+        assert finding.sensor == "a"
+        assert finding.kind == kind
+        delays_s.append(time_s - fault.from_s)
+        sizes.append(finding.size)
+    assert median(delays_s) < within_s
+    assert median(sizes) == pytest.approx(size, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [
+        Ground(rough_m=0.03, rough_lasts=0.9),
+        Ground(slope=0.1, turn_s=20.0, rough_m=0.03, rough_lasts=0.5),
+        Ground(correlation=0.9),
+        Ground(scale=1.04),
+    ],
+    ids=["rough", "slope", "correlation", "all 4 % too long"],
+)
+def test_what_is_common_to_all_sensors_is_not_blamed_on_one(ground: Ground) -> None:
+    assert list(feed(watch_of(), draw(np.random.default_rng(4), 1.0, ground))) == []
+
+
+def test_a_finding_ends_when_the_sensor_is_as_its_model_again() -> None:
+    watch = watch_of()
+    draws = np.random.default_rng(5)
+    bad = draw(draws, 400 / 3600, Ground(), Fault(100.0, missed=0.3, short=0.2))
+    assert {finding.kind for _, finding in feed(watch, bad)} == {"missed", "short"}
+    list(feed(watch, draw(draws, 400 / 3600, Ground(), start_s=400.0)))
+    assert watch.findings == []
+
+
+def fly(
+    watch: SensorWatch,
+    off_m: Callable[[str, float], float | None],
+    seconds: float,
+    names: tuple[str, ...] = NAMES,
+    seen: Seen = Seen.OTHER,
+    down: tuple[float, float, float] = DOWN,
+    climb_m_s: float = 0.0,
+) -> set[tuple[str, Kind]]:
+    """Findings over level ground; what is more than 15 cm off was ``seen`` by the fusion, and None is no echo."""
+    draws = np.random.default_rng(6)
+    found: set[tuple[str, Kind]] = set()
+    for i in range(round(seconds / SLOT_S)):
+        name, time_s = names[i % len(names)], i * SLOT_S
+        off = off_m(name, time_s)
+        if off is None:
+            watch.update(name, time_s, Seen.MISSED, None, None, 765, climb_m_s, down)
+        else:
+            height_m = 2.0 + climb_m_s * time_s + off + STD_M * draws.standard_normal()
+            kind = Seen.GROUND if abs(off) < 0.15 else seen
+            raw = round(100 * height_m)
+            watch.update(name, time_s, kind, height_m, STD_M, raw, climb_m_s, down)
+        found |= {(each.sensor, each.kind) for each in watch.findings}
+    return found
+
+
+def test_an_object_below_a_sensor_is_no_short_reading_and_single_ones_are() -> None:
+    box = fly(watch_of(), lambda name, time_s: -0.5 if name == "a" and time_s % 20.0 < 4.0 else 0.0, 300.0)
+    assert box == set()
+    single = fly(watch_of(), lambda name, time_s: -0.5 if name == "a" and time_s % 4.0 < 0.4 else 0.0, 300.0)
+    assert single == {("a", "short")}
+
+
+def test_a_shift_is_asked_for_only_while_the_vehicle_moves_over_level_ground() -> None:
+    def shifted(name: str, time_s: float) -> float:
+        return 0.10 if name == "a" else 0.0
+
+    assert fly(watch_of(), shifted, 120.0, down=LEANS) == {("a", "shifted")}
+    assert fly(watch_of(), shifted, 120.0) == set(), "a hover: it may be a stone"
+    slope = dict(zip(NAMES, (0.10, 0.0, 0.0, -0.10), strict=True))
+    assert fly(watch_of(), lambda name, _: slope[name], 120.0, down=LEANS) == set(), "the others see a slope"
+
+
+def test_a_leaning_sensor_is_not_asked_for_missed_echoes() -> None:
+    def misses(name: str, time_s: float) -> float | None:
+        return None if name == "a" and time_s % 2.0 < 0.4 else 0.0
+
+    lean = math.radians(10.0)
+    assert fly(watch_of(), misses, 120.0) == {("a", "missed")}
+    assert fly(watch_of(), misses, 120.0, down=(math.sin(lean), 0.0, math.cos(lean))) == set()
+
+
+@pytest.mark.parametrize("names", [NAMES, ("a",)], ids=["four sensors", "one"])
+def test_a_sensor_that_repeats_old_readings_while_the_vehicle_climbs_is_found(names: tuple[str, ...]) -> None:
+    watch = SensorWatch(dict.fromkeys(names, MODEL), len(names) * 0.4)
+    height_m, found = 1.0, set()
+    old_m = height_m
+    for i in range(4000):
+        name, time_s = names[i % len(names)], 0.4 * i
+        climb_m_s = 0.8 if time_s % 20.0 < 10.0 else -0.8
+        height_m += climb_m_s * 0.4
+        draws = np.random.default_rng(i)
+        if name != "a" or draws.random() > 0.5:
+            reading_m = height_m + STD_M * draws.standard_normal()
+            old_m = reading_m if name == "a" else old_m
+        else:
+            reading_m = old_m
+        seen = Seen.GROUND if abs(reading_m - height_m) < 0.15 else Seen.REPEATED
+        watch.update(name, time_s, seen, reading_m, STD_M, round(100 * reading_m), climb_m_s, DOWN)
+        found |= {(each.sensor, each.kind) for each in watch.findings}
+    assert ("a", "repeats") in found
+    assert {sensor for sensor, _ in found} == {"a"}
+
+
+def test_a_single_sensor_is_asked_for_codes_and_nothing_else() -> None:
+    one = SensorWatch({"a": MODEL}, SLOT_S)
+    missed = fly(one, lambda _, time_s: None if round(time_s / SLOT_S) % 5 == 0 else 0.0, 120.0, ("a",))
+    assert missed == {("a", "missed")}
+    one = SensorWatch({"a": MODEL}, SLOT_S)
+    assert fly(one, lambda _, time_s: -0.6 if round(time_s / SLOT_S) % 5 == 0 else 0.0, 120.0, ("a",)) == set()
+
+
+def test_the_watch_says_why_it_is_off() -> None:
+    assert isinstance(sensor_watch_of(airframe()), SensorWatch)
+    assert sensor_watch_of(airframe(sensor_watch=False)) == "switched off in the airframe file"
+    alone = airframe(FOUR_DOWN[:1], send={"sensors": ["a"]}, filters=[])
+    assert sensor_watch_of(alone) == "there is no fused stream to compare with"
+    with_effects = airframe([{**each, "model": "sensors/mb1242_bench.yaml"} for each in FOUR_DOWN])
+    assert sensor_watch_of(with_effects) == (
+        "sensors/mb1242_bench.yaml: no numbers (in_flight) of what beyond_field_of_view, crosstalk, external_source, "
+        "small_target make of the readings"
+    )
+
+
+def test_plain_numbers_for_the_flight_take_the_place_of_the_base_models() -> None:
+    model = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
+    numbers = expected_of(model, DOWN, 0.4)
+    assert isinstance(numbers, Expected)
+    assert numbers[:6] == (0.01, 0.02, 0.01, 0.0, 0.0, 1.0)
+    in_flight = {"short": 0.05, "missed": 0.1, "sigma_cm": 2 * model.reading_model.sigma_cm}
+    content = model.model_dump(mode="json") | {"effects": [{"name": "prop_wash"}], "in_flight": in_flight}
+    content["reading_model"] |= {"correlation": 0.5, "correlation_spacing_s": 0.2}
+    numbers = expected_of(type(model).model_validate(content), DOWN, 0.4)
+    assert isinstance(numbers, Expected)
+    assert numbers[:6] == pytest.approx((0.05, 0.1, 0.0, 0.0, 0.25, 2.0))
+
+
+def test_the_effects_that_need_no_numbers_are_those_that_change_the_mean_only() -> None:
+    from msp_range.assembly import MEAN_EFFECTS
+
+    assert {name for name, effect in CATALOGUE.items() if effect.channels == ("bias",)} == MEAN_EFFECTS
+
+
+def test_an_uneven_turn_or_a_dead_sensor_does_no_harm() -> None:
+    watch = SensorWatch(dict.fromkeys(NAMES, MODEL), TURN_S)
+    for i in range(2000):
+        name = NAMES[i % 3]
+        watch.update(name, SLOT_S * (i // 2), Seen.GROUND, 2.0, STD_M, 200, 0.0, DOWN)
+        watch.update("d", SLOT_S * (i // 2), Seen.NOTHING, None, None, None, 0.0, DOWN)
+    assert watch.findings == []
+
+
+@pytest.mark.parametrize("stone_m", [0.06, 0.09, 0.12])
+def test_a_stone_below_a_sensor_is_no_scatter(stone_m: float) -> None:
+    stones = fly(watch_of(), lambda name, time_s: -stone_m if name == "a" and time_s % 30.0 < 4.0 else 0.0, 600.0)
+    assert stones == set()
