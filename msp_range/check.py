@@ -41,9 +41,8 @@ def lines(airframe: Airframe) -> Iterator[str]:
 
 
 def _table(airframe: Airframe) -> Table:
-    table = Table(title=f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}")
-    for heading in ("sensor", "id", "address", "orientation", "sent", "in fused"):
-        table.add_column(heading)
+    title = f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}"
+    table = Table("sensor", "id", "address", "orientation", "sent", "in fused", title=title)
     downward = {sensor.name for sensor in airframe.downward}
     for sensor in airframe.sensors:
         orientation = sensor.orientation

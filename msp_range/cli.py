@@ -316,9 +316,7 @@ def scan(
     if not found:
         print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")
         return
-    table = Table(title=str(kernel_bus.path))
-    for heading in ("7-bit", "8-bit", "what"):
-        table.add_column(heading)
+    table = Table("7-bit", "8-bit", "what", title=str(kernel_bus.path))
     for each in found:
         table.add_row(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer)
     PlainConsole().print(table)

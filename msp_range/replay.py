@@ -31,7 +31,7 @@ from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
-from msp_range.terminal import PlainConsole, console
+from msp_range.terminal import PlainConsole, console, number_columns
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
@@ -211,9 +211,8 @@ def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
 
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:
     """Print the outcome as a table, and what of a damaged recording was left out."""
-    table = Table(title=f"{source}: {outcome.duration_s:.1f} s", box=box.SIMPLE_HEAD)
-    for heading in ("sensor", "readings", "used", "rejected, why"):
-        table.add_column(heading, justify="left" if heading in ("sensor", "rejected, why") else "right")
+    title = f"{source}: {outcome.duration_s:.1f} s"
+    table = Table("sensor", *number_columns("readings", "used"), "rejected, why", title=title, box=box.SIMPLE_HEAD)
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
         table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)

@@ -7,6 +7,7 @@ vehicles, sensors, runs and files must not be interpreted.
 from typing import Any
 
 from rich.console import Console
+from rich.table import Column
 from rich.text import Text
 
 from msp_range.input_file import printable
@@ -25,6 +26,11 @@ class PlainConsole(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """Convert a string that is printed or in a table to a literal text."""
         return super().render_str(printable(text), **options)
+
+
+def number_columns(*headings: str) -> list[Column]:
+    """Columns of a table that hold numbers."""
+    return [Column(heading, justify="right") for heading in headings]
 
 
 def console() -> Console:

@@ -17,7 +17,7 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import RANGE_PREFIX
-from msp_range.terminal import PlainConsole
+from msp_range.terminal import PlainConsole, number_columns
 
 Model = Literal["constant", "constant_velocity"]
 
@@ -85,9 +85,7 @@ def show(tuned: Tuned) -> None:
     console.print(
         f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.outliers} outliers removed\n"
     )
-    table = Table(box=None)
-    for heading in ("parameter", "before", "fitted", "95 % interval"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+    table = Table("parameter", *number_columns("before", "fitted", "95 % interval"), box=None)
     for each in tuned.fitted:
         interval = f"{each.low:.3g} to {each.high:.3g}"
         if each.low == 0.0 or each.high == float("inf"):

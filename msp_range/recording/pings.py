@@ -104,13 +104,9 @@ def recorded_attitudes(source: Path | str | Recording) -> list[tuple[float, Angl
     RecordingError
         The file cannot be read.
     """
-    recording, _ = _opened(source)
-    if recording is None:
-        return []
     return sorted(
         (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
-        for topic, received_s, message in recording
-        if topic == ATTITUDE_TOPIC
+        for received_s, message in _messages(source, ATTITUDE_TOPIC)
     )
 
 
@@ -121,6 +117,12 @@ def _opened(source: Path | str | Recording) -> tuple[Recording | None, Path]:
     return Recording(source) if is_recording(source) else None, Path(source)
 
 
+def _messages(source: Path | str | Recording, topic: str) -> list[tuple[float, dict[str, Any]]]:
+    """Messages of a topic, and when each was received [s]; none of a table."""
+    recording, _ = _opened(source)
+    return [(time_s, message) for each, time_s, message in recording or () if each == topic]
+
+
 def recorded_motion(source: Path | str | Recording) -> list[Moved]:
     """Accelerations and pressures that the autopilot sent, by time; none in a CSV file.
 
@@ -129,13 +131,9 @@ def recorded_motion(source: Path | str | Recording) -> list[Moved]:
     RecordingError
         The file cannot be read.
     """
-    recording, _ = _opened(source)
-    if recording is None:
-        return []
     moved = (
         Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m"))
-        for topic, _, message in recording
-        if topic == MOTION_TOPIC
+        for _, message in _messages(source, MOTION_TOPIC)
     )
     return sorted(moved, key=attrgetter("time_s"))
 

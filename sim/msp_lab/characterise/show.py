@@ -4,7 +4,7 @@ Findings enter, the table of the page leaves as lines; the page has the rest.
 """
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from msp_lab.characterise.answer import summarise
@@ -18,11 +18,9 @@ def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
     console.print(summarise(findings), highlight=False)
     rows = sum(each.readings for each in findings.points)
-    table = Table(
-        title=f"{findings.sensor}: {rows} readings at {len(findings.points)} points", title_justify="left", expand=False
-    )
-    for heading in ("what", "found (95 % interval)", "verdict"):
-        table.add_column(heading, overflow="fold")
+    columns = [Column(heading, overflow="fold") for heading in ("what", "found (95 % interval)", "verdict")]
+    title = f"{findings.sensor}: {rows} readings at {len(findings.points)} points"
+    table = Table(*columns, title=title, title_justify="left")
     for each in conclusions(findings):
         table.add_row(each.subject, each.answer, Text(each.mark, style=STYLES[each.kind]))
     console.print(table)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from rich import box
 from rich.console import Console
+from rich.table import Column
 from rich.table import Table as Shown
 
 from msp_lab.filter_study.bands import WIDTH, Band
@@ -13,6 +14,7 @@ from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
 from msp_lab.filter_study.statistics import STATISTICS
 from msp_lab.filter_study.table import Row
+from msp_range.terminal import number_columns
 
 HEADINGS = ("RMS", "90th %", "median", "mean", "variance")
 TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random ranges"}
@@ -34,10 +36,9 @@ def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[
         rows = [verdict for verdict in verdicts if scenario in verdict.rows]
         if not rows:
             continue
-        table = Shown(title=f"{TITLES[scenario]}: value, and band as stated [cm]", box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.add_column("filter", no_wrap=True)
-        for heading in (*HEADINGS, "delay", "gap", "after"):
-            table.add_column(heading, justify="right")
+        columns = Column("filter", no_wrap=True), *number_columns(*HEADINGS, "delay", "gap", "after")
+        title = f"{TITLES[scenario]}: value, and band as stated [cm]"
+        table = Shown(*columns, title=title, box=box.SIMPLE_HEAD, padding=(0, 1))
         for verdict in rows:
             row, before, after = verdict.rows[scenario], verdict.before[scenario], verdict.after[scenario]
             delay = delays[scenario].get(verdict.filter, float("nan"))
@@ -97,9 +98,8 @@ def _explanation(verdict: Verdict) -> Iterable[str]:
 
 def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     """Print the changepoint filter's figures with their goals."""
-    table = Shown(title="the changepoint filter", box=box.SIMPLE_HEAD)
-    for heading in ("figure", "value", "goal", "met"):
-        table.add_column(heading, justify="right" if heading == "value" else "left")
+    value = Column("value", justify="right")
+    table = Shown("figure", value, "goal", "met", title="the changepoint filter", box=box.SIMPLE_HEAD)
     for goal in goals:
         table.add_row(goal.name, goal.shown, goal.wanted, {True: "yes", False: "NO", None: ""}[goal.met])
     console.print(table)

@@ -4,10 +4,11 @@ from typing import Any
 
 from rich import box
 from rich.console import Console, Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from msp_range.bridge import Step
+from msp_range.terminal import number_columns
 from msp_sim.flight.flight import Simulation
 
 BAR_CELLS = 44
@@ -104,11 +105,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
 
 def _table(first: str, *numbers: str, title: str | None = None) -> Table:
     """A table with a column of names and columns of numbers."""
-    table = Table(title=title, box=box.SIMPLE_HEAD)
-    table.add_column(first, no_wrap=True)
-    for heading in numbers:
-        table.add_column(heading, justify="right")
-    return table
+    return Table(Column(first, no_wrap=True), *number_columns(*numbers), title=title, box=box.SIMPLE_HEAD)
 
 
 def _error(error: dict[str, float]) -> tuple[str, str]:

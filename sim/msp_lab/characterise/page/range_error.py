@@ -1,4 +1,4 @@
-"""Pictures of the range error over range: nothing varied, and each experiment of a campaign."""
+"""Pictures of the range error over range: the calibration, nothing varied, and each experiment of a campaign."""
 
 import re
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.page.draw.accuracy import draw_linearity
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
 from msp_lab.characterise.page.text import file_word, interval, plus, sentence, span
@@ -20,6 +21,7 @@ NEAR_ROOM_C = 5.0
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order, a material each."""
+    yield "calibration", "Calibration and linearity", calibration
     yield "range_error", "Range error, nothing varied", baseline
     for name in materials(rows):
         yield f"material_{file_word(name)}", f"Range error, target of {name}", partial(material, name=name)
@@ -29,6 +31,22 @@ def entries(rows: PictureData) -> Iterator[Entry]:
     for condition, how in (("crosstalk_simultaneous", "at once"), ("crosstalk_sequential", "in turn")):
         yield condition, f"Range error, two sensors that ping {how}", partial(crosstalk, condition=condition)
     yield "external_interference", "Range error with external ultrasound", external
+
+
+def calibration(findings: Findings, rows: PictureData) -> Drawn:
+    """Draw the calibration and its linearity."""
+    found = findings.calibration
+    if found is None or not found.true_cm:
+        raise Absent(sentence(findings.absent.get("calibration", "the readings were not compared with a reference")))
+    caption = f"Mean error {interval(found.bias)}"
+    if found.offset is not None and found.scale is not None:
+        caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
+    if found.linearity is not None:
+        caption += f"; farthest from it {interval(found.linearity)}"
+        if found.linearity_noise_floor_cm is not None:
+            caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
+    caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
+    return Drawn(draw_linearity(found), caption, "Mean error over true range with the calibration.")
 
 
 def baseline(findings: Findings, rows: PictureData) -> Drawn:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page import air, calibration, field_of_view, longest_range, mixture, questions, range_error
+from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, questions, range_error
 from msp_lab.characterise.page.answers import conclusions
 from msp_lab.characterise.page.picture_data import Absent, Entry, PictureData
 from msp_lab.characterise.page.points_table import make_points_table
@@ -42,7 +42,7 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
     """
     rows = PictureData(data, model)
     with style():
-        accuracy = chain(calibration.entries(), range_error.entries(rows), longest_range.entries())
+        accuracy = chain(range_error.entries(rows), longest_range.entries())
         sections = [
             ("errors", "Range errors", drawn(accuracy, findings, rows)),
             ("beam", "Field of view", drawn(field_of_view.entries(rows), findings, rows)),
