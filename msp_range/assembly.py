@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+from msp_range.acoustics.air import compensate_range
 from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
@@ -90,10 +91,24 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
         )
         for sensor in airframe.downward
     }
-    farthest_m = max(
-        sensor.sensor_model.maximum_cm / 100 + _below_reference_m(airframe, sensor) for sensor in airframe.downward
-    )
-    return Fusion(sensors, attitude, windows_of(airframe), motion, farthest_m)
+    return Fusion(sensors, attitude, windows_of(airframe), motion, fused_maximum_m(airframe))
+
+
+def maximum_m(sensor: SensorSettings, temperature_c: float | None = None) -> float:
+    """The longest distance that a sensor can report in air of this temperature [m]; None: where it is calibrated.
+
+    It measures for as long in any air, and sound gets less far in cold air: an MB1242 7.08 m at -20 deg C.
+    """
+    model = sensor.sensor_model
+    range_m = model.maximum_cm / 100
+    if temperature_c is None or model.medium != "sound":
+        return range_m
+    return compensate_range(range_m, temperature_c, model.calibration_temperature_c)
+
+
+def fused_maximum_m(airframe: Airframe, temperature_c: float | None = None) -> float:
+    """The longest fused distance, from the reference point [m]; see `maximum_m`."""
+    return max(maximum_m(sensor, temperature_c) + _below_reference_m(airframe, sensor) for sensor in airframe.downward)
 
 
 MEAN_EFFECTS = frozenset(
@@ -158,44 +173,51 @@ def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
     return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
 
 
-def single_streams(airframe: Airframe) -> dict[str, Stream]:
-    """The streams of sensors with a stream of their own, by name."""
+def single_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:
+    """The streams of sensors with a stream of their own, by name, in air of this temperature; see `maximum_m`."""
     return {
-        sensor.name: _own_stream(airframe, sensor, sensor.orientation)
+        sensor.name: _own_stream(airframe, sensor, sensor.orientation, temperature_c)
         for sensor in airframe.sensors
         if sensor.name in airframe.sent_names
     }
 
 
-def object_streams(airframe: Airframe) -> dict[str, Stream]:
+def object_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:
     """Streams for objects below single sensors of the fused stream that have no stream of their own, by name.
 
     Their orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4
     would mix another downward stream with the fused one.
     """
     return {
-        sensor.name: _own_stream(airframe, sensor, Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)))
+        sensor.name: _own_stream(
+            airframe, sensor, Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)), temperature_c
+        )
         for sensor in airframe.downward
         if sensor.name not in airframe.sent_names
     }
 
 
-def _own_stream(airframe: Airframe, sensor: SensorSettings, orientation: Orientation) -> Stream:
-    model, autopilot = sensor.sensor_model, airframe.link.autopilot
-    return make_stream(sensor.id, orientation, model.minimum_cm, model.maximum_cm, autopilot, _stream_type([sensor]))
+def _own_stream(
+    airframe: Airframe, sensor: SensorSettings, orientation: Orientation, temperature_c: float | None
+) -> Stream:
+    minimum_cm, maximum_cm = sensor.sensor_model.minimum_cm, round(100 * maximum_m(sensor, temperature_c))
+    autopilot = airframe.link.autopilot
+    return make_stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
 
 
-def fused_stream(airframe: Airframe) -> Stream | None:
-    """The fused downward stream, or None."""
+def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stream | None:
+    """The fused downward stream in air of this temperature (see `maximum_m`), or None."""
     if airframe.send.fused is None:
         return None
     # Counted from the reference point: for a sensor below it both limits are larger.
-    models = [(sensor.sensor_model, round(100 * _below_reference_m(airframe, sensor))) for sensor in airframe.downward]
     return make_stream(
         airframe.send.fused.id,
         Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
-        min(model.minimum_cm + below_cm for model, below_cm in models),
-        max(model.maximum_cm + below_cm for model, below_cm in models),
+        min(
+            sensor.sensor_model.minimum_cm + round(100 * _below_reference_m(airframe, sensor))
+            for sensor in airframe.downward
+        ),
+        round(100 * fused_maximum_m(airframe, temperature_c)),
         airframe.link.autopilot,
         _stream_type(airframe.downward),
     )

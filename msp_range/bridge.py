@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 from msp_range.acoustics.air import NO_AIR, Air, compensate_range
 from msp_range.assembly import (
+    fused_maximum_m,
     fused_stream,
     fusion_of,
     object_streams,
@@ -76,6 +77,9 @@ LOOK_INTERVAL_S = 0.25
 """Longest time between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]. A silence is due at
 a time of its own, whatever this is."""
 TEMPERATURE_REQUEST_HZ = 1.0
+LIMITS_FOLLOW_C = 1.0
+"""The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
+m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
 
@@ -221,6 +225,7 @@ class Bridge:
         motion: VerticalMotion | None = None,
         signing: Signing | None = None,
     ) -> None:
+        self._airframe = airframe
         self._clock = clock
         self.started_s = clock.now()
         self._recorder = recorder
@@ -262,6 +267,7 @@ class Bridge:
             len(airframe.downward),
             self._send,
         )
+        self._limits_c = float("inf")  # The first reading sets the limits of its air.
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())
         watch = sensor_watch_of(airframe)
@@ -309,6 +315,8 @@ class Bridge:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
         vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
+        if abs(vehicle_air.temperature_c - self._limits_c) > LIMITS_FOLLOW_C:
+            self._set_limits(vehicle_air.temperature_c)
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
         reading = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
@@ -348,6 +356,18 @@ class Bridge:
             climb_m_s,
             fusion.down,
         )
+
+    def _set_limits(self, temperature_c: float) -> None:
+        """The longest distances of the streams are those that sound reaches in air of this temperature."""
+        self._limits_c = temperature_c
+        airframe = self._airframe
+        self._streams.set_streams(
+            single_streams(airframe, temperature_c),
+            fused_stream(airframe, temperature_c),
+            object_streams(airframe, temperature_c),
+        )
+        if self._fusion is not None:
+            self._fusion.set_maximum(fused_maximum_m(airframe, temperature_c))
 
     def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
         """Send the fused distance, and what is below the sensor that is not ground."""

@@ -29,13 +29,13 @@ class AboveMaximum:
     Parameters
     ----------
     maximum_m
-        The longest distance that the sensors can tell [m].
+        The longest distance that the sensors can tell [m]; also an attribute, which follows the air.
     motion
         How the vehicle moves by its barometer.
     """
 
     def __init__(self, maximum_m: float, motion: VerticalMotion) -> None:
-        self._maximum_m = maximum_m
+        self.maximum_m = maximum_m
         self._motion = motion
         self._no_echo: dict[str, int] = {}
         self._ranges = 0
@@ -62,7 +62,7 @@ class AboveMaximum:
         if self._last is None:
             if min(counts) < TURNS:
                 return False
-            self._last = Known(now_s, self._maximum_m, self._maximum_m, 0.0, self._motion.mark(now_s))
+            self._last = Known(now_s, self.maximum_m, self.maximum_m, 0.0, self._motion.mark(now_s))
         return self._reachable(self._last, now_s)
 
     def _reachable(self, last: Known, now_s: float) -> bool:
@@ -75,4 +75,4 @@ class AboveMaximum:
             speeding_s = min((FASTEST_M_S - rate_m_s) / ACCELERATION_M_S2, elapsed_s)
             highest_m = rate_m_s * speeding_s + 0.5 * ACCELERATION_M_S2 * speeding_s**2
             highest_m += FASTEST_M_S * (elapsed_s - speeding_s)
-        return last.range_m + highest_m >= self._maximum_m - MARGIN_M
+        return last.range_m + highest_m >= self.maximum_m - MARGIN_M

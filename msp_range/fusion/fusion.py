@@ -126,6 +126,10 @@ class Fusion:
         """Height, climb and slope with their covariance at the time of the newest reading; None: not known."""
         return None if self._filter is None else self._filter.ground()
 
+    def set_maximum(self, maximum_m: float) -> None:
+        """The longest distance that the sensors can tell is another one, because the air is [m]."""
+        self._maximum_m = self._above.maximum_m = maximum_m
+
     @property
     def climb_m_s(self) -> float:
         """How fast the height grows [m/s]; 0 where it is not known."""

@@ -80,6 +80,10 @@ class Streams:
         self._of_objects = {name: _Quality() for name in objects}
         self.outbox = Outbox(send)
 
+    def set_streams(self, singles: Mapping[str, Stream], fused: Stream | None, objects: Mapping[str, Stream]) -> None:
+        """The same streams with other limits, because the air has another temperature."""
+        self._singles, self._fused, self._objects = singles, fused, objects
+
     def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air) -> bool:
         """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
 

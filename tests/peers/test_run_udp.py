@@ -83,7 +83,7 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
 
     fused, forward, slanted = (of_stream(end, each) for each in (FUSED_ID, FORWARD_ID, SLANTED_ID))
     for each in fused + forward + slanted:
-        assert (each["min_distance"], each["max_distance"], each["type"]) == (19, 765, 1)
+        assert (each["min_distance"], each["max_distance"], each["type"]) == (19, round(765 * COLDER), 1)
         assert each["horizontal_fov"] == each["vertical_fov"]
     assert {each["current_distance"] for each in fused} == {round(300 * COLDER)}
     assert {each["orientation"] for each in fused} == {25}
@@ -104,7 +104,8 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
 
     mounting = Rotation.from_euler("ZYX", [60, -25, 20], degrees=True).as_quat(scalar_first=True)
     for each in slanted:
-        assert (each["current_distance"], each["covariance"], each["signal_quality"]) == (766, 255, 1)
+        farther_cm = round(765 * COLDER) + 1
+        assert (each["current_distance"], each["covariance"], each["signal_quality"]) == (farther_cm, 255, 1)
         assert each["orientation"] == 100
         assert each["quaternion"] == pytest.approx(mounting, abs=1e-6)
 

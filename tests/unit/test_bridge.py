@@ -277,6 +277,33 @@ def test_a_range_is_corrected_for_the_air(air_c: float) -> None:
     assert abs(expected_cm - 600) > 6
 
 
+@pytest.mark.parametrize("air_c", [-20.0, 45.0])
+def test_the_maximum_is_the_longest_reading_in_this_air(air_c: float) -> None:
+    """At -20 C sound gets no further than 7.08 m within a sensor's cycle, at 45 C 7.94 m."""
+    factor = speed_of_sound(air_c) / speed_of_sound(CALIBRATED_C)
+    seen_cm = round(764 * factor)
+    for fixed, single in (({"fused": {"id": FUSED_ID}}, FUSED_ID), ({"sensors": ["a"]}, 1)):
+        vehicle = airframe(send=fixed, temperature={"fixed_c": air_c})
+        bench = Bench(vehicle, lambda name, time_s: 764 if time_s < 2.0 else 765).fly(4.0)
+        assert {message.max_distance for _, message in bench.sent()} == {round(765 * factor)}
+        assert set(bench.distances_cm(single, to_s=2.0)) == {seen_cm}
+        assert last(bench, single).current_distance == round(765 * factor) + 1
+
+
+def test_the_maximum_follows_the_air(tmp_path: Path) -> None:
+    thermometer = tmp_path / "air"
+    thermometer.write_text("20000")
+    source = {"source": "file", "path": str(thermometer)}
+    bench = Bench(airframe(temperature={"sources": [source]}), 300)
+    for number, air_c in enumerate(range(20, -1, -1)):
+        thermometer.write_text(f"{air_c}000")
+        bench.fly(3.0 * (number + 1))
+    maxima_cm = [message.max_distance for _, message in bench.sent()]
+    assert maxima_cm[0] == round(765 * speed_of_sound(20.0) / speed_of_sound(CALIBRATED_C))
+    assert maxima_cm[-1] == pytest.approx(765 * speed_of_sound(0.0) / speed_of_sound(CALIBRATED_C), abs=1.5)
+    assert maxima_cm == sorted(maxima_cm, reverse=True)
+
+
 def test_the_fused_distance_starts_at_the_reference_point() -> None:
     content = [each | {"position_m": [0, 0, 0.30]} for each in FOUR_DOWN]
     bench = Bench(airframe(content, send={"fused": {"id": FUSED_ID, "reference_down_m": 0.05}}), 300).fly(2.0)
