@@ -175,6 +175,44 @@ def doctor(
 
 
 @app.command()
+def commission(
+    airframe_file: AirframeFile,
+    step: Annotated[
+        Literal["wires", "addresses", "bench", "parameters", "lift", "hover", "review"] | None,
+        typer.Option(help="do this step only; default: all that have not passed yet"),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="make every change that is proposed, and wait for no key")] = False,
+    height: Annotated[
+        list[float] | None,
+        typer.Option(metavar="METRES", help="measured height of the bench check; give it again for a second one"),
+    ] = None,
+    recording: Annotated[
+        Path | None, typer.Option(help="recording of the hover (.mcap); default: the newest of the airframe's folder")
+    ] = None,
+    port: Annotated[int, typer.Option(help="the autopilot's port with the bridge, as in msp-range params")] = 2,
+    json_lines: Annotated[
+        bool, typer.Option("--json", help="print one JSON object at the end; instructions go to standard error")
+    ] = False,
+) -> None:
+    """Commission a vehicle step by step: wires, addresses, bench, parameters, a lift by hand, hover, review.
+
+    It measures on the vehicle, compares with the airframe file and asks before it changes the file; AIRFRAME.yaml.1 is
+    the file as it was. Propellers off until the hover; it stops while the vehicle is armed. The same command goes on
+    where it stopped. Exit code 1: a step has not passed.
+    """
+    from msp_range.clock import SystemClock
+    from msp_range.commission.command import commission as do
+    from msp_range.commission.operator import Terminal
+    from msp_range.commission.session import Session
+    from msp_range.doctor.computer import this_computer
+
+    clock = SystemClock()
+    operator = Terminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
+    session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
+    raise typer.Exit(do(session, step, sys.stdout, json_lines))
+
+
+@app.command()
 def status(
     once: Annotated[
         bool, typer.Option("--once", help="print once and exit; default where there is no terminal")

@@ -1,0 +1,131 @@
+"""What `msp-range commission` does: the steps in their order, each printed, corrected, verified and remembered."""
+
+import json
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any, TextIO
+
+from msp_range.commission import edit
+from msp_range.commission.outcome import Outcome, Proposal
+from msp_range.commission.session import Session
+from msp_range.commission.state import VERIFIED, State
+from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
+from msp_range.config import load_airframe
+from msp_range.doctor.command import WIDTH, lines_of
+from msp_range.yaml_file import ConfigError
+
+STEPS: dict[str, Callable[[Session], Outcome]] = {
+    "wires": wires.run,
+    "addresses": addresses.run,
+    "bench": bench.run,
+    "parameters": parameters.run,
+    "lift": lift.run,
+    "hover": flight.hover,
+    "review": flight.review,
+}
+assert list(STEPS) == list(VERIFIED)
+
+
+def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -> int:
+    """Do one step, or all that have not passed; 1 where one has not passed at the end, else 0.
+
+    Parameters
+    ----------
+    session
+        Vehicle and person.
+    step
+        The one to do, whether it has passed or not; None: all that have not passed, until one does not.
+    out
+        Where findings go.
+    as_json
+        Print one JSON object at the end instead.
+    """
+    state = State.of(session.path)
+    airframe = session.airframe()
+    session.measured.update({name: each["measured"] for name, each in state.steps.items()})
+    report: dict[str, Any] = {}
+    due = [step] if step is not None else [name for name in STEPS if not state.has_passed(name, airframe)]
+
+    def show(lines: Sequence[str]) -> None:
+        if not as_json:
+            out.write("\n".join(lines) + "\n")
+            out.flush()
+
+    show(_overview(state, session, due))
+    for name in due:
+        show(["", f"--- {name} ({list(STEPS).index(name) + 1} of {len(STEPS)}) ---"])
+        outcome = STEPS[name](session)
+        show([line for finding in outcome.findings for line in lines_of(finding)])
+        changes, outcome = _correct(session, outcome, show)
+        passed = outcome.passed
+        report[name] = {
+            "passed": passed,
+            "findings": [asdict(each) for each in outcome.findings],
+            "changes": changes,
+            "proposals_left": [each.text for each in outcome.proposals],
+            "measured": outcome.measured,
+        }
+        session.measured[name] = outcome.measured
+        if not passed:
+            show(["", f"{name}: not passed. The same command goes on here; --step {name} repeats it"])
+            break
+        state.save(name, session.airframe(), outcome.measured, session.clock)
+        show([f"{name}: passed"])
+    left = state.next_step(session.airframe())
+    if left is None:
+        show(["", "all steps passed"])
+    elif all(each["passed"] for each in report.values()):
+        show(["", f"next: {left}. The same command goes on there"])
+    if as_json:
+        out.write(json.dumps({"steps": report, "next": left}, indent=2) + "\n")
+    return int(not all(each["passed"] for each in report.values()))
+
+
+def _correct(
+    session: Session, outcome: Outcome, show: Callable[[Sequence[str]], None]
+) -> tuple[list[dict[str, str]], Outcome]:
+    """Make the changes that the person agrees to, and compare the same measurements with the new file.
+
+    Raises
+    ------
+    ConfigError
+        The changed file would not be valid; the file is as it was.
+    """
+    agreed = [each for each in outcome.proposals if session.operator.agrees(_asked(session, each))]
+    if not agreed:
+        return [], outcome
+    edits = [one for each in agreed for one in each.edits]
+    backup = edit.change(session.path, edits)
+    try:
+        changed = load_airframe(session.path)
+    except ConfigError as error:
+        backup.replace(session.path)
+        raise ConfigError(f"nothing was changed, as the file would not be valid any more:\n{error}") from None
+    show([f"saved in {session.path}; as it was: {backup.name}"])
+    changes = [{"text": each.text, "backup": str(backup)} for each in agreed]
+    if outcome.again is None:
+        return changes, outcome
+    verified = outcome.again(changed)
+    show(["with the changed file:"])
+    show([line for finding in verified.findings for line in lines_of(finding)])
+    for each in verified.proposals:
+        show(_wrapped("left     ", each.text))
+    return changes, verified
+
+
+def _asked(session: Session, proposal: Proposal) -> str:
+    lines = _wrapped("change   ", proposal.text)
+    for each in proposal.edits:
+        lines += _wrapped("         ", f"{edit.place(each.path)}: {edit.as_yaml(each.value)}")
+    return "\n".join(lines)
+
+
+def _overview(state: State, session: Session, due: Sequence[str]) -> list[str]:
+    passed = [f"{name} ({state.steps[name]['passed']})" for name in STEPS if name not in due and name in state.steps]
+    lines = _wrapped("", f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}")
+    return lines + (_wrapped("", f"passed: {', '.join(passed)}") if passed else [])
+
+
+def _wrapped(first: str, text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False)

@@ -1,0 +1,85 @@
+"""Which sensor a hand covers: its readings change, those of the others do not.
+
+Samples before and while one sensor is covered enter, the name under which the covered sensor answers leaves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from msp_range.commission.samples import Readings, Samples
+
+NEAR_M = 0.35
+"""A covered sensor reads less than this [m]: a hand on it gives the shortest report, 0.20 m for an MB1242."""
+FREE_M = 0.60
+"""Without a hand each sensor needs this much room [m], or the ground itself would look like a hand."""
+COVERED_SHARE, FREE_SHARE = 0.6, 0.3
+"""The covered sensor has at least the first share of near readings while it is covered, all others at most the second.
+A hand that comes late costs a third of the readings; a sensor that sees the arm has some. Between the two nobody is
+named."""
+
+
+@dataclass(frozen=True)
+class Covered:
+    """Which sensor was covered.
+
+    Attributes
+    ----------
+    name
+        The sensor that answered as covered; None where that is not clear.
+    shares
+        Share of near readings while it was covered, by the sensor's name.
+    """
+
+    name: str | None
+    shares: dict[str, float]
+
+
+def near_share(readings: Readings) -> float:
+    """Share of the answers that say that something is right in front of the sensor; 0 where there are none."""
+    if not readings.status:
+        return 0.0
+    near = np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < NEAR_M)
+    return float(near.mean())
+
+
+def blocked(free: Samples) -> list[str]:
+    """Sensors that have something in front of them although nobody covers them, or no answer at all."""
+    names = []
+    for name, readings in free.readings.items():
+        answers = np.array([each in ("ok", "at_minimum", "no_echo", "suspect") for each in readings.status])
+        close = np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < FREE_M)
+        if not answers.any() or close[answers].mean() > FREE_SHARE:
+            names.append(name)
+    return names
+
+
+def covered(during: Samples) -> Covered:
+    """The sensor that is covered.
+
+    Parameters
+    ----------
+    during
+        What was received while a hand covered one sensor.
+    """
+    shares = {name: near_share(readings) for name, readings in during.readings.items()}
+    first = max(shares, key=lambda name: shares[name], default=None)
+    others = [share for name, share in shares.items() if name != first]
+    clear = first is not None and shares[first] >= COVERED_SHARE and max(others, default=0.0) <= FREE_SHARE
+    return Covered(first if clear else None, shares)
+
+
+def exchanged(answered: dict[str, str]) -> dict[str, str]:
+    """For each sensor that answers under another's name, that other one.
+
+    Parameters
+    ----------
+    answered
+        Name of the sensor that a person covered -> name under which it answered.
+
+    Examples
+    --------
+    >>> exchanged({"front": "rear", "rear": "front", "left": "left"})
+    {'front': 'rear', 'rear': 'front'}
+    """
+    return {asked: found for asked, found in answered.items() if asked != found}

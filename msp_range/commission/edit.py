@@ -1,0 +1,177 @@
+"""Change single values of a YAML file and leave everything else as it is, comments included.
+
+The new text goes where YAML's own parser found the old value. The result is read again and compared with what it should
+be before anything is written, and the file as it was is kept next to it.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from msp_range.yaml_file import ConfigError, read_config
+from msp_range.yaml_loader import load_yaml
+
+Key = str | int
+MOST_BACKUPS = 999
+"""Backups of one file; nobody makes more in the life of a vehicle."""
+
+
+class Edit(NamedTuple):
+    """A place in a file, as keys and indices, and its new value."""
+
+    path: tuple[Key, ...]
+    value: Any
+
+
+def edited(text: str, edits: Sequence[Edit]) -> str:
+    """The text of a YAML file with some values changed.
+
+    Raises
+    ------
+    ConfigError
+        The text cannot be changed so, for example because two places share one value by an anchor.
+
+    Examples
+    --------
+    >>> print(edited("bus: 1  # of the Pi\\n", [Edit(("bus",), 3)]), end="")
+    bus: 3  # of the Pi
+    """
+    wanted = load_yaml(text)
+    for edit in edits:
+        text = _replaced(text, edit)
+        wanted = _with(wanted, *edit)
+    if load_yaml(text) != wanted:
+        places = "; ".join(f"{place(edit.path)}: {as_yaml(edit.value)}" for edit in edits)
+        raise ConfigError(f"this file has to be changed by hand, as parts of it are used in several places: {places}")
+    return text
+
+
+def save(path: Path, text: str) -> Path:
+    """Replace a file, keeping the one that was there as the first free of FILE.1, FILE.2 ...; return that name.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written.
+    """
+    try:
+        backup = _free_name(path)
+        backup.write_bytes(path.read_bytes())
+        # Written whole under another name first: after a power cut there is the old file or the new one.
+        new = path.with_name(f".{path.name}.new")
+        with new.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.chmod(path.stat().st_mode & 0o777)
+        new.replace(path)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be changed: {error.strerror}. Use sudo, or a copy of the file that you may write"
+        ) from None
+    return backup
+
+
+def change(path: Path, edits: Sequence[Edit]) -> Path:
+    """Change values in a file; return the backup's name. Raises ConfigError as `edited` and `save`."""
+    return save(path, edited(read_config(path), edits))
+
+
+def place(path: Sequence[Key]) -> str:
+    """A path for a person.
+
+    Examples
+    --------
+    >>> place(("sensors", 0, "position_m", 1))
+    'sensors[0].position_m[1]'
+    """
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
+    return text.removeprefix(".")
+
+
+def _free_name(path: Path) -> Path:
+    for number in range(1, MOST_BACKUPS + 1):
+        name = path.with_name(f"{path.name}.{number}")
+        if not name.exists():
+            return name
+    raise ConfigError(f"{path}: there are {MOST_BACKUPS} backups ({path.name}.1 and so on); remove the oldest")
+
+
+def _with(content: Any, path: Sequence[Key], value: Any) -> Any:
+    """A copy of YAML's values with one changed; an anchor's value is copied for each place that uses it."""
+    if not path:
+        return value
+    if isinstance(content, list):
+        return [_with(each, path[1:], value) if i == path[0] else each for i, each in enumerate(content)]
+    return content | {path[0]: _with(content.get(path[0]), path[1:], value)} if isinstance(content, dict) else None
+
+
+def _replaced(text: str, edit: Edit) -> str:
+    node, last = _compose(text), edit.path[-1]
+    for key in edit.path[:-1]:
+        node = _child(node, key, edit)
+    try:
+        found = _child(node, last, edit)
+    except KeyError:
+        return _inserted(text, node, str(last), edit)
+    start, end = found.start_mark.index, found.end_mark.index
+    return text[:start] + as_yaml(edit.value) + text[end:]
+
+
+def _compose(text: str) -> yaml.Node:
+    node = yaml.compose(text, Loader=yaml.SafeLoader)
+    if node is None:
+        raise ConfigError("the file is empty")
+    return node
+
+
+def _child(node: yaml.Node, key: Key, edit: Edit) -> yaml.Node:
+    if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
+        found: yaml.Node = node.value[key]
+        return found
+    if isinstance(node, yaml.MappingNode):
+        for name, value in node.value:
+            if name.value == key:
+                of_key: yaml.Node = value
+                return of_key
+        if key == edit.path[-1]:
+            raise KeyError(key)
+    raise ConfigError(f"{place(edit.path)}: not found in the file as it is written; change it by hand")
+
+
+def _inserted(text: str, mapping: yaml.Node, key: str, edit: Edit) -> str:
+    """The text with a key added to a mapping, after its last value."""
+    if not isinstance(mapping, yaml.MappingNode) or not mapping.value:
+        raise ConfigError(f"{place(edit.path)}: not found in the file as it is written; change it by hand")
+    name, value = mapping.value[-1]
+    end: int = value.end_mark.index
+    if mapping.flow_style:
+        return f"{text[:end]}, {key}: {as_yaml(edit.value)}{text[end:]}"
+    # A block's value may end after line ends and comments; the new line follows the last line with content.
+    end = len(text[:end].rstrip())
+    line_end = text.find("\n", end)
+    line_end = len(text) if line_end < 0 else line_end
+    return f"{text[:line_end]}\n{' ' * name.start_mark.column}{key}: {as_yaml(edit.value)}{text[line_end:]}"
+
+
+def as_yaml(value: Any) -> str:
+    """A value as it stands in the file, in one line."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(as_yaml, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {as_yaml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, Address):
+        return f"0x{value:02x}"
+    if isinstance(value, float):
+        return f"{value:.10g}" if value != int(value) else f"{value:.1f}"
+    if isinstance(value, str):
+        text: str = yaml.safe_dump(value, default_style='"', width=10_000).strip()
+        return text
+    return str(value)
+
+
+class Address(int):
+    """A number that is written in hexadecimal."""

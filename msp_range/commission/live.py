@@ -1,0 +1,161 @@
+"""Where the samples of a vehicle come from: a bridge of this program, or the socket of one that runs already.
+
+Both give the records of some seconds. Neither goes on while the vehicle is armed.
+"""
+
+import socket
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from msp_range.bridge import Bridge
+from msp_range.bus import Bus
+from msp_range.clock import Clock
+from msp_range.commission.samples import Record
+from msp_range.config import Airframe
+from msp_range.mavlink.signing import signing_of
+from msp_range.mavlink.transport import Transport
+from msp_range.watch.client import packets
+from msp_range.watch.view import autopilot_message
+from msp_range.yaml_file import ConfigError
+
+ATTITUDE_HZ = 10.0
+"""Rate of attitudes that is asked for [Hz]: a hand turns a vehicle by 3 degrees between two of them."""
+RETURNED_HZ = 5.0
+"""Rate of the autopilot's own distances that is asked for [Hz]."""
+CONNECT_S = 6.0
+"""How long to wait for a heartbeat, which comes once a second [s]."""
+AUTOPILOT_TOPIC = "/autopilot"
+
+
+class Armed(ConfigError):
+    """The vehicle is armed, so nobody should hold it in his hands."""
+
+    def __init__(self) -> None:
+        super().__init__("the vehicle is armed: disarm it and take the propellers off; nothing was changed")
+
+
+class Live(Protocol):
+    """A vehicle whose sensors are being polled."""
+
+    def record(self, duration_s: float) -> list[Record]:
+        """Everything that is received in the next seconds.
+
+        Raises
+        ------
+        Armed
+            The vehicle is armed.
+        """
+        ...
+
+    def close(self) -> None:
+        """Leave bus and link."""
+        ...
+
+
+class _Kept:
+    """The records of a bridge, kept in memory."""
+
+    fault: str | None = None
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        self.records.append(Record(topic, time_s, message))
+
+    def flush_if_due(self, now_s: float) -> None:
+        """Nothing is written to a disk."""
+
+
+class OwnBridge:
+    """A bridge of this program on the vehicle's bus and link.
+
+    Parameters
+    ----------
+    airframe, bus, clock, transport
+        As `msp_range.bridge.Bridge` has them. Both bus and transport are closed by `close`.
+    """
+
+    def __init__(self, airframe: Airframe, bus: Bus, clock: Clock, transport: Transport) -> None:
+        self._bus, self._clock, self._transport = bus, clock, transport
+        self._kept = _Kept()
+        self._bridge = Bridge(
+            airframe,
+            bus,
+            clock,
+            transport,
+            recorder=self._kept,
+            on_message=self._on_message,
+            wanted={"ATTITUDE": ATTITUDE_HZ, "DISTANCE_SENSOR": RETURNED_HZ},
+            signing=signing_of(airframe.link.signing_key, clock),
+        )
+
+    def connect(self) -> bool:
+        """Wait for the autopilot's heartbeat; whether it came."""
+        end_s = self._clock.now() + CONNECT_S
+        while not self._bridge.link.autopilot_is_present and self._clock.now() < end_s:
+            self._bridge.step()
+        return self._bridge.link.autopilot_is_present
+
+    def record(self, duration_s: float) -> list[Record]:
+        """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
+        end_s = self._clock.now() + duration_s
+        self._kept.records.clear()
+        while self._clock.now() < end_s:
+            self._bridge.step()
+            if self._bridge.link.autopilot_is_present and self._bridge.link.autopilot_armed:
+                raise Armed
+        return list(self._kept.records)
+
+    def close(self) -> None:
+        """Leave bus and link."""
+        self._transport.close()
+        self._bus.close()
+
+    def _on_message(self, now_s: float, message: Any) -> None:
+        shown = autopilot_message(message)
+        if shown is not None:
+            self._kept.write(AUTOPILOT_TOPIC, now_s, shown)
+
+
+class RunningBridge:
+    """A bridge that runs already, through its socket.
+
+    Parameters
+    ----------
+    connection
+        As `msp_range.watch.client.connect` gives it.
+    """
+
+    def __init__(self, connection: socket.socket, now: Callable[[], float]) -> None:
+        self._connection = connection
+        self._packets = packets(connection)
+        self._now = now
+
+    def record(self, duration_s: float) -> list[Record]:
+        """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
+        self._skip_old()
+        end_s = self._now() + duration_s
+        records: list[Record] = []
+        for packet in self._packets:
+            if packet.topic == "/status" and packet.message["link"]["armed"]:
+                raise Armed
+            records.append(Record(*packet))
+            if self._now() >= end_s:
+                return records
+        raise ConfigError("the bridge ended meanwhile: start it again, or stop the service and try again")
+
+    def _skip_old(self) -> None:
+        """Drop what has waited in the socket since the last time."""
+        self._connection.setblocking(False)
+        try:
+            while self._connection.recv(1 << 20):
+                pass
+        except BlockingIOError:
+            pass
+        finally:
+            self._connection.setblocking(True)
+
+    def close(self) -> None:
+        """Leave the socket."""
+        self._connection.close()

@@ -1,0 +1,121 @@
+"""The person who moves the vehicle and decides, and what she is asked to do."""
+
+import sys
+from enum import Enum
+from typing import Protocol, TextIO
+
+from msp_range.input_file import printable
+from msp_range.yaml_file import ConfigError
+
+
+class Motion(Enum):
+    """What the person is asked to do with the vehicle."""
+
+    FREE = "nothing in front of any sensor"
+    COVER = "one sensor covered by a hand"
+    STAND = "standing still and level at a measured height"
+    FLOOR = "on the floor"
+    HOLD = "held level about 1 m over the floor"
+    NOSE_UP = "nose up"
+    RIGHT_DOWN = "right side down"
+    ROCK = "rocked to all sides"
+    BOARD = "a board half a metre in front of one side"
+
+
+class Operator(Protocol):
+    """The person."""
+
+    def begin(self, text: str) -> None:
+        """Explain a step, and wait until the person is ready."""
+        ...
+
+    def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
+        """Say what is to be done from now on; ``subject`` is the sensor or the side that it is about."""
+        ...
+
+    def agrees(self, text: str) -> bool:
+        """Ask whether to make a change."""
+        ...
+
+    def height_m(self, text: str) -> float | None:
+        """Ask for a measured height [m]; None: there is no further one."""
+        ...
+
+
+class Terminal:
+    """A person at a terminal.
+
+    Parameters
+    ----------
+    accepts_all
+        Agree to every change without a question, and do not wait for the Enter key.
+    heights_m
+        Heights that were given on the command line, in the order in which they are asked for.
+    out
+        Where texts go.
+    """
+
+    def __init__(self, accepts_all: bool, heights_m: tuple[float, ...], out: TextIO) -> None:
+        self._accepts_all = accepts_all
+        self._heights = list(heights_m)
+        self._out = out
+
+    def begin(self, text: str) -> None:
+        """Explain a step, and wait for the Enter key."""
+        self._show(text)
+        if not self._accepts_all:
+            self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
+
+    def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
+        """Say what to do, with the terminal's bell: the person looks at the vehicle."""
+        self._show(f"\a>> {text}")
+
+    def agrees(self, text: str) -> bool:
+        """Ask with yes or no."""
+        self._show(text)
+        if self._accepts_all:
+            self._show("changed, as --yes says")
+            return True
+        while True:
+            answer = self._answer("Change it in the file? [y/n] ").strip().lower()
+            if answer in ("y", "yes", "n", "no"):
+                return answer.startswith("y")
+
+    def height_m(self, text: str) -> float | None:
+        """Ask for a number until it is one."""
+        if self._heights:
+            height_m = self._heights.pop(0)
+            self._show(f"{text}\n{height_m:g} m, as --height says")
+            return height_m
+        if self._accepts_all:
+            return None
+        self._show(text)
+        while True:
+            answer = self._answer("Height in metres (Enter: no further one): ").strip().replace(",", ".")
+            if not answer:
+                return None
+            try:
+                height_m = float(answer)
+            except ValueError:
+                height_m = 0.0
+            if 0.1 <= height_m <= 10.0:
+                return height_m
+            self._show(f"found {answer!r}; expected metres between 0.1 and 10, such as 0.85")
+
+    def _answer(self, question: str) -> str:
+        if not sys.stdin.isatty():
+            raise ConfigError(
+                "a question would be asked, and standard input is no terminal: use --yes to accept all changes, and "
+                "--height METRES for each height that you have measured"
+            )
+        self._out.write(question)
+        self._out.flush()
+        answer = sys.stdin.readline()
+        if not answer:
+            raise KeyboardInterrupt
+        return answer
+
+    def _show(self, text: str) -> None:
+        bell, rest = ("\a", text[1:]) if text.startswith("\a") else ("", text)
+        self._out.write(f"{bell if self._out.isatty() else ''}{printable(rest)}\n")
+        self._out.flush()

@@ -1,0 +1,70 @@
+"""What a step found, and what it proposes to change in the airframe file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from msp_range.commission.edit import Edit
+from msp_range.commission.motion import Measured
+from msp_range.config import Airframe
+from msp_range.doctor.finding import Finding, Verdict
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A change of the airframe file.
+
+    Attributes
+    ----------
+    text
+        What was measured, with its interval, what the file has, and what is proposed.
+    edits
+        The change.
+    """
+
+    text: str
+    edits: tuple[Edit, ...]
+
+
+@dataclass
+class Outcome:
+    """Outcome of one step.
+
+    Attributes
+    ----------
+    findings
+        What is right, wrong or unknown.
+    proposals
+        Changes of the airframe file that would make it right.
+    measured
+        Numbers for the state file and for other steps.
+    complete
+        False where something has to be measured again.
+    again
+        Compares the same measurements with another airframe, such as one with the changes; None where a step measured
+        nothing that depends on the file.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    proposals: list[Proposal] = field(default_factory=list)
+    measured: dict[str, Any] = field(default_factory=dict)
+    complete: bool = True
+    again: "Callable[[Airframe], Outcome] | None" = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether all was measured, nothing is wrong, nothing is to be changed, and something is right."""
+        verdicts = [each.verdict for each in self.findings]
+        return self.complete and not self.proposals and Verdict.WRONG not in verdicts and Verdict.RIGHT in verdicts
+
+
+def shown(measured: Measured, unit: str = "m", digits: int = 2) -> str:
+    """A measured number with its interval, for a person.
+
+    Examples
+    --------
+    >>> shown(Measured(-0.204, 0.018))
+    '-0.20 m (-0.22 to -0.19)'
+    """
+    low, high = measured.value - measured.half_width, measured.value + measured.half_width
+    return f"{measured.value:.{digits}f} {unit} ({low:.{digits}f} to {high:.{digits}f})"

@@ -1,0 +1,156 @@
+"""Readings and attitudes of some seconds as arrays, whatever they come from.
+
+A bridge's records enter: those of a bridge in this process, of a running one's socket, or of a recording. They have the
+same topics (`msp_range.recording.topics`).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, RANGE_PREFIX
+
+Array = NDArray[np.float64]
+
+LONGEST_GAP_S = 0.6
+"""Between two attitudes further apart than this the vehicle's turn is not known [s]: the bridge asks for ten a second,
+and a hand turns a vehicle by some 20 degrees in this time."""
+
+
+class Record(NamedTuple):
+    """One of a bridge's records: topic, time on its clock [s], and message."""
+
+    topic: str
+    time_s: float
+    message: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The readings of one sensor in the order of their times.
+
+    Attributes
+    ----------
+    time_s
+        Time of each echo, or of the ping where there was none, shape (n,) [s].
+    range_m
+        Distance after the correction for the air's temperature, shape (n,) [m]; NaN where there is none.
+    status
+        What each answer means, n words; ``suspect`` for a distance that is also the damaged form of 'no echo'.
+    rejected
+        Why each was not used, n words; None where it was.
+    latency_s
+        Shortest time from an echo to its answer [s]; NaN where there was none.
+    air_c, air_source
+        Temperature of the last correction [deg C], and its source; None for a sensor that needs none.
+    """
+
+    time_s: Array
+    range_m: Array
+    status: tuple[str, ...]
+    rejected: tuple[str | None, ...]
+    latency_s: float
+    air_c: float | None
+    air_source: str | None
+
+    @property
+    def is_distance(self) -> NDArray[np.bool_]:
+        """True where the sensor measured a distance: an echo beyond its minimum. Shape (n,)."""
+        return np.array([each == "ok" for each in self.status], dtype=bool)
+
+    def share_of(self, status: str) -> float:
+        """Share of the answers with this status; 0 where there are none."""
+        return self.status.count(status) / len(self.status) if self.status else 0.0
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What was received in some seconds.
+
+    Attributes
+    ----------
+    readings
+        By the sensor's name; sensors without a reading are left out.
+    attitude
+        Rows of (time [s], roll [rad], pitch [rad]), shape (m, 3).
+    fused
+        Rows of (time [s], fused distance [m], height [m]), shape (k, 3).
+    """
+
+    readings: Mapping[str, Readings]
+    attitude: Array
+    fused: Array
+
+    def down_at(self, time_s: Array, lag_s: float = 0.0) -> Array:
+        """The direction of straight down in the body's axes (FRD) at some times, shape (n, 3).
+
+        NaN where no attitude was received around that time. With R the rotation from body to level, it is the third row
+        of R: (-sin pitch, cos pitch sin roll, cos pitch cos roll).
+
+        Parameters
+        ----------
+        time_s
+            Times [s], shape (n,).
+        lag_s
+            How much later than the readings the attitudes seem to be [s].
+        """
+        time_s = np.asarray(time_s, dtype=float) + lag_s
+        if len(self.attitude) < 2:
+            return np.full((len(time_s), 3), np.nan)
+        known_s = self.attitude[:, 0]
+        roll, pitch = (np.interp(time_s, known_s, self.attitude[:, column]) for column in (1, 2))
+        after = np.clip(np.searchsorted(known_s, time_s), 1, len(known_s) - 1)
+        around = (known_s[after] - known_s[after - 1] <= LONGEST_GAP_S) & (time_s >= known_s[0] - LONGEST_GAP_S / 2)
+        around &= time_s <= known_s[-1] + LONGEST_GAP_S / 2
+        down = np.stack([-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1)
+        return np.where(around[:, None], down, np.nan)
+
+
+def samples_of(records: Iterable[Record]) -> Samples:
+    """The readings and attitudes among a bridge's records.
+
+    Examples
+    --------
+    >>> record = Record("/range/front", 1.0, {"time_s": 0.9, "read_s": 0.93, "status": "ok", "corrected_m": 2.0})
+    >>> samples_of([record]).readings["front"].range_m.tolist()
+    [2.0]
+    """
+    of_sensor: dict[str, list[Mapping[str, Any]]] = {}
+    attitude: list[tuple[float, float, float]] = []
+    fused: list[tuple[float, float, float]] = []
+    for topic, _, message in records:
+        if topic.startswith(RANGE_PREFIX):
+            of_sensor.setdefault(topic.removeprefix(RANGE_PREFIX), []).append(message)
+        elif topic == ATTITUDE_TOPIC:
+            attitude.append((message["time_s"], message["roll_rad"], message["pitch_rad"]))
+        elif topic == FUSED_TOPIC and {"time_s", "range_m", "height_m"} <= message.keys():
+            fused.append((message["time_s"], message["range_m"], message["height_m"]))
+    return Samples(
+        {name: _readings(messages) for name, messages in of_sensor.items()},
+        np.array(sorted(attitude), dtype=float).reshape(-1, 3),
+        np.array(sorted(fused), dtype=float).reshape(-1, 3),
+    )
+
+
+def _readings(messages: list[Mapping[str, Any]]) -> Readings:
+    messages = sorted(messages, key=lambda message: float(message["time_s"]))
+    latencies_s = [each["read_s"] - each["time_s"] for each in messages if np.isfinite(_distance_m(each))]
+    return Readings(
+        np.array([each["time_s"] for each in messages], dtype=float),
+        np.array([_distance_m(each) for each in messages], dtype=float),
+        tuple("suspect" if each.get("suspect") else each["status"] for each in messages),
+        tuple(each.get("rejected") for each in messages),
+        min(latencies_s, default=np.nan),
+        messages[-1].get("temperature_c"),
+        messages[-1].get("temperature_source"),
+    )
+
+
+def _distance_m(message: Mapping[str, Any]) -> float:
+    """The corrected distance; as it was read where the fusion takes the sensor for stuck, and NaN without one."""
+    measured_m = message.get("corrected_m")
+    measured_m = message.get("range_m") if measured_m is None else measured_m
+    return np.nan if measured_m is None else float(measured_m)

@@ -1,0 +1,87 @@
+"""What the steps work on: the airframe file, this computer's bus and link, and the person."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from msp_range.bus.smbus import BusInUse, KernelBus
+from msp_range.clock import Clock
+from msp_range.commission.live import Live, OwnBridge, RunningBridge
+from msp_range.commission.operator import Operator
+from msp_range.config import Airframe, load_airframe
+from msp_range.doctor.computer import Computer
+from msp_range.mavlink.transport import Transport, open_transport
+from msp_range.watch.client import connect
+from msp_range.watch.place import sockets
+from msp_range.yaml_file import ConfigError
+
+
+@dataclass
+class Session:
+    """One vehicle and one person.
+
+    Attributes
+    ----------
+    path
+        The airframe file.
+    computer, clock
+        Whose files doctor looks at; times.
+    operator
+        The person.
+    make_bus, make_transport
+        Open what the airframe file names.
+    recording
+        A recorded flight for the last steps; None: the newest one in the airframe's folder.
+    port
+        Number of the autopilot's port, as in `msp-range params`.
+    measured
+        What the steps so far have measured, by step.
+    """
+
+    path: Path
+    computer: Computer
+    clock: Clock
+    operator: Operator
+    make_bus: Callable[[int | str], KernelBus] = KernelBus
+    make_transport: Callable[[str, Clock], Transport] = open_transport
+    recording: Path | None = None
+    port: int = 2
+    measured: dict[str, dict[str, object]] = field(default_factory=dict)
+
+    def airframe(self) -> Airframe:
+        """The airframe as its file is now."""
+        return load_airframe(self.path)
+
+    @contextmanager
+    def live(self) -> Iterator[Live]:
+        """The vehicle's sensors and autopilot: those of a bridge that runs already, or of one made for this.
+
+        Raises
+        ------
+        ConfigError
+            Another program uses the bus, or no autopilot is received.
+        """
+        airframe = self.airframe()
+        bus = self.make_bus(airframe.bus)
+        try:
+            bus.claim()
+        except BusInUse as error:
+            connection = connect(sockets())
+            if connection is None:
+                raise ConfigError(f"{error}: sudo systemctl stop msp-range, then again") from None
+            live: Live = RunningBridge(connection, self.clock.now)
+        else:
+            own = OwnBridge(airframe, bus, self.clock, self.make_transport(airframe.link.url, self.clock))
+            if not own.connect():
+                own.close()
+                raise ConfigError(
+                    f"{airframe.link.url}: no autopilot is received, so nobody knows whether the vehicle is armed "
+                    "and how it is tilted; 'msp-range doctor' looks for the reason"
+                )
+            live = own
+        try:
+            live.record(1.0)
+            yield live
+        finally:
+            live.close()

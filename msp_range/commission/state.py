@@ -1,0 +1,113 @@
+"""Which steps have passed, kept next to the airframe file, so that commissioning goes on where it stopped.
+
+`AIRFRAME.commission.json` holds for each passed step when that was, what it measured, and a hash of those parts of the
+airframe that it verified. A change of them by anybody makes the step due again; a change of others does not.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from msp_range.clock import Clock, stamp_of
+from msp_range.config import Airframe
+from msp_range.input_file import read_text
+from msp_range.yaml_file import ConfigError
+
+LARGEST_BYTES = 2**20
+
+
+def _sensors(airframe: Airframe, *keys: str) -> list[Any]:
+    return [{key: sensor.model_dump(mode="json")[key] for key in keys} for sensor in airframe.sensors]
+
+
+VERIFIED: dict[str, Callable[[Airframe], Any]] = {
+    "wires": lambda airframe: [
+        airframe.bus,
+        sorted([sensor.address, sensor.model] for sensor in airframe.sensors),
+        airframe.link.model_dump(),
+    ],
+    "addresses": lambda airframe: _sensors(airframe, "name", "address", "model"),
+    "bench": lambda airframe: [
+        [[sensor.name, sensor.position_m[2], sensor.model] for sensor in airframe.sensors],
+        airframe.temperature.model_dump(mode="json"),
+    ],
+    "parameters": lambda airframe: [
+        airframe.link.model_dump(),
+        airframe.send.model_dump(mode="json"),
+        _sensors(airframe, "model", "position_m", "rotation_deg"),
+    ],
+    "lift": lambda airframe: _sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
+    "hover": lambda airframe: airframe.model_dump(mode="json"),
+    "review": lambda airframe: airframe.model_dump(mode="json"),
+}
+"""Steps in their order, each with the parts of the airframe that it verifies."""
+
+
+def hash_of(step: str, airframe: Airframe) -> str:
+    """A hash of the parts of an airframe that a step verifies."""
+    content = json.dumps(VERIFIED[step](airframe), sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+@dataclass
+class State:
+    """The passed steps of one airframe file.
+
+    Attributes
+    ----------
+    path
+        Where it is kept.
+    steps
+        By the step's name: ``passed`` (UTC), ``hash`` and ``measured``.
+    """
+
+    path: Path
+    steps: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, airframe_file: Path) -> "State":
+        """The state next to an airframe file; empty where there is none.
+
+        Raises
+        ------
+        ConfigError
+            There is a file, and it cannot be used.
+        """
+        path = airframe_file.with_suffix(".commission.json")
+        try:
+            steps = json.loads(read_text(path, LARGEST_BYTES))["steps"]
+            known = {name: each for name, each in steps.items() if {"passed", "hash", "measured"} <= each.keys()}
+        except FileNotFoundError:
+            return cls(path)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(f"{path}: cannot be read ({error}): remove it to begin anew") from None
+        return cls(path, known)
+
+    def has_passed(self, step: str, airframe: Airframe) -> bool:
+        """Whether a step has passed with the airframe as it is now."""
+        return step in self.steps and self.steps[step]["hash"] == hash_of(step, airframe)
+
+    def next_step(self, airframe: Airframe) -> str | None:
+        """The first step that has not passed; None where all have."""
+        return next((step for step in VERIFIED if not self.has_passed(step, airframe)), None)
+
+    def save(self, step: str, airframe: Airframe, measured: dict[str, Any], clock: Clock) -> None:
+        """Keep that a step has passed.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be written.
+        """
+        self.steps[step] = {
+            "passed": stamp_of(clock.utc()),
+            "hash": hash_of(step, airframe),
+            "measured": measured,
+        }
+        try:
+            self.path.write_text(json.dumps({"steps": self.steps}, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,98 @@
+"""Which sensor answers at which address: a person covers one after the other with a hand."""
+
+from msp_range.commission.cover import Covered, blocked, covered, exchanged
+from msp_range.commission.edit import Address, Edit
+from msp_range.commission.operator import Motion
+from msp_range.commission.outcome import Outcome, Proposal
+from msp_range.commission.samples import samples_of
+from msp_range.commission.session import Session
+from msp_range.config import Airframe
+from msp_range.doctor.finding import right, unknown, wrong
+
+FREE_S, LEAD_S, COVERED_S = 4.0, 3.0, 3.0
+"""Time without a hand, time to get to a sensor, and time on it [s]: seven readings of each of four sensors."""
+
+TEXT = """\
+Addresses: which sensor is which. Propellers off. Put the vehicle where every sensor has 0.6 m of free space in front
+of it (upside down, or across two chairs). You will be asked to cover each sensor with a flat hand for 3 s; go by the
+names that you have written on them or on their wires, and keep the other hand and the arm away from the others."""
+
+
+def run(session: Session) -> Outcome:
+    """Cover every sensor once, and those again that were not clear."""
+    airframe = session.airframe()
+    names = [sensor.name for sensor in airframe.sensors]
+    session.operator.begin(TEXT)
+    found: dict[str, Covered] = {}
+    with session.live() as live:
+        session.operator.instruct(Motion.FREE, "Hands off all sensors.")
+        live.record(LEAD_S)
+        closed = blocked(samples_of(live.record(FREE_S)))
+        if closed:
+            remedy = "give every sensor 0.6 m of free space, then again; 'msp-range doctor' if one does not answer"
+            return Outcome(
+                [wrong("cover", f"without a hand there is something in front of {', '.join(closed)}", remedy)]
+            )
+        for name in [*names, *names]:
+            if name in found and found[name].name is not None:
+                continue
+            session.operator.instruct(Motion.COVER, f"Cover {name}.", name)
+            live.record(LEAD_S)
+            found[name] = covered(samples_of(live.record(COVERED_S)))
+        session.operator.instruct(Motion.FREE, "Hands off.")
+    return compare(airframe, {name: each.name for name, each in found.items()})
+
+
+def compare(airframe: Airframe, answered: dict[str, str | None]) -> Outcome:
+    """What the answers mean for the airframe file.
+
+    Parameters
+    ----------
+    answered
+        Name of the sensor that was covered -> name under which it answered by ``airframe``; None where it is not clear.
+    """
+    outcome = Outcome()
+    known = {name: other for name, other in answered.items() if other is not None}
+    unclear = [name for name in answered if name not in known]
+    for name in unclear:
+        text = "while it was covered no sensor, or more than one, had something in front of it"
+        remedy = "cover it with a flat hand, right on the sensor; is it the one that you mean?"
+        outcome.findings.append(wrong(f"cover {name}", text, remedy))
+    if len(set(known.values())) < len(known):
+        text = "two covered sensors answered as the same one"
+        outcome.findings.append(wrong("cover", text, "cover one at a time, in the order that is asked for"))
+        return outcome
+    for name in known:
+        if known[name] == name:
+            outcome.findings.append(right(f"cover {name}", "it is the one that answered"))
+    others = exchanged(known)
+    if not others:
+        return outcome
+    address = {sensor.name: sensor.address for sensor in airframe.sensors}
+    index = {sensor.name: i for i, sensor in enumerate(airframe.sensors)}
+    for name, other in others.items():
+        text = f"the sensor at 0x{address[other]:02x} answered, which the file calls {other}"
+        outcome.findings.append(unknown(f"cover {name}", text, "the change below gives each its own address"))
+    if set(others) != set(others.values()):
+        text = "the addresses cannot be put right until every sensor is clear"
+        outcome.findings.append(wrong("cover", text, "cover them all once more"))
+        return outcome
+    listed = ", ".join(f"{name} 0x{address[name]:02x} -> 0x{address[other]:02x}" for name, other in others.items())
+    models = {airframe.sensors[index[name]].model for name in others}
+    if len(models) > 1:
+        text = f"sensors of different models are exchanged ({listed})"
+        outcome.findings.append(wrong("cover", text, "correct address and model of each by hand"))
+        return outcome
+    outcome.proposals.append(
+        Proposal(
+            f"addresses are exchanged: {listed}",
+            tuple(Edit(("sensors", index[name], "address"), Address(address[other])) for name, other in others.items()),
+        )
+    )
+
+    def again(changed: Airframe) -> Outcome:
+        name_at = {sensor.address: sensor.name for sensor in changed.sensors}
+        return compare(changed, {name: other and name_at[address[other]] for name, other in answered.items()})
+
+    outcome.again = again
+    return outcome

@@ -1,0 +1,203 @@
+"""The vehicle still and level at one or more heights that a person measures: noise, heights, air temperature."""
+
+import math
+from collections.abc import Sequence
+
+from msp_range.acoustics.air import FIXED
+from msp_range.commission.edit import Edit
+from msp_range.commission.motion import Measured, NotMeasured
+from msp_range.commission.operator import Motion
+from msp_range.commission.outcome import Outcome, Proposal, shown
+from msp_range.commission.samples import Samples, samples_of
+from msp_range.commission.session import Session
+from msp_range.commission.still import (
+    LEVEL_RAD,
+    Levels,
+    Stand,
+    latency_s,
+    levels,
+    mean_air_c,
+    median_ranges_m,
+    noise_m,
+    tilt_rad,
+)
+from msp_range.config import Airframe, SensorSettings
+from msp_range.doctor.finding import right, unknown, wrong
+
+LEAD_S, STILL_S = 2.0, 15.0
+"""Time for the hands to go, and time that is measured [s]: 37 readings of each of four sensors."""
+DEEPER_M = 0.02
+"""A height in the file that differs by less [m] stays: tape, floor and sensor are not better."""
+NOISIER_M = 0.005
+"""Noise above the model's by less [m] is not reported: it is that of readings in whole centimetres."""
+ELSEWHERE_M = 0.6
+"""A sensor this far from where the file has it [m] does not look at the floor: the lift shows where it looks."""
+WARMER_C = 4.0
+"""An air temperature that differs by less [deg C] stays: 0.7 % of the distance, of which a tape gives half."""
+
+TEXT = """\
+Bench check: noise, heights and air. Propellers off. Put the vehicle level on a stand, so that its sensors see a flat
+hard floor from 0.4 to 2 m (across two chairs, say), and measure with a tape how high its reference point is above the
+floor: the point from which the positions in the file count, [0, 0, 0], usually the autopilot. A second height that is
+at least 0.5 m higher also shows whether the air temperature is right."""
+QUESTION = "How high is the reference point above the floor now? Then take your hands off."
+
+
+def run(session: Session) -> Outcome:
+    """Measure at each height that the person gives."""
+    operator = session.operator
+    operator.begin(TEXT)
+    stands: list[Stand] = []
+    loose: list[Samples] = []
+    while len(stands) < 3:
+        height_m = operator.height_m(QUESTION if not stands else f"{QUESTION} (another height)")
+        if height_m is None and (stands or loose):
+            break
+        with session.live() as live:
+            operator.instruct(Motion.STAND, f"Leave it still for {STILL_S:.0f} s.", f"{height_m or 0:g}")
+            live.record(LEAD_S)
+            samples = samples_of(live.record(STILL_S))
+        if height_m is None:
+            loose.append(samples)
+        else:
+            stands.append(Stand(samples, height_m))
+    return compare(session.airframe(), stands, stands[0].samples if stands else loose[0])
+
+
+def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: Airframe | None = None) -> Outcome:
+    """What the stands mean for the airframe file.
+
+    Parameters
+    ----------
+    airframe
+        The file.
+    stands
+        Measured heights; none: only noise and latency are known.
+    still
+        What was received while nothing moved.
+    flown
+        The file as it was then; None: the same.
+    """
+    flown = flown or airframe
+    outcome = Outcome(again=lambda changed: compare(changed, stands, still, flown))
+    tilts = [tilt_rad(each.samples) for each in stands]
+    if any(each > LEVEL_RAD for each in tilts):
+        text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
+        outcome.findings.append(wrong("level", text, "put it level, or calibrate the autopilot's level, then again"))
+        return outcome
+    _noise(airframe, still, outcome)
+    answer_s = latency_s(still)
+    if math.isfinite(answer_s):
+        outcome.measured["echo_to_answer_s"] = round(answer_s, 4)
+        outcome.findings.append(right("latency", f"{1e3 * answer_s:.0f} ms from the echo to its answer"))
+    if not stands:
+        text = "no height was measured: heights and air temperature of the file are not checked"
+        outcome.findings.append(unknown("heights", text, "answer with a height, or give --height METRES"))
+        return outcome
+    vertical = {sensor.name: _vertical(sensor) for sensor in airframe.sensors if sensor.tilt_from_down_rad < 0.8}
+    air = mean_air_c(still)
+    try:
+        found = levels(stands, vertical, airframe.temperature.fixed_std_c if air and air[1] == FIXED else 2.0)
+    except NotMeasured as error:
+        outcome.findings.append(wrong("heights", str(error), "then again"))
+        return outcome
+    _heights(airframe, found, stands, outcome)
+    if air is not None:
+        used_c, source = air
+        _air(airframe, found.air_c(used_c), used_c + _warmer_c(airframe, flown, source), source, outcome)
+    return outcome
+
+
+def _vertical(sensor: SensorSettings) -> float:
+    """Share of its distance that is vertical over a level floor, as the fusion has it."""
+    slant = {"slant": 1.0, "nearest": 0.0, "unknown": 0.5}[sensor.sensor_model.oblique_reading]
+    return slant * math.cos(sensor.tilt_from_down_rad) + 1.0 - slant
+
+
+def _noise(airframe: Airframe, still: Samples, outcome: Outcome) -> None:
+    measured = noise_m(still)
+    sigma_cm = {sensor.name: sensor.sensor_model.reading_model.sigma_cm for sensor in airframe.sensors}
+    outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in measured.items()}
+    noisy = {
+        name: each
+        for name, each in measured.items()
+        if each.value > sigma_cm[name] / 100 and each.differs_from(sigma_cm[name] / 100, NOISIER_M)
+    }
+    for name, each in noisy.items():
+        in_cm = Measured(100 * each.value, 100 * each.half_width)
+        text = f"a still {name} scatters by {shown(in_cm, 'cm', 1)}, and its model says {sigma_cm[name]:.1f} cm"
+        remedy = (
+            "check its supply (100 ohm and 100 uF at the sensor) and the floor; if it stays, raise "
+            "reading_model.sigma_cm in a model file of your own"
+        )
+        outcome.findings.append(wrong("noise", text, remedy))
+    if measured and not noisy:
+        most = max(100 * each.value for each in measured.values())
+        model_cm = max(sigma_cm.values())
+        text = f"at most {most:.1f} cm while still; the model's {model_cm:.1f} cm have to cover the flight too"
+        outcome.findings.append(right("noise", text))
+
+
+def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome: Outcome) -> None:
+    first = median_ranges_m(stands[0].samples)
+    wrong_by: dict[str, float] = {}
+    for i, sensor in enumerate(airframe.sensors):
+        if sensor.tilt_from_down_rad >= 0.8:
+            continue
+        measured = found.down_m.get(sensor.name)
+        expected_m = stands[0].height_m - sensor.position_m[2]
+        if measured is None:
+            text = f"no distance where {expected_m:.2f} m are expected"
+            outcome.findings.append(unknown(f"height of {sensor.name}", text, "the lift shows where it looks"))
+            continue
+        in_file = sensor.position_m[2]
+        if abs(measured.value - in_file) > ELSEWHERE_M:
+            text = f"it reads {first[sensor.name]:.2f} m where {expected_m:.2f} m are expected"
+            remedy = "was the right height typed, and does it look at the floor? The lift shows where it looks"
+            outcome.findings.append(unknown(f"height of {sensor.name}", text, remedy))
+        elif measured.differs_from(in_file, DEEPER_M):
+            wrong_by[sensor.name] = measured.value - in_file
+            text = f"{sensor.name}: {shown(measured)} below the reference point, and the file has {in_file:g}"
+            outcome.proposals.append(Proposal(text, (Edit(("sensors", i, "position_m", 2), round(measured.value, 2)),)))
+        else:
+            text = f"{shown(measured)} below the reference point, {in_file:g} in the file"
+            outcome.findings.append(right(f"height of {sensor.name}", text))
+    by_m = list(wrong_by.values())
+    if len(by_m) > 1 and len(by_m) == len(found.down_m) and max(by_m) - min(by_m) < 0.03:
+        text = f"all sensors are {abs(by_m[0]):.2f} m {'lower' if by_m[0] > 0 else 'higher'} than the file says"
+        remedy = "was the tape held at the reference point, [0, 0, 0] of the file?"
+        outcome.findings.append(unknown("heights", text, remedy))
+
+
+def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
+    """How much warmer the air would be by a changed file [deg C]."""
+    if source == FIXED:
+        return airframe.temperature.fixed_c - flown.temperature.fixed_c
+    bias_c = {each.name: each.bias_c for each in airframe.temperature.sources}
+    bias_then_c = {each.name: each.bias_c for each in flown.temperature.sources}
+    return bias_then_c.get(source, 0.0) - bias_c.get(source, 0.0)
+
+
+def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source: str, outcome: Outcome) -> None:
+    if measured is None:
+        outcome.findings.append(unknown("air temperature", "one height does not show it", "measure at a second height"))
+        return
+    text = f"by the distances the air has {shown(measured, 'C', 0)}; {assumed_c:.0f} C by the file, from {source}"
+    if not measured.differs_from(assumed_c, WARMER_C):
+        outcome.findings.append(right("air temperature", text))
+        return
+    temperature = airframe.temperature
+    sources = [each.name for each in temperature.sources]
+    if source in sources:
+        i = sources.index(source)
+        bias_c = round(temperature.sources[i].bias_c + assumed_c - measured.value)
+        edit = Edit(("temperature", "sources", i, "bias_c"), bias_c)
+        outcome.proposals.append(
+            Proposal(f"{text}: bias_c of {source} from {temperature.sources[i].bias_c:g} to {bias_c}", (edit,))
+        )
+    elif source == FIXED and not sources:
+        fixed_c = round(measured.value)
+        edit = Edit(("temperature", "fixed_c"), fixed_c)
+        outcome.proposals.append(Proposal(f"{text}: fixed_c from {temperature.fixed_c:g} to {fixed_c}", (edit,)))
+    else:
+        outcome.findings.append(unknown("air temperature", text, "its source has no value now: see 'msp-range doctor'"))

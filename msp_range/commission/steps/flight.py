@@ -1,0 +1,223 @@
+"""Hover and review of the log: a recording of the bridge, from the first flight with this airframe file."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from msp_range.commission.motion import NotMeasured, Places, places
+from msp_range.commission.outcome import Outcome, Proposal
+from msp_range.commission.samples import Array, Readings, Record, Samples, samples_of
+from msp_range.commission.session import Session
+from msp_range.commission.steps.lift import compare_places
+from msp_range.config import Airframe, load_airframe_from
+from msp_range.doctor.finding import right, unknown, wrong
+from msp_range.recording.reader import Recording
+from msp_range.yaml_file import ConfigError
+
+HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
+"""A hover: at least this high above the lowest distance [m], within so much of its median [m], for this long [s]."""
+SILENT_S = 0.7
+"""Longest time between two fused distances that is usual [s]; ArduPilot drops a range finder after 0.5 s, and PX4 gets
+ten a second."""
+MOST_REJECTED, MOST_MISSED = 0.10, 0.20
+"""Shares of readings that were rejected or missed in a hover. Model and simulator have 4 %; above these one of four
+sensors contributes little, and wash, vibration or the ground is the reason."""
+OFF_M = 0.06
+"""Median difference of a sensor from the ground of all [m] that is reported: three times a place's accuracy."""
+
+
+def hover(session: Session) -> Outcome:
+    """Whether there is a recording of a hover with this airframe, and whether distances came all the time."""
+    airframe = session.airframe()
+    path = _recording(session, airframe)
+    if path is None:
+        text = (
+            "no recording: fly a hover of half a minute at 1.5 to 3 m over flat ground in a mode that does not rely on "
+            "the range finder (Stabilize, Manual), with 'msp-range run' recording"
+        )
+        return Outcome([unknown("hover", text, "then again, or name the file: --recording FLIGHT.mcap")])
+    recording = Recording(path)
+    outcome = Outcome(measured={"recording": str(path)})
+    if load_airframe_from(recording.files, path).model_dump() != airframe.model_dump():
+        text = f"{path.name} was flown with another airframe file than the present one"
+        outcome.findings.append(
+            wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
+        )
+        return outcome
+    samples = samples_of(Record(*each) for each in recording)
+    part = hovering(samples)
+    if part is None:
+        text = f"{path.name} contains no hover: {HOVER_S:.0f} s within {STEADY_M:g} m, {HIGH_M:g} m above the ground"
+        outcome.findings.append(wrong("hover", text, "fly one, or name another recording: --recording FLIGHT.mcap"))
+        return outcome
+    times_s = part.fused[:, 0]
+    outcome.findings.append(
+        right("hover", f"{path.name}: {times_s[-1] - times_s[0]:.0f} s at {np.median(part.fused[:, 1]):.1f} m")
+    )
+    longest_s = float(np.diff(times_s).max())
+    text = f"{len(times_s) / (times_s[-1] - times_s[0]):.1f} a second, at most {longest_s:.2f} s apart"
+    if longest_s > SILENT_S:
+        outcome.findings.append(wrong("fused distance", text, "the review says which sensor has no readings, and why"))
+    else:
+        outcome.findings.append(right("fused distance", text))
+    return outcome
+
+
+def review(session: Session) -> Outcome:
+    """What the hover's recording says of each sensor."""
+    airframe = session.airframe()
+    name = session.measured.get("hover", {}).get("recording")
+    path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
+    if path is None:
+        return Outcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
+    records = [Record(*each) for each in Recording(path)]
+    part = hovering(samples_of(records))
+    if part is None:
+        return Outcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
+    outcome = compare(airframe, part)
+    reported = Counter(
+        str(message["text"]) for topic, _, message in records if topic == "/health" and "text" in message
+    )
+    bad = Counter({text: count for text, count in reported.items() if _is_bad(text, records)})
+    for text, count in bad.most_common(8):
+        remedy = "docs/flying.md explains the texts"
+        outcome.findings.append(
+            unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
+        )
+    sent = Counter(str(message["name"]) for topic, _, message in records if topic == "/mavlink/sent")
+    outcome.measured["sent"] = dict(sent)
+    return outcome
+
+
+def _is_bad(text: str, records: list[Record]) -> bool:
+    return any(
+        topic == "/health" and message.get("text") == text and message.get("severity") in ("error", "warning")
+        for topic, _, message in records
+    )
+
+
+def compare(airframe: Airframe, part: Samples) -> Outcome:
+    """What a hover means for the airframe file."""
+    outcome = Outcome(again=lambda changed: compare(changed, part))
+    for sensor in airframe.downward:
+        readings = part.readings.get(sensor.name)
+        if readings is None:
+            outcome.findings.append(
+                wrong(f"flight of {sensor.name}", "no reading", "msp-range commission --step wires")
+            )
+            continue
+        _rates(sensor.name, readings, outcome)
+    try:
+        found = places(part, {sensor.name: sensor.position_m for sensor in airframe.downward})
+    except NotMeasured as error:
+        outcome.findings.append(unknown("residuals", str(error)))
+        return outcome
+    _residuals(airframe, found, outcome)
+    return outcome
+
+
+def _rates(name: str, readings: Readings, outcome: Outcome) -> None:
+    """Shares of missed and rejected readings."""
+    step = f"flight of {name}"
+    total = len(readings.status)
+    missed = sum(each not in ("ok", "at_minimum") for each in readings.status) / total
+    reasons = Counter(each for each in readings.rejected if each is not None)
+    for status in ("no_echo", "suspect"):
+        reasons.pop(status, None)
+    rejected = (
+        sum(count for reason, count in reasons.items() if reason not in ("no_answer", "clock_fault", "impossible"))
+        / total
+    )
+    listed = ", ".join(
+        f"{reason.replace('_', ' ')} {100 * count / total:.0f} %" for reason, count in reasons.most_common(3)
+    )
+    text = f"{100 * missed:.0f} % without an echo, {100 * rejected:.0f} % rejected{f' ({listed})' if listed else ''}"
+    if missed > MOST_MISSED or rejected > MOST_REJECTED:
+        remedy = (
+            "prop wash, vibration, soft or rough ground, or a sensor that looks aside: move or damp it, or fly lower"
+        )
+        outcome.findings.append(wrong(step, text, remedy))
+    else:
+        outcome.findings.append(right(step, text))
+
+
+def _residuals(airframe: Airframe, found: Places, outcome: Outcome) -> None:
+    """Places and noise as the flight shows them; tilts are small, so that only large errors sideways are seen."""
+    in_flight = Outcome()
+    compare_places(airframe, found, in_flight)
+    outcome.proposals += [Proposal(f"in flight: {each.text}", each.edits) for each in in_flight.proposals]
+    sigma = {sensor.name: sensor.sensor_model.reading_model.sigma_cm for sensor in airframe.sensors}
+    outcome.measured["noise_in_flight_cm"] = {name: round(100 * each, 2) for name, each in found.std_m.items()}
+    for name in found.elsewhere:
+        text = "its distances do not follow the ground of the others"
+        outcome.findings.append(wrong(f"residuals of {name}", text, "msp-range commission --step lift"))
+    for name, std_m in found.std_m.items():
+        text = f"{name} scatters by {100 * std_m:.1f} cm about the ground, {sigma[name]:.1f} cm in its model"
+        if 100 * std_m > 2 * sigma[name]:
+            remedy = "vibration, wash or rough ground; or raise reading_model.sigma_cm in a model file of your own"
+            outcome.findings.append(wrong(f"residuals of {name}", text, remedy))
+        else:
+            outcome.findings.append(right(f"residuals of {name}", text))
+
+
+def hovering(samples: Samples) -> Samples | None:
+    """The longest part of a flight at one height, well above the ground; None where there is none."""
+    fused = samples.fused
+    if len(fused) < 10:
+        return None
+    ground_m = float(fused[:, 2].min())
+    best: tuple[int, int] = (0, 0)
+    begin = 0
+    lowest = highest = float(fused[0, 2])
+    for end in range(len(fused)):
+        height_m = float(fused[end, 2])
+        lowest, highest = min(lowest, height_m), max(highest, height_m)
+        while highest - lowest > 2 * STEADY_M:
+            begin += 1
+            lowest, highest = float(fused[begin : end + 1, 2].min()), float(fused[begin : end + 1, 2].max())
+        is_longer = fused[end, 0] - fused[begin, 0] > fused[best[1], 0] - fused[best[0], 0]
+        if is_longer and np.median(fused[begin : end + 1, 2]) - ground_m >= HIGH_M:
+            best = begin, end
+    first_s, last_s = float(fused[best[0], 0]), float(fused[best[1], 0])
+    return part_of(samples, first_s, last_s) if last_s - first_s >= HOVER_S else None
+
+
+def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
+    """What was received between two times."""
+
+    def inside(time_s: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        between: np.ndarray[tuple[int], np.dtype[np.bool_]] = (time_s >= first_s) & (time_s <= last_s)
+        return between
+
+    readings = {}
+    for name, each in samples.readings.items():
+        kept = inside(each.time_s)
+        if kept.any():
+            readings[name] = Readings(
+                each.time_s[kept],
+                each.range_m[kept],
+                tuple(word for word, is_kept in zip(each.status, kept, strict=True) if is_kept),
+                tuple(word for word, is_kept in zip(each.rejected, kept, strict=True) if is_kept),
+                each.latency_s,
+                each.air_c,
+                each.air_source,
+            )
+    return Samples(
+        readings,
+        samples.attitude[inside(samples.attitude[:, 0])],
+        samples.fused[inside(samples.fused[:, 0])],
+    )
+
+
+def _recording(session: Session, airframe: Airframe) -> Path | None:
+    """The recording that was named, or the newest one of the airframe's folder."""
+    if session.recording is not None:
+        return session.recording
+    if airframe.recording is None:
+        return None
+    try:
+        files = sorted(Path(airframe.recording.folder).glob("*.mcap"), key=lambda each: each.stat().st_mtime)
+    except OSError as error:
+        raise ConfigError(f"{airframe.recording.folder}: cannot be read: {error.strerror}") from None
+    return files[-1] if files else None

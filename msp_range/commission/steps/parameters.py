@@ -1,0 +1,76 @@
+"""The autopilot's parameters, as `msp-range params` has them, with the latency that was measured."""
+
+from msp_range.commission.outcome import Outcome
+from msp_range.commission.session import Session
+from msp_range.doctor.autopilot import DELAY_MS
+from msp_range.doctor.finding import right, unknown, wrong
+from msp_range.mavlink.signing import signing_of
+from msp_range.params.client import ParameterClient
+from msp_range.params.commands import CONNECT_S, Difference, described, differences, undo_path, wanted, write
+from msp_range.params.settings import Setting
+from msp_range.yaml_file import ConfigError
+
+SYNCHRONISED_S = 2.0
+"""Time for the autopilot to answer TIMESYNC [s]: the bridge asks each second."""
+DELAY = "EKF2_RNG_DELAY"
+
+
+def run(session: Session) -> Outcome:
+    """Compare the autopilot's parameters, and set each that differs and that the person agrees to."""
+    airframe = session.airframe()
+    session.operator.begin(
+        "Parameters: those of the autopilot. Propellers off; each change is asked for and read back."
+    )
+    transport = session.make_transport(airframe.link.url, session.clock)
+    client = ParameterClient(
+        transport,
+        session.clock,
+        airframe.link.system_id,
+        signing=signing_of(airframe.link.signing_key, session.clock),
+    )
+    try:
+        if not client.connect(CONNECT_S):
+            remedy = "sudo systemctl stop msp-range if the service runs; else 'msp-range doctor' looks for the reason"
+            return Outcome([wrong("autopilot", f"{airframe.link.url}: none is received", remedy)])
+        firmware, settings = wanted(airframe, client, session.port)
+        changes = differences(client, settings) + _delay(session, client)
+        outcome = Outcome(measured={"firmware": str(firmware)})
+        undo = session.path.with_name(undo_path(session.clock).name)
+        shown: list[str] = []
+        done = write(client, changes, session.operator.agrees, undo, airframe.vehicle, shown.append)
+        for change in changes:
+            name = change.setting.name
+            if name in done:
+                outcome.findings.append(right(name, f"set to {done[name]:g} and read back"))
+            elif change.found is None:
+                remedy = "is --port the autopilot's port with the bridge, and the firmware the expected one?"
+                outcome.findings.append(wrong(name, described(change), remedy))
+            else:
+                outcome.findings.append(wrong(name, f"left as it was: {described(change)}", "set it, or say why not"))
+        kept = len(settings) - sum(change.setting in settings for change in changes)
+        outcome.findings.append(right("parameters", f"{kept} of {len(settings)} of {firmware} were as they should be"))
+        if done:
+            remedy = f"restart the autopilot now; to undo: msp-range params {session.path} --restore {undo}"
+            outcome.findings.append(
+                unknown("restart", f"{len(done)} set, and some count from the next start on", remedy)
+            )
+        return outcome
+    except ConfigError as error:
+        return Outcome([wrong("parameters", str(error), "then again; what was set stays set")])
+    finally:
+        transport.close()
+
+
+def _delay(session: Session, client: ParameterClient) -> list[Difference]:
+    """PX4's delay of the range finder, where the bench check has measured it."""
+    answer_s = session.measured.get("bench", {}).get("echo_to_answer_s")
+    if client.autopilot != "px4" or not isinstance(answer_s, float):
+        return []
+    client.wait(lambda: client.link.autopilot_clock.round_trip_s is not None, SYNCHRONISED_S)
+    total_ms = round(1e3 * (answer_s + (client.link.autopilot_clock.round_trip_s or 0.0) / 2))
+    found = client.read(DELAY)
+    if found is not None and abs(found - total_ms) <= DELAY_MS:
+        return []
+    return [
+        Difference(Setting(DELAY, total_ms, "from the echo to the autopilot", "measured at the bench check"), found)
+    ]

@@ -1,0 +1,306 @@
+"""`msp-range commission` on emulated vehicles that are mounted as their file says, or otherwise.
+
+The sensors answer on a bus, an autopilot sends how the vehicle is tilted, and a scripted person covers, lifts, tilts
+and measures. What is mounted is true; the file has the mistake.
+"""
+
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from msp_range.clock import VirtualClock
+from msp_range.commission.command import commission
+from msp_range.commission.samples import Record, samples_of
+from msp_range.commission.session import Session
+from msp_range.commission.state import State
+from msp_range.commission.steps.flight import compare as compare_flight
+from msp_range.commission.steps.flight import hovering
+from msp_range.config import Airframe, load_airframe
+from msp_range.doctor.computer import Computer, User
+from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
+from msp_range.yaml_file import ConfigError
+from msp_sim.flight.flight import Simulation
+from msp_sim.flight.scenario import load_scenario
+from tests.support.fake_computer import FakeComputer
+from tests.support.hand_held import EmulatedBus, HandHeld, Person
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+GOOD = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
+STEPS = ("addresses", "bench", "lift")
+SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))]
+
+
+class Vehicle:
+    """A vehicle, the person who commissions it, and the file with its mistake."""
+
+    def __init__(self, folder: Path, mounted: str, in_file: str, seed: int, air_c: float = 20.0) -> None:
+        folder.mkdir(exist_ok=True)
+        (folder / "mounted.yaml").write_text(mounted)
+        self.shown = ""
+        self.path = folder / "airframe.yaml"
+        self.path.write_text(in_file)
+        self.held = HandHeld(load_airframe(folder / "mounted.yaml"), seed, air_c)
+        self.person = Person(self.held, seed=seed)
+        self.session = Session(
+            self.path,
+            Computer(folder, User("root", 0, frozenset()), self.held.clock.utc),
+            self.held.clock,
+            self.person,
+            make_bus=lambda bus: EmulatedBus(self.held),
+            make_transport=lambda url, clock: self.held.transport(),
+        )
+
+    def do(self, *steps: str) -> dict[str, dict[str, object]]:
+        """Do these steps; their reports by name."""
+        reports: dict[str, dict[str, object]] = {}
+        for step in steps:
+            out = io.StringIO()
+            commission(self.session, step, out, as_json=True)
+            reports |= json.loads(out.getvalue())["steps"]
+        return reports
+
+    def printed(self, step: str) -> str:
+        """Do a step, and return what a person reads, in one line."""
+        self.commission(step)
+        return self.shown
+
+    def commission(self, step: str | None = None) -> int:
+        """Do the next steps, or one, for a person who reads; the exit code."""
+        out = io.StringIO()
+        code = commission(self.session, step, out, as_json=False)
+        self.shown = " ".join(out.getvalue().split())
+        return code
+
+    def computer(self) -> None:
+        """Have the computer that doctor looks at."""
+        fake = FakeComputer(self.path.parent / "computer")
+        user = User(fake.user, 54321, frozenset(fake.gids))
+        self.session.computer = Computer(fake.root, user, lambda: fake.utc_s, lambda _: fake.free_bytes)
+
+    @property
+    def airframe(self) -> Airframe:
+        """As its file is now."""
+        return load_airframe(self.path)
+
+
+def replaced(text: str, *pairs: tuple[str, str]) -> str:
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def line_of(text: str, name: str) -> str:
+    (found,) = re.findall(rf"^.*name: {name},.*$", text, re.MULTILINE)
+    return str(found)
+
+
+def at(text: str, name: str, *pairs: tuple[str, str]) -> str:
+    """A file with changes in one sensor's line."""
+    line = line_of(text, name)
+    return text.replace(line, replaced(line, *pairs))
+
+
+SWAPPED = replaced(GOOD, ("0x70", "0x7f"), ("0x71", "0x70"), ("0x7f", "0x71"))
+REVERSED = at(GOOD, "rear_left", ("pitch: -90", "pitch: 90"))
+LOW = at(GOOD, "rear_right", ("0.20, 0.05]", "0.20, 0.15]"))
+WRONG_SIGN = at(GOOD, "front_left", ("[0.25, -0.20", "[0.25, 0.20"))
+ROTATED = at(GOOD, "front_right", ("pitch: -90", "pitch: -60, yaw: 90"))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_vehicle_that_is_mounted_as_its_file_says_passes_without_a_change(tmp_path: Path, seed: int) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed)
+    reports = vehicle.do(*STEPS)
+    assert all(report["passed"] for report in reports.values()), reports
+    assert vehicle.person.asked == []
+    assert vehicle.path.read_text() == GOOD
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    ("mounted", "in_file", "step", "words"),
+    [
+        pytest.param(GOOD, SWAPPED, "addresses", "exchanged: front_left", id="swapped addresses"),
+        pytest.param(GOOD, REVERSED, "lift", "rear_left looks to pitch -90", id="reversed pitch"),
+        pytest.param(GOOD, LOW, "bench", "rear_right: 0.0", id="wrong height"),
+        pytest.param(GOOD, WRONG_SIGN, "lift", "wrong sign", id="wrong sign of y"),
+        pytest.param(ROTATED, GOOD, "lift", "front_right looks to pitch -", id="one sensor rotated"),
+    ],
+)
+def test_a_wrong_mounting_is_found_and_corrected(
+    tmp_path: Path, mounted: str, in_file: str, step: str, words: str, seed: int
+) -> None:
+    vehicle = Vehicle(tmp_path, mounted, in_file, seed)
+    reports = vehicle.do(*STEPS)
+    assert [each for each in vehicle.person.asked if words in each], vehicle.person.asked
+    assert len(vehicle.person.asked) == 1
+    assert [name for name, report in reports.items() if report["changes"]] == [step]
+    assert reports[step]["passed"], reports[step]
+    for found, true in zip(vehicle.airframe.sensors, vehicle.held.mounted.sensors, strict=True):
+        assert found.address == true.address
+        assert found.position_m == pytest.approx(true.position_m, abs=0.021)
+        # Echoes of a canted sensor show one edge of its beam.
+        assert sum(a * b for a, b in zip(found.boresight, true.boresight, strict=True)) > 0.985
+    assert (tmp_path / "airframe.yaml.1").read_text() == in_file
+
+
+COPTER = {
+    "SERIAL2_PROTOCOL": 2.0,
+    "SERIAL2_BAUD": 921.0,
+    "RNGFND1_TYPE": 10.0,
+    "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_MIN": 0.19,
+    "RNGFND1_MAX": 7.6,
+    "RNGFND1_GNDCLR": 0.2,
+    "RNGFND1_POS_Z": 0.05,
+}
+OTHER_FILES = {
+    "every y counts to the left": (
+        replaced(GOOD, ("[0.25, -0.20", "[0.25, 0.2001"), ("[-0.25, -0.20", "[-0.25, 0.2001"))
+        .replace("[0.25, 0.20,", "[0.25, -0.20,")
+        .replace("[-0.25, 0.20,", "[-0.25, -0.20,")
+        .replace("0.2001", "0.20"),
+        "every y in the file has the wrong sign",
+        4,
+    ),
+    "every height is wrong": (GOOD.replace("0.05]", "0.17]"), "m higher than the file says", 4),
+    "two places exchanged": (
+        GOOD.replace("[0.25, -0.20", "[first")
+        .replace("[-0.25, 0.20", "[0.25, -0.20")
+        .replace("[first", "[-0.25, 0.20"),
+        "front_left and rear_right sit at each other's place",
+        2,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_FILES)
+def test_several_wrong_values_are_explained_together(tmp_path: Path, name: str) -> None:
+    in_file, words, changes = OTHER_FILES[name]
+    vehicle = Vehicle(tmp_path, GOOD, in_file, seed=2)
+    shown = vehicle.printed("bench") + vehicle.printed("lift")
+    assert words in shown
+    assert len(vehicle.person.asked) == changes
+    for found, true in zip(vehicle.airframe.sensors, vehicle.held.mounted.sensors, strict=True):
+        assert found.position_m == pytest.approx(true.position_m, abs=0.021)
+
+
+@pytest.mark.parametrize("walls_cm", [{}, {"front_left": 130}])
+def test_a_sensor_that_looks_forward_is_found_with_a_board(tmp_path: Path, walls_cm: dict[str, int]) -> None:
+    mounted = at(GOOD, "front_left", ("pitch: -90", "pitch: 0"))
+    vehicle = Vehicle(tmp_path, mounted, GOOD, seed=3)
+    vehicle.held.walls_cm = walls_cm
+    report = vehicle.do("lift")["lift"]
+    assert report["passed"], report
+    assert ["sees the board at the vehicle's front" in each for each in vehicle.person.asked] == [True]
+    assert vehicle.airframe.sensors[0].boresight == pytest.approx((1, 0, 0), abs=1e-9)
+
+
+@pytest.mark.parametrize("signs", [(1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+def test_an_autopilot_that_is_mounted_backwards_is_not_the_file_s_fault(
+    tmp_path: Path, signs: tuple[float, float]
+) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=4)
+    vehicle.held.attitude_sign = signs
+    shown = vehicle.printed("lift")
+    assert "reversed" in shown
+    assert "AHRS_ORIENTATION" in shown
+    assert vehicle.person.asked == []
+
+
+def test_a_thermometer_that_is_too_warm_gets_its_bias(tmp_path: Path) -> None:
+    source = re.search(r"    - \{source: file.*\}", GOOD)
+    assert source is not None
+    warm = GOOD.replace(source[0], "    - {source: mavlink, message: SCALED_PRESSURE}  # the barometer")
+    vehicle = Vehicle(tmp_path, warm, warm, seed=5)
+    vehicle.person.heights = [0.5, 2.4]
+    report = vehicle.do("bench")["bench"]
+    assert report["passed"], report
+    assert ["bias_c" in each for each in vehicle.person.asked] == [True]
+    (found,) = vehicle.airframe.temperature.sources
+    assert found.bias_c == pytest.approx(15, abs=6)
+    assert "# the barometer" in vehicle.path.read_text()
+
+
+def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
+    vehicle.held.armed = True
+    for step in STEPS:
+        with pytest.raises(ConfigError, match="disarm"):
+            vehicle.do(step)
+    assert vehicle.path.read_text() == SWAPPED
+
+
+def test_a_change_that_is_refused_leaves_the_step_open(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=7)
+    vehicle.person.agrees_to = lambda text: False
+    report = vehicle.do("addresses")["addresses"]
+    assert not report["passed"]
+    assert report["proposals_left"]
+    assert vehicle.path.read_text() == SWAPPED
+    assert not (tmp_path / "airframe.commission.json").exists()
+
+
+def test_a_vehicle_held_still_is_not_measured(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, WRONG_SIGN, seed=8)
+    vehicle.person.is_idle = True
+    shown = vehicle.printed("lift")
+    assert "tilt it by 15 degrees" in shown
+    assert vehicle.person.asked == []
+
+
+def flown(folder: Path, vehicle: Vehicle) -> Path:
+    """The recording of a simulated hover with the airframe file as it is."""
+    scenario = load_scenario(CONFIGS / "scenarios/hover.yaml").model_copy(update={"airframe": vehicle.airframe})
+    clock = VirtualClock()
+    path = folder / "hover.mcap"
+    recorder = Recorder(path, clock, files=vehicle.airframe.files)
+    simulation = Simulation(scenario, clock, 1, recorder=recorder)
+    for _ in simulation.fly():
+        pass
+    recorder.close()
+    return path
+
+
+def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=9)
+    vehicle.computer()
+    vehicle.held.parameters = COPTER | {"RNGFND1_TYPE": 0.0}
+    assert vehicle.commission() == 1
+    passed = json.loads((tmp_path / "airframe.commission.json").read_text())["steps"]
+    assert list(passed) == ["wires", "addresses", "bench", "parameters", "lift"]
+    assert vehicle.held.parameters == pytest.approx(COPTER)
+    assert "RNGFND1_TYPE,0" in next(tmp_path.glob("undo-*.parm")).read_text()
+    assert "next: hover" not in vehicle.shown
+    assert "hover: not passed" in vehicle.shown
+
+    # The addresses are changed by hand: what was seen of them no longer counts, what was seen of the wires does.
+    corrected = vehicle.path.read_text()
+    vehicle.path.write_text(SWAPPED)
+    assert State.of(vehicle.path).next_step(vehicle.airframe) == "addresses"
+    vehicle.path.write_text(corrected + "\n# a comment\n")
+    assert State.of(vehicle.path).next_step(vehicle.airframe) == "hover"
+
+    vehicle.session.recording = flown(tmp_path, vehicle)
+    assert vehicle.commission() == 0
+    assert "all steps passed" in vehicle.shown
+    assert vehicle.commission() == 0
+
+
+def test_a_flight_with_a_wrong_height_is_seen_in_its_recording(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=10)
+    recording = flown(tmp_path, vehicle)
+    vehicle.path.write_text(LOW)
+    low = vehicle.airframe
+    part = hovering(samples_of(Record(*each) for each in Recording(recording)))
+    assert part is not None
+    proposals = compare_flight(low, part).proposals
+    assert ["rear_right: z 0.0" in each.text for each in proposals] == [True]
+    assert compare_flight(vehicle.held.mounted, part).proposals == []
+    vehicle.session.recording = recording
+    assert "another airframe file" in vehicle.printed("hover")

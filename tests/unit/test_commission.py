@@ -1,0 +1,260 @@
+"""What commissioning measures, on numbers made here from the geometry alone; and the person at the terminal."""
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from msp_range.commission.cover import blocked, covered
+from msp_range.commission.look import axis_of
+from msp_range.commission.motion import NotMeasured, common_shift, places
+from msp_range.commission.operator import Terminal
+from msp_range.commission.samples import Record, Samples, samples_of
+from msp_range.commission.steps.addresses import compare as compare_addresses
+from msp_range.commission.steps.flight import hovering
+from msp_range.commission.still import Stand, levels, noise_m
+from msp_range.config import load_airframe
+from msp_range.yaml_file import ConfigError
+
+AIRFRAME = load_airframe("configs/quad_pallet.yaml")
+PLACES = {sensor.name: sensor.position_m for sensor in AIRFRAME.sensors}
+NAMES = list(PLACES)
+BEAM = AIRFRAME.sensors[0].sensor_model.beam
+
+
+def reading(name: str, time_s: float, range_m: float | None, status: str = "ok") -> Record:
+    message = {"time_s": time_s, "read_s": time_s + 0.03, "status": status}
+    if range_m is not None:
+        message |= {"range_m": range_m, "corrected_m": range_m}
+    return Record(f"/range/{name}", time_s, message)
+
+
+def rocked(
+    mounted: Mapping[str, Sequence[float]],
+    seed: int,
+    *,
+    tilt_deg: float = 16.0,
+    late_s: float = 0.0,
+    wall: str | None = None,
+    axis: Mapping[str, tuple[float, float]] | None = None,
+    heave_m: float = 0.02,
+) -> Samples:
+    """A vehicle held 0.9 m high and rocked for 45 s; four sensors in turn, 1.5 cm of noise, one outlier in fifty.
+
+    ``wall`` looks at a wall 1.3 m away; ``axis`` is where sensors look, forward and right of straight down [deg].
+    """
+    draw = np.random.default_rng(seed)
+
+    def held(time_s: float) -> tuple[float, float, float]:
+        tilt = math.radians(tilt_deg) * min(time_s / 5, 1)
+        height_m = 0.25 + 0.65 * min(time_s / 4, 1) + heave_m * math.sin(1.1 * time_s)
+        return height_m, tilt * math.sin(1.7 * time_s), tilt * math.sin(1.3 * time_s + 0.5)
+
+    records = []
+    for number in range(450):
+        time_s = 0.1 * number
+        _, roll, pitch = held(time_s)
+        angles = {"time_s": time_s + late_s, "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": 0.0}
+        records.append(Record("/attitude", time_s, angles))
+        name = list(mounted)[number % len(mounted)]
+        at_s = time_s + 0.013
+        height_m, roll, pitch = held(at_s)
+        down = np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
+        range_m = height_m - float(down @ np.array(mounted[name])) + draw.normal(0, 0.015)
+        if draw.random() < 0.02:
+            range_m = draw.uniform(0.2, 7.0)
+        if name == wall:
+            range_m = 1.3 + draw.normal(0, 0.015)
+        elif axis is not None:
+            forward, right = (math.radians(each) for each in axis.get(name, (0.0, 0.0)))
+            looks = np.array([math.sin(forward), math.sin(right), math.cos(math.hypot(forward, right))])
+            if math.acos(min(looks @ down / np.linalg.norm(looks), 1.0)) > BEAM.half_angle_rad(range_m):
+                records.append(reading(name, at_s, None, "no_echo"))
+                continue
+        records.append(reading(name, at_s, range_m))
+    return samples_of(records)
+
+
+def test_places_are_found_whatever_the_file_says() -> None:
+    in_file = dict(PLACES) | {"front_left": (0.25, 0.20, 0.05), "rear_left": (-0.25, -0.20, 0.14)}
+    found = places(rocked(PLACES, 1), in_file)
+    assert found.elsewhere == ()
+    for name, measured in found.position_m.items():
+        assert [each.value for each in measured] == pytest.approx(PLACES[name], abs=0.04)
+        for each, true in zip(measured, PLACES[name], strict=True):
+            assert each.half_width < 0.05
+            assert abs(each.value - true) < 2 * each.half_width
+    assert found.height_at(np.array([20.0])) == pytest.approx(0.90 + 0.02 * math.sin(22), abs=0.02)
+
+
+def test_intervals_contain_the_truth() -> None:
+    inside = []
+    for seed in range(12):
+        found = places(rocked(PLACES, 100 + seed), PLACES)
+        inside += [
+            each.contains(true)
+            for name, measured in found.position_m.items()
+            for each, true in zip(measured, PLACES[name], strict=True)
+        ]
+    assert np.mean(inside) > 0.93
+
+
+@pytest.mark.parametrize("late_s", [-0.08, 0.0, 0.15])
+def test_the_delay_of_the_attitude_is_found(late_s: float) -> None:
+    found = places(rocked(PLACES, 3, late_s=late_s), PLACES)
+    assert found.lag.value == pytest.approx(late_s, abs=0.03)
+    assert abs(found.lag.value - late_s) < 2 * found.lag.half_width
+
+
+def test_a_sensor_that_sees_a_wall_is_named_and_does_not_bend_the_others() -> None:
+    found = places(rocked(PLACES, 4, wall="rear_left", heave_m=0.25), PLACES)
+    assert found.elsewhere == ("rear_left",)
+    for name, measured in found.position_m.items():
+        assert [each.value for each in measured] == pytest.approx(PLACES[name], abs=0.04)
+
+
+def test_what_is_too_little_says_so() -> None:
+    one = {"front_left": PLACES["front_left"]}
+    with pytest.raises(NotMeasured, match="comparing sensors"):
+        places(rocked(one, 5), one)
+    two = {name: PLACES[name] for name in NAMES[:2]}
+    with pytest.raises(NotMeasured, match="no third one"):
+        places(rocked(two, 5, wall=NAMES[0], heave_m=0.5), two)
+    samples = rocked(PLACES, 5)
+    with pytest.raises(NotMeasured, match="no attitude"):
+        places(Samples(samples.readings, samples.attitude[:0], samples.fused), PLACES)
+    narrow = places(rocked(PLACES, 5, tilt_deg=1.0), PLACES)
+    assert min(each.half_width for measured in narrow.position_m.values() for each in measured[:2]) > 0.10
+
+
+@pytest.mark.parametrize(
+    ("from_file", "moved", "expected"),
+    [
+        ([0.2, 0.2, -0.2, -0.2], [0, 0, 0, 0], 0),
+        ([0.2, 0.2, -0.2, -0.2], [-0.3, 0.1, 0.1, 0.1], 0.1),
+        ([0.2, -0.2, 0.2, -0.2], [-0.4, 0.4, -0.4, 0.4], 0),
+        ([0.2, 0.2, 0.2, 0.2], [-0.2, 0.2, -0.2, 0.2], 0.2),
+    ],
+)
+def test_the_shift_of_all_is_the_one_with_the_fewest_mistakes(
+    from_file: list[float], moved: list[float], expected: float
+) -> None:
+    """None wrong; one; every sign; and two of four on the wrong side, which puts the sensors around the middle."""
+    found = common_shift(np.array(from_file), np.array(moved), np.full(4, 0.02))
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("looks", [(0.0, 0.0), (25.0, 0.0), (0.0, -30.0), (-18.0, 18.0)])
+def test_the_axis_follows_from_the_echoes(looks: tuple[float, float]) -> None:
+    samples = rocked(PLACES, 6, tilt_deg=18.0, axis={"rear_right": looks})
+    found = places(samples, PLACES)
+    axis = axis_of(samples, "rear_right", found, np.array(PLACES["rear_right"]), np.array([0.0, 0.0, 1.0]), BEAM)
+    assert axis.boresight is not None
+    angles = np.degrees(np.arcsin(axis.boresight[:2]))
+    assert np.hypot(*(angles - looks)) < max(4.0, axis.half_width_deg)
+    assert axis.excluded == (looks != (0.0, 0.0))
+
+
+def covering(shares: Mapping[str, float]) -> Samples:
+    records = []
+    for name, share in shares.items():
+        for number in range(10):
+            near = number < 10 * share
+            records.append(reading(name, number, 0.2 if near else 1.8, "at_minimum" if near else "ok"))
+    return samples_of(records)
+
+
+@pytest.mark.parametrize(
+    ("shares", "expected"),
+    [
+        ({"a": 1.0, "b": 0.0}, "a"),
+        ({"a": 0.2, "b": 0.7}, "b"),
+        ({"a": 0.5, "b": 0.0}, None),
+        ({"a": 0.9, "b": 0.6}, None),
+        ({}, None),
+    ],
+)
+def test_the_covered_sensor_is_named_where_that_is_clear(shares: Mapping[str, float], expected: str | None) -> None:
+    assert covered(covering(shares)).name == expected
+
+
+def test_something_in_front_of_a_sensor_is_noticed_without_a_hand() -> None:
+    assert blocked(covering({"a": 0.0, "b": 0.8})) == ["b"]
+    dead = samples_of([reading("c", number, None, "no_answer") for number in range(5)])
+    assert blocked(dead) == ["c"]
+
+
+def test_addresses_go_round_and_doubtful_answers_change_nothing() -> None:
+    round_ = dict(zip(NAMES, [NAMES[1], NAMES[2], NAMES[0], NAMES[3]], strict=True))
+    (proposal,) = compare_addresses(AIRFRAME, dict(round_)).proposals
+    assert {each.path[1]: each.value for each in proposal.edits} == {0: 0x71, 1: 0x72, 2: 0x70}
+    for doubtful in ({**round_, NAMES[0]: None}, dict.fromkeys(NAMES, NAMES[0])):
+        outcome = compare_addresses(AIRFRAME, dict(doubtful))
+        assert outcome.proposals == []
+        assert not outcome.passed
+
+
+def stand(height_m: float, scale: float, seed: int) -> Stand:
+    draw = np.random.default_rng(seed)
+    records = [
+        reading(name, number, round((height_m - place[2]) / scale + draw.normal(0, 0.01), 2))
+        for number in range(40)
+        for name, place in PLACES.items()
+    ]
+    return Stand(samples_of(records), height_m)
+
+
+def test_one_height_gives_the_places_and_two_the_air() -> None:
+    vertical = dict.fromkeys(PLACES, 1.0)
+    one = levels([stand(0.8, 1.0, 1)], vertical, 2.0)
+    assert one.scale is None
+    assert one.air_c(20.0) is None
+    two = levels([stand(0.5, 1.03, 1), stand(2.5, 1.03, 2)], vertical, 12.0)
+    air = two.air_c(20.0)
+    assert air is not None
+    # c grows with the root of the temperature: (273.15 + 20) 1.03^2 - 273.15
+    assert air.value == pytest.approx(37.9, abs=2.0)
+    assert abs(air.value - 37.9) < air.half_width < 6
+    for found in (one, two):
+        for measured in found.down_m.values():
+            assert abs(measured.value - 0.05) < measured.half_width < 0.03
+
+
+def test_noise_is_that_of_the_steps_between_readings() -> None:
+    draw = np.random.default_rng(7)
+    records = [
+        reading("a", number, round(1.0 + 0.001 * number + draw.normal(0, 0.02), 2) if number % 20 else 4.0)
+        for number in range(400)
+    ]
+    found = noise_m(samples_of(records))["a"]
+    assert found.value == pytest.approx(0.02, abs=0.0025)
+    assert found.half_width < 0.004
+
+
+def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:
+    def height_m(time_s: float) -> float:
+        return float(np.interp(time_s, [0, 10, 15, 60, 65, 90], [0.2, 0.2, 3.0, 3.0, 0.2, 0.2]))
+
+    fused = [
+        Record("/fused", 0.1 * i, {"time_s": 0.1 * i, "range_m": height_m(0.1 * i), "height_m": height_m(0.1 * i)})
+        for i in range(900)
+    ]
+    part = hovering(samples_of(fused))
+    assert part is not None
+    assert part.fused[[0, -1], 0] == pytest.approx([13, 62], abs=1.5)
+    assert hovering(samples_of(fused[:300])) is None
+
+
+def test_without_a_terminal_no_question_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    out = io.StringIO()
+    person = Terminal(False, (), out)
+    for ask in (lambda: person.begin("a"), lambda: person.agrees("b"), lambda: person.height_m("c")):
+        with pytest.raises(ConfigError, match="--yes"):
+            ask()
+    hurried = Terminal(True, (0.8,), out)
+    hurried.begin("a")
+    assert hurried.agrees("b")
+    assert [hurried.height_m("c"), hurried.height_m("c")] == [0.8, None]
