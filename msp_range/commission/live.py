@@ -5,6 +5,7 @@ Both give the records of some seconds. Neither goes on while the vehicle is arme
 
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 from msp_range.bridge import Bridge
@@ -24,6 +25,8 @@ RETURNED_HZ = 5.0
 """Rate of the autopilot's own distances that is asked for [Hz]."""
 CONNECT_S = 6.0
 """How long to wait for a heartbeat, which comes once a second [s]."""
+SILENT_S = 2.0
+"""A running bridge that says nothing for so long hangs [s]: it sends its status twice a second."""
 AUTOPILOT_TOPIC = "/autopilot"
 
 
@@ -129,21 +132,39 @@ class RunningBridge:
 
     def __init__(self, connection: socket.socket, now: Callable[[], float]) -> None:
         self._connection = connection
+        self._connection.settimeout(SILENT_S)
         self._packets = packets(connection)
         self._now = now
+
+    def check_flies(self, airframe: Airframe) -> None:
+        """Check that its sensors are those of an airframe, before anything is recorded.
+
+        Raises
+        ------
+        ConfigError
+            It was started with another file, or before the file was changed.
+        """
+        greeting = next(self._packets, None)
+        flown = {} if greeting is None else {each["name"]: each["address"] for each in greeting.message["sensors"]}
+        if flown != {sensor.name: f"0x{sensor.address:02x}" for sensor in airframe.sensors}:
+            raise ConfigError(
+                "the running bridge has other sensors or addresses than the file: sudo systemctl reload msp-range if "
+                "it flies this file, else sudo systemctl stop msp-range"
+            )
 
     def record(self, duration_s: float) -> list[Record]:
         """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
         self._skip_old()
         end_s = self._now() + duration_s
         records: list[Record] = []
-        for packet in self._packets:
-            if packet.topic == "/status" and packet.message["link"]["armed"]:
-                raise Armed
-            records.append(Record(*packet))
-            if self._now() >= end_s:
-                return records
-        raise ConfigError("the bridge ended meanwhile: start it again, or stop the service and try again")
+        with suppress(TimeoutError):
+            for packet in self._packets:
+                if packet.topic == "/status" and packet.message["link"]["armed"]:
+                    raise Armed
+                records.append(Record(*packet))
+                if self._now() >= end_s:
+                    return records
+        raise ConfigError("the running bridge ended or hangs: start it again, or stop the service, then again")
 
     def _skip_old(self) -> None:
         """Drop what has waited in the socket since the last time."""
@@ -154,7 +175,7 @@ class RunningBridge:
         except BlockingIOError:
             pass
         finally:
-            self._connection.setblocking(True)
+            self._connection.settimeout(SILENT_S)
 
     def close(self) -> None:
         """Leave the socket."""

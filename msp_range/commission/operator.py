@@ -1,11 +1,15 @@
 """The person who moves the vehicle and decides, and what she is asked to do."""
 
 import sys
+import textwrap
 from enum import Enum
 from typing import Protocol, TextIO
 
 from msp_range.input_file import printable
 from msp_range.yaml_file import ConfigError
+
+WIDTH = 80
+"""Of lines on the terminal."""
 
 
 class Motion(Enum):
@@ -62,13 +66,16 @@ class Terminal:
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait for the Enter key."""
-        self._show(text)
+        self._show(textwrap.fill(" ".join(text.split()), WIDTH))
         if not self._accepts_all:
             self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
 
     def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
         """Say what to do, with the terminal's bell: the person looks at the vehicle."""
-        self._show(f"\a>> {text}")
+        self._show(f">> {text}")
+        if self._out.isatty():
+            self._out.write("\a")
+            self._out.flush()
 
     def agrees(self, text: str) -> bool:
         """Ask with yes or no."""
@@ -77,7 +84,7 @@ class Terminal:
             self._show("changed, as --yes says")
             return True
         while True:
-            answer = self._answer("Change it in the file? [y/n] ").strip().lower()
+            answer = self._answer("Change it? [y/n] ").strip().lower()
             if answer in ("y", "yes", "n", "no"):
                 return answer.startswith("y")
 
@@ -116,6 +123,6 @@ class Terminal:
         return answer
 
     def _show(self, text: str) -> None:
-        bell, rest = ("\a", text[1:]) if text.startswith("\a") else ("", text)
-        self._out.write(f"{bell if self._out.isatty() else ''}{printable(rest)}\n")
+        for line in text.splitlines():
+            self._out.write("\n".join(textwrap.wrap(printable(line), WIDTH, subsequent_indent=" " * 9)) + "\n")
         self._out.flush()

@@ -70,7 +70,9 @@ class Session:
             connection = connect(sockets())
             if connection is None:
                 raise ConfigError(f"{error}: sudo systemctl stop msp-range, then again") from None
-            live: Live = RunningBridge(connection, self.clock.now)
+            running = RunningBridge(connection, self.clock.now)
+            running.check_flies(airframe)
+            live: Live = running
         else:
             own = OwnBridge(airframe, bus, self.clock, self.make_transport(airframe.link.url, self.clock))
             if not own.connect():

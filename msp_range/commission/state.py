@@ -14,6 +14,7 @@ from typing import Any
 from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
 from msp_range.input_file import read_text
+from msp_range.params.settings import Firmware, settings
 from msp_range.yaml_file import ConfigError
 
 LARGEST_BYTES = 2**20
@@ -36,8 +37,7 @@ VERIFIED: dict[str, Callable[[Airframe], Any]] = {
     ],
     "parameters": lambda airframe: [
         airframe.link.model_dump(),
-        airframe.send.model_dump(mode="json"),
-        _sensors(airframe, "model", "position_m", "rotation_deg"),
+        [[each.name, each.value] for each in settings(airframe, Firmware(airframe.link.autopilot), 2)],
     ],
     "lift": lambda airframe: _sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
     "hover": lambda airframe: airframe.model_dump(mode="json"),

@@ -79,8 +79,11 @@ def noise_m(samples: Samples) -> dict[str, Measured]:
         steps = np.diff(readings.range_m[readings.is_distance])
         if len(steps) < LEAST_READINGS:
             continue
-        scale = 1.4826 * float(np.median(np.abs(steps)))
-        kept = steps[np.abs(steps) <= 4 * max(scale, 0.01)]
+        kept = steps
+        spread = max(1.4826 * float(np.median(np.abs(steps))), 0.01)
+        for _ in range(5):
+            kept = steps[np.abs(steps) <= 3 * spread]
+            spread = max(float(np.sqrt(np.mean(kept**2))), 0.01)
         variance = float(np.mean(kept**2)) / 2 - 0.01**2 / 12
         std = float(np.sqrt(max(variance, 0.0)))
         # Successive differences share a reading: 1.5 times the variance of independent ones.

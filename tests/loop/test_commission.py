@@ -288,6 +288,7 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
     vehicle.session.recording = flown(tmp_path, vehicle)
     assert vehicle.commission() == 0
+    assert "2 of 7 steps to do: hover, review" in vehicle.shown
     assert "all steps passed" in vehicle.shown
     assert vehicle.commission() == 0
 

@@ -153,7 +153,7 @@ def _residuals(airframe: Airframe, found: Places, outcome: Outcome) -> None:
         text = "its distances do not follow the ground of the others"
         outcome.findings.append(wrong(f"residuals of {name}", text, "msp-range commission --step lift"))
     for name, std_m in found.std_m.items():
-        text = f"{name} scatters by {100 * std_m:.1f} cm about the ground, {sigma[name]:.1f} cm in its model"
+        text = f"they scatter by {100 * std_m:.1f} cm about the ground, {sigma[name]:.1f} cm in its model"
         if 100 * std_m > 2 * sigma[name]:
             remedy = "vibration, wash or rough ground; or raise reading_model.sigma_cm in a model file of your own"
             outcome.findings.append(wrong(f"residuals of {name}", text, remedy))
