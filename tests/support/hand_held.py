@@ -20,6 +20,7 @@ from msp_range.commission.steps.lift import SIDES
 from msp_range.config import Airframe
 from msp_range.geometry import angle_between, boresight
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.frames import pack
 from msp_sim.device.bus import EmulatedBus as Devices
 from msp_sim.device.emulated import EmulatedSensor, ranging_timing
 from msp_sim.device.table import emulated_kind
@@ -185,11 +186,8 @@ class Autopilot(LoopbackAutopilot):
         if kind == "DISTANCE_SENSOR" and self._vehicle.returns_distances and message.orientation == 25:
             if self.flight_s() - self._returned_s >= 0.2:
                 self._returned_s = self.flight_s()
-                self._put(
-                    dialect.MAVLink_distance_sensor_message(
-                        0, 19, 760, message.current_distance, 0, 0, message.orientation, 0
-                    )
-                )
+                own = 0, 19, 760, message.current_distance, 0, 0, message.orientation, 0
+                self._put_message(dialect.MAVLink_distance_sensor_message(*own))
         elif kind == "PARAM_REQUEST_READ" and message.param_id in known:
             self._put_parameter(message.param_id)
         elif kind == "PARAM_SET" and message.param_id in known:
@@ -204,12 +202,17 @@ class Autopilot(LoopbackAutopilot):
     def _put_parameter(self, name: str) -> None:
         value = self._vehicle.parameters[name]
         real = dialect.MAV_PARAM_TYPE_REAL32
-        self._put(dialect.MAVLink_param_value_message(name.encode(), value, real, len(self._vehicle.parameters), 0))
+        count = len(self._vehicle.parameters)
+        self._put_message(dialect.MAVLink_param_value_message(name.encode(), value, real, count, 0))
 
-    def _put(self, message: Any) -> None:
-        if message.get_type() == "HEARTBEAT" and self._vehicle.armed:
-            message.base_mode |= dialect.MAV_MODE_FLAG_SAFETY_ARMED
-        super()._put(message)
+    def _put_message(self, message: Any) -> None:
+        self._outgoing += pack(message, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
+        self._sequence = (self._sequence + 1) % 256
+
+    def _put(self, kind: Any, *values: float) -> None:
+        if kind is dialect.MAVLink_heartbeat_message and self._vehicle.armed:
+            values = (*values[:2], dialect.MAV_MODE_FLAG_SAFETY_ARMED, *values[3:])
+        super()._put(kind, *values)
 
 
 class EmulatedBus(KernelBus):
