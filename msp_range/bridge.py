@@ -99,15 +99,12 @@ class Records(Protocol):
     @property
     def fault(self) -> str | None:
         """Why nothing is recorded, in at most 28 characters; None while all is well."""
-        ...
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Keep one message."""
-        ...
 
     def flush_if_due(self, now_s: float) -> None:
         """Bring to the disk what was kept, where it is time."""
-        ...
 
 
 class _Channel:

@@ -13,15 +13,12 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Seconds on a clock that never goes backwards; its zero is arbitrary."""
-        ...
 
     def sleep_until(self, time_s: float) -> None:
         """Return when ``now() >= time_s``, at once if that has passed."""
-        ...
 
     def utc(self) -> float:
         """Seconds since 1970-01-01 UTC, for file names and logs only."""
-        ...
 
 
 class SystemClock:

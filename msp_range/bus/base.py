@@ -62,20 +62,15 @@ class Bus(Protocol):
         BusError
             The device did not acknowledge, or the bus failed.
         """
-        ...
 
     def read(self, address: int, count: int) -> bytes:
         """Return ``count`` bytes from the 7-bit ``address``; raises BusError as `write` does."""
-        ...
 
     def busy_s(self, address: int) -> float:
         """For how long no device at ``address`` will answer a read [s]; 0: unknown, as on every real bus."""
-        ...
 
     def reopen(self) -> None:
         """Close and open the bus again after a lock-up; raises BusError if that fails."""
-        ...
 
     def close(self) -> None:
         """Release the bus; further calls of `close` do nothing."""
-        ...

@@ -37,11 +37,9 @@ class ThermometerReader(Protocol):
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
         """A new value, or None. Never waits on a vehicle."""
-        ...
 
     def hangs(self, now_s: float) -> bool:
         """True if a read started long ago and has not ended."""
-        ...
 
 
 def read_thermometer(source: FileSource) -> float:

@@ -15,8 +15,6 @@ class Filter(Protocol):
 
     def update(self, time_s: float, measured: Estimate) -> Estimate | None:
         """Update with a reading made at ``time_s`` [s]; None if the reading is rejected."""
-        ...
 
     def reset(self) -> None:
         """Forget everything, as after a long gap."""
-        ...

@@ -36,15 +36,12 @@ class ChunkFile(Protocol):
 
     def write(self, data: bytes) -> object:
         """Append ``data``."""
-        ...
 
     def tell(self) -> int:
         """Bytes written so far."""
-        ...
 
     def flush(self) -> object:
         """Hand over what was written."""
-        ...
 
 
 class McapWriter:

@@ -70,15 +70,12 @@ class RangeSensor(Protocol):
     @property
     def address(self) -> int:
         """Its 7-bit address on the bus."""
-        ...
 
     def ping(self) -> None:
         """Start a measurement; raises BusError if the sensor does not acknowledge."""
-        ...
 
     def answer(self) -> Decoded:
         """The measurement's result; raises BusError while there is none."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +134,9 @@ class Playback(Protocol):
     def starts(self, data: bytes, ranging: bool) -> bool | None:
         """Whether writing ``data`` starts a measurement, depending on whether one is running; None: not
         acknowledged."""
-        ...
 
     def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
         """``count`` bytes of the answer that was recorded as ``raw``; None: not acknowledged."""
-        ...
 
 
 class Driver(ABC):

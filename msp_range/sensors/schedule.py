@@ -102,15 +102,12 @@ class Schedule(Protocol):
         acknowledged
             Whether any sensor acknowledged a ping of the previous turn; if not, there was no sound.
         """
-        ...
 
     def on_reading(self, reading: Reading) -> None:
         """Record a reading."""
-        ...
 
     def again(self, sensor: str) -> None:
         """Give a sensor whose reading did not fit an extra turn soon, if there are other sensors."""
-        ...
 
 
 class RoundRobin:

@@ -37,39 +37,31 @@ class Transport(Protocol):
     @property
     def description(self) -> str:
         """The URL."""
-        ...
 
     @property
     def stats(self) -> TransportStats:
         """Counters of frames."""
-        ...
 
     @property
     def last_error(self) -> str | None:
         """The reason why the link is down, or the last error; None after the next successful opening."""
-        ...
 
     @property
     def connected(self) -> bool:
         """Whether there is a peer, as far as known."""
-        ...
 
     @property
     def quiet_until_s(self) -> float:
         """Time before which nothing arrives [s]; minus infinity if unknown, as on every real link."""
-        ...
 
     def send(self, frame: bytes) -> bool:
         """Send a complete frame now or within its deadline; False if it was dropped at once."""
-        ...
 
     def receive(self) -> bytes:
         """Return the bytes that have arrived, and maintain the connection; call it often."""
-        ...
 
     def close(self) -> None:
         """Release the link; afterwards ``send`` drops and ``receive`` returns nothing."""
-        ...
 
 
 class Nowhere:

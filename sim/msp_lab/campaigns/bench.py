@@ -31,12 +31,10 @@ class Bench(Protocol):
     @property
     def description(self) -> str:
         """Description of the bench; recordings of different benches are never mixed."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """Clock of the bench."""
-        ...
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
         """Prepare a point.
@@ -56,11 +54,9 @@ class Bench(Protocol):
             The bus, and how many of the next rangings repeat recorded ones: 0 at a real bench, ``done`` where every
             point is simulated again from its beginning.
         """
-        ...
 
     def air_c(self, now_s: float) -> float | None:
         """Air temperature at the sensor from a thermometer [deg C]; None without a valid one."""
-        ...
 
 
 class KernelBench:

@@ -52,21 +52,17 @@ class Operator(Protocol):
 
     def arrange(self, point: Point, to_change: Sequence[str], place: "Place") -> Arranged:
         """Set a point up. AGAIN reads the point before once more, SKIP leaves this one for later."""
-        ...
 
     def on_reading(
         self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
         """Receive each reading when it arrives; STOP ends the session, everything else continues."""
-        ...
 
     def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
         """Review a point that has been read; AGAIN reads it once more, STOP ends the session."""
-        ...
 
     def on_trouble(self, text: str) -> Decision:
         """Receive a report on a silent sensor; GO tries again, SKIP leaves the point, STOP ends the session."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,9 @@ class Device(Protocol):
 
     def write(self, data: bytes) -> None:
         """Take ``data``; raises NotAcknowledged where it does not answer."""
-        ...
 
     def read(self, count: int) -> bytes:
         """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
-        ...
 
 
 class EmulatedBus:

@@ -25,11 +25,9 @@ class EmulatedRangeFinder(Protocol):
 
     def write(self, data: bytes) -> None:
         """Take ``data``; raises NotAcknowledged where it does not answer."""
-        ...
 
     def read(self, count: int) -> bytes:
         """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
-        ...
 
 
 class EmulatedKind(Protocol):
@@ -44,7 +42,6 @@ class EmulatedKind(Protocol):
 
     def check_fault(self, fault: Fault) -> None:
         """Raise ValueError where such a sensor cannot show a fault."""
-        ...
 
     def __call__(
         self,

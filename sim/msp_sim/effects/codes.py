@@ -30,14 +30,12 @@ class CodeFault(Protocol):
 
     def arrives(self, code: _Array) -> _Array:
         """The code that is received for each sent code."""
-        ...
 
     def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
         """Ranges (first, last) of sent codes that are received as codes from first to last; empty if last < first.
 
         A fault that is not monotone supports single codes (first == last) and all codes up to one (first = -inf).
         """
-        ...
 
 
 @dataclass(frozen=True)

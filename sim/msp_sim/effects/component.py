@@ -33,15 +33,12 @@ class Component(Protocol):
 
         With ``slopes`` also its derivatives by the hits' centre [1/cm] and by the log of their spread, (3, n).
         """
-        ...
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         """Draw n readings [cm]."""
-        ...
 
     def take(self, rows: Any) -> "Component":
         """The component for a selection of the n readings."""
-        ...
 
 
 @dataclass(frozen=True)
