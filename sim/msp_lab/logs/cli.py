@@ -25,7 +25,8 @@ was found in each log. Runs are added to a dataset that is there.
 
 --truth is what readings are compared with: recorded, rtk, mocap, ekf, simulator, barometer, others, none, sensor:NAME
 (another range finder of the log), or column:MESSAGE.FIELD*FACTOR (any field, in metres after the factor). Default: the
-best that a log has. 'ekf' is refused while the log shows that the range is fused into it.
+best that a log has. 'ekf' is refused while the log shows that the range is fused into it. SOURCE@FILE takes the
+reference from another file and aligns the clocks: mocap@room.bag, column:z*0.001@room.csv.
 """
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import Log, Reference
 from msp_lab.logs.opening import kind_of, open_log
@@ -186,7 +187,7 @@ def import_logs(
     column_map
         For CSV files.
     shift
-        Whether the readings' lag is taken off.
+        Whether the readings' lag is taken off; it always is where the reference is in another file.
     seed
         Random seed of the intervals.
     progress
@@ -213,12 +214,17 @@ def import_logs(
             progress(f"reading {path.name}", (index + of_file) / len(paths))
 
         share(0.0)
-        log = open_log(path, share, field=truth.field, column_map=column_map, maximum_cm=sensor.maximum_cm)
+        field = "" if truth.file else truth.field
+        log = open_log(path, share, field=field, column_map=column_map, maximum_cm=sensor.maximum_cm)
         if not log.rangers:
             raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
-        reference = choose(log, truth)
-        joined = join(log, reference, np.random.default_rng(seed), shift=shift)
         notes: list[str] = []
+        if truth.file is None:
+            reference = choose(log, truth)
+        else:
+            reference, difference_s = reference_of(truth.file, truth, log)
+            notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
+        joined = join(log, reference, np.random.default_rng(seed), shift=shift or truth.file is not None)
         if truth.kind == OTHERS:
             joined, notes = _others(path, joined, sensor)
         account = _account(run, log, reference, joined, notes, truth)

@@ -1,6 +1,7 @@
 """Which reference a log is to be compared with, as ``--truth`` names it."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -38,11 +39,14 @@ class Truth:
         Of the sensor, or MESSAGE.FIELD of the column.
     factor
         From the column's unit to metres.
+    file
+        Another log that has the reference, on a clock of its own; None: the log itself.
     """
 
     kind: str = ""
     name: str = ""
     factor: float = 1.0
+    file: Path | None = None
 
     @property
     def field(self) -> str:
@@ -61,8 +65,16 @@ def parse_truth(text: str) -> Truth:
     Examples
     --------
     >>> parse_truth("column:LIDR.Dist*0.01")
-    Truth(kind='column', name='LIDR.Dist', factor=0.01)
+    Truth(kind='column', name='LIDR.Dist', factor=0.01, file=None)
+    >>> parse_truth("mocap@room.bag").file
+    PosixPath('room.bag')
     """
+    source, at, file = text.rpartition("@")
+    if at:
+        found = parse_truth(source)
+        if found.kind in (RECORDED, OTHERS, NONE) or not file:
+            raise ConfigError(f"--truth {text}: expected a reference that another file has, such as mocap@FILE")
+        return replace(found, file=Path(file))
     kind, colon, name = text.partition(":")
     if text in KINDS:
         return Truth(text)
@@ -77,7 +89,7 @@ def parse_truth(text: str) -> Truth:
     known = "; ".join(f"{word}: {meaning}" for word, meaning in KINDS.items())
     raise ConfigError(
         f"--truth {text}: expected {known}; sensor:NAME: another range finder of the log; column:MESSAGE.FIELD*FACTOR: "
-        "any field, in metres after the factor"
+        "any field, in metres after the factor; SOURCE@FILE: the reference is in another file, on its own clock"
     )
 
 
