@@ -127,6 +127,45 @@ def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
         assert sorted(kept[name].tolist()) == sorted(given[name].tolist())
 
 
+def three_sensors(path: Path) -> Path:
+    """Three range finders side by side over a vehicle's climbs; the last one reads 4 cm too far."""
+    rng = np.random.default_rng(1)
+    time_s = np.arange(0.0, 40.0, 0.05)
+    height_cm = 250.0 + 80.0 * np.sin(time_s / 3.0)
+    names = np.array(["left", "right", "far"])[np.arange(time_s.size) % 3]
+    reading_cm = np.round(height_cm + rng.normal(0.0, 1.0, time_s.size) + 4.0 * (names == "far"))
+    write_csv(path, {"time_s": time_s, "sensor": names, "reading_cm": reading_cm})
+    return path
+
+
+def test_another_sensor_of_the_log_is_the_truth(tmp_path: Path) -> None:
+    table = three_sensors(tmp_path / "three.csv")
+    (found,) = imported(table, "--truth", "sensor:right", "--out", tmp_path / "set")
+    offsets_cm = {each["name"]: each["offset_cm"] for each in found["rangers"]}
+    assert offsets_cm["right"] is None
+    assert abs(offsets_cm["left"]) < 0.6
+    assert abs(offsets_cm["far"] - 4.0) < 0.6
+    data = read_dataset(tmp_path / "set", ["far"])
+    assert set(data["sensor"]) == {"far"}
+    # It knows the ground, so nothing is taken off.
+    assert 3.0 < np.nanmedian(data["reading_cm"] - data["true_range_cm"]) < 5.0
+    # The one before in time is another sensor's, 0.05 s earlier.
+    assert np.nanmedian(data["neighbour_lag_ms"]) == 50.0
+
+
+def test_the_other_sensors_are_the_truth(tmp_path: Path) -> None:
+    table = three_sensors(tmp_path / "three.csv")
+    (found,) = imported(table, "--truth", "others", "--out", tmp_path / "set")
+    assert found["truth"] == "others"
+    assert all(each["with_truth"] > 200 for each in found["rangers"])
+    (note,) = found["notes"]
+    # By the rest of the sensors, with the model's own bias taken off.
+    assert 2.5 < float(note.split("far +")[1].split(" cm")[0]) < 4.5
+    data = read_dataset(tmp_path / "set", ["far"])
+    assert set(data["reference"]) == {"others"}
+    assert np.nanmedian(np.abs(data["reading_cm"] - data["true_range_cm"])) < 1.5
+
+
 def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:
     write_csv(tmp_path / "bench.csv", readings(400, runs=4))
     imported(tmp_path / "bench.csv", "--out", tmp_path / "set")
