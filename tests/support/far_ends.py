@@ -1,0 +1,182 @@
+"""What an owner may find at the far end of the link: autopilots on a cable, UDP or TCP, and cables with a fault.
+
+Each far end is a context manager that gives the URL by which a program of this computer reaches it.
+"""
+
+import os
+import pty
+import random
+import select
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from tests.support.mavlink_ends import Component
+from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.transports import free_port
+
+BAROMETER_C, OUTSIDE_C = 36.5, 21.5
+"""What the autopilot reports of its barometer's chip and of its airspeed sensor [deg C]."""
+
+MakeAutopilot = Callable[[str], ParameterAutopilot]
+
+
+class StreamingAutopilot(ParameterAutopilot):
+    """An autopilot that also streams the temperatures of its barometer and its airspeed sensor, as most do."""
+
+    def _send_heartbeat(self) -> None:
+        super()._send_heartbeat()
+        self._connection.mav.scaled_pressure_send(0, 1013.0, 0.0, round(BAROMETER_C * 100), round(OUTSIDE_C * 100))
+
+
+class DeafAutopilot(StreamingAutopilot):
+    """An autopilot whose RX pin is not connected: it streams, and nothing that is sent reaches it."""
+
+    def _take(self, message: Any) -> None:
+        """Receive nothing."""
+
+
+class SigningAutopilot(StreamingAutopilot):
+    """An autopilot with a key for MAVLink signing: it signs all messages, and drops what is not signed with it."""
+
+    def __init__(self, url: str, values: Mapping[str, float] | None = None, **options: Any) -> None:
+        super().__init__(url, values, **options)
+        self._connection.setup_signing(bytes(range(32)), sign_outgoing=True)
+
+
+@contextmanager
+def on_cable(make: MakeAutopilot) -> Iterator[str]:
+    """An autopilot at the other end of a serial cable."""
+    with _pair() as (here, there), make(there):
+        yield f"serial:{here}:921600"
+
+
+@contextmanager
+def by_udp(make: MakeAutopilot) -> Iterator[str]:
+    """An autopilot that listens on a UDP port of this computer."""
+    port = free_port(socket.SOCK_DGRAM)
+    with make(f"udpin:127.0.0.1:{port}"):
+        yield f"udpout:127.0.0.1:{port}"
+
+
+@contextmanager
+def by_udp_towards_here(make: MakeAutopilot) -> Iterator[str]:
+    """An autopilot that sends to a UDP port of this computer; the URL sends to the same port, and does not listen."""
+    port = free_port(socket.SOCK_DGRAM)
+    with make(f"udpout:127.0.0.1:{port}"):
+        yield f"udpout:127.0.0.1:{port}"
+
+
+@contextmanager
+def by_tcp(make: MakeAutopilot) -> Iterator[str]:
+    """An autopilot that listens on a TCP port of this computer."""
+    port = free_port(socket.SOCK_STREAM)
+    with make(f"tcpin:127.0.0.1:{port}"):
+        yield f"tcp:127.0.0.1:{port}"
+
+
+@contextmanager
+def silent_cable() -> Iterator[str]:
+    """A serial port with nothing on its pins."""
+    with _pair() as (here, _):
+        yield f"serial:{here}:921600"
+
+
+@contextmanager
+def cable_at_other_baud(sent_baud: int, read_baud: int) -> Iterator[str]:
+    """An autopilot that sends at another baud rate than the one that the port is read with."""
+    stop = threading.Event()
+
+    def send(descriptor: int) -> None:
+        autopilot, chance = Component(), random.Random(1)
+        while not stop.wait(0.1):
+            # A heartbeat, and other messages of a stream.
+            frames = autopilot.heartbeat() + chance.randbytes(60)
+            os.write(descriptor, misread(frames, sent_baud, read_baud))
+
+    with _pair() as (here, there):
+        descriptor = os.open(there, os.O_RDWR | os.O_NOCTTY)
+        thread = threading.Thread(target=send, args=(descriptor,), daemon=True)
+        thread.start()
+        try:
+            yield f"serial:{here}:{read_baud}"
+        finally:
+            stop.set()
+            thread.join()
+            os.close(descriptor)
+
+
+def misread(data: bytes, sent_baud: int, read_baud: int) -> bytes:
+    """The bytes that a serial port makes of a signal at another baud rate.
+
+    A line with one start bit, eight data bits and one stop bit, read in the middle of what the reader takes for bits.
+    Linux reports a byte without a stop bit as zero.
+
+    Examples
+    --------
+    >>> misread(b"range", 57600, 57600)
+    b'range'
+    >>> misread(b"U", 57600, 115200).hex()
+    '00e6'
+    """
+    levels = [1]
+    for byte in data:
+        levels += [0, *((byte >> bit) & 1 for bit in range(8)), 1]
+    end_s = len(levels) / sent_baud
+
+    def level(time_s: float) -> int:
+        return levels[min(int(time_s * sent_baud), len(levels) - 1)] if time_s < end_s else 1
+
+    seen = bytearray()
+    step_s = 0.05 / max(sent_baud, read_baud)
+    time_s = 0.0
+    while time_s < end_s:
+        if level(time_s):
+            time_s += step_s
+            continue
+        byte = sum(level(time_s + (1.5 + bit) / read_baud) << bit for bit in range(8))
+        seen.append(byte if level(time_s + 9.5 / read_baud) else 0)
+        time_s += 9.5 / read_baud
+        while time_s < end_s and not level(time_s):
+            time_s += step_s
+    return bytes(seen)
+
+
+@contextmanager
+def _pair() -> Iterator[tuple[str, str]]:
+    """Two serial ports with a cable between them: their paths."""
+    masters, slaves = zip(*(pty.openpty() for _ in range(2)), strict=True)
+    for slave in slaves:
+        tty.setraw(slave)
+    stop = threading.Event()
+
+    def carry() -> None:
+        while not stop.is_set():
+            for descriptor in select.select(masters, [], [], 0.05)[0]:
+                other = masters[1 - masters.index(descriptor)]
+                data = os.read(descriptor, 4096)
+                # A port that nobody reads loses what comes.
+                if select.select([], [other], [], 0.0)[1]:
+                    os.write(other, data)
+
+    thread = threading.Thread(target=carry, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(slaves[0]), os.ttyname(slaves[1])
+    finally:
+        stop.set()
+        thread.join()
+        for descriptor in (*masters, *slaves):
+            os.close(descriptor)
+
+
+def wait_for_distances(autopilot: ParameterAutopilot, limit_s: float = 20.0) -> None:
+    """Wait until distances have come."""
+    give_up_s = time.monotonic() + limit_s
+    while not any(message.get_type() == "DISTANCE_SENSOR" for message in autopilot.received):
+        assert time.monotonic() < give_up_s, "no distances have come"
+        time.sleep(0.05)
