@@ -12,7 +12,9 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from tests.support.mavlink_ends import Component
@@ -51,8 +53,15 @@ class SigningAutopilot(StreamingAutopilot):
 @contextmanager
 def on_cable(make: MakeAutopilot) -> Iterator[str]:
     """An autopilot at the other end of a serial cable."""
-    with _pair() as (here, there), make(there):
-        yield f"serial:{here}:921600"
+    port = free_port(socket.SOCK_DGRAM)
+    with (
+        make(f"udpin:127.0.0.1:{port}"),
+        _serial_port() as (path, master),
+        socket.socket(type=socket.SOCK_DGRAM) as far,
+    ):
+        far.connect(("127.0.0.1", port))
+        with _carrying(master, far):
+            yield f"serial:{path}:921600"
 
 
 @contextmanager
@@ -82,32 +91,22 @@ def by_tcp(make: MakeAutopilot) -> Iterator[str]:
 @contextmanager
 def silent_cable() -> Iterator[str]:
     """A serial port with nothing on its pins."""
-    with _pair() as (here, _):
-        yield f"serial:{here}:921600"
+    with _serial_port() as (path, _):
+        yield f"serial:{path}:921600"
 
 
 @contextmanager
 def cable_at_other_baud(sent_baud: int, read_baud: int) -> Iterator[str]:
     """An autopilot that sends at another baud rate than the one that the port is read with."""
-    stop = threading.Event()
+    autopilot, chance = Component(), random.Random(1)
 
-    def send(descriptor: int) -> None:
-        autopilot, chance = Component(), random.Random(1)
-        while not stop.wait(0.1):
-            # A heartbeat, and other messages of a stream.
-            frames = autopilot.heartbeat() + chance.randbytes(60)
-            os.write(descriptor, misread(frames, sent_baud, read_baud))
+    def send() -> None:
+        # A heartbeat, and other messages of a stream.
+        os.write(master, misread(autopilot.heartbeat() + chance.randbytes(60), sent_baud, read_baud))
+        time.sleep(0.1)
 
-    with _pair() as (here, there):
-        descriptor = os.open(there, os.O_RDWR | os.O_NOCTTY)
-        thread = threading.Thread(target=send, args=(descriptor,), daemon=True)
-        thread.start()
-        try:
-            yield f"serial:{here}:{read_baud}"
-        finally:
-            stop.set()
-            thread.join()
-            os.close(descriptor)
+    with _serial_port() as (path, master), _repeating(send):
+        yield f"serial:{path}:{read_baud}"
 
 
 def misread(data: bytes, sent_baud: int, read_baud: int) -> bytes:
@@ -147,36 +146,54 @@ def misread(data: bytes, sent_baud: int, read_baud: int) -> bytes:
 
 
 @contextmanager
-def _pair() -> Iterator[tuple[str, str]]:
-    """Two serial ports with a cable between them: their paths."""
-    masters, slaves = zip(*(pty.openpty() for _ in range(2)), strict=True)
-    for slave in slaves:
-        tty.setraw(slave)
-    stop = threading.Event()
+def _serial_port() -> Iterator[tuple[str, int]]:
+    """A serial port of this computer: its path, and the far end of its cable."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    try:
+        # Below umockdev no ioctl of a serial port reaches one whose path begins with /dev.
+        with TemporaryDirectory(prefix="msp-") as folder:
+            port = Path(folder) / "port"
+            port.symlink_to(os.ttyname(slave))
+            yield str(port), master
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@contextmanager
+def _carrying(master: int, far: socket.socket) -> Iterator[None]:
+    """Carry bytes between the end of a cable and a connected socket."""
 
     def carry() -> None:
-        while not stop.is_set():
-            for descriptor in select.select(masters, [], [], 0.05)[0]:
-                other = masters[1 - masters.index(descriptor)]
-                data = os.read(descriptor, 4096)
-                # A port that nobody reads loses what comes.
-                if select.select([], [other], [], 0.0)[1]:
-                    os.write(other, data)
+        for ready in select.select([master, far.fileno()], [], [], 0.05)[0]:
+            # A buffer that nobody empties loses what comes, and so does a port where nobody listens yet.
+            with suppress(BlockingIOError, ConnectionRefusedError):
+                if ready != master:
+                    os.write(master, far.recv(4096))
+                else:
+                    far.send(os.read(master, 4096))
 
-    thread = threading.Thread(target=carry, daemon=True)
+    # The far end learns an address by its first datagram.
+    far.send(b"\0")
+    with _repeating(carry):
+        yield
+
+
+@contextmanager
+def _repeating(work: Callable[[], None]) -> Iterator[None]:
+    """Do something again and again in a thread."""
+    stop = threading.Event()
+
+    def run() -> None:
+        while not stop.is_set():
+            work()
+
+    thread = threading.Thread(target=run, daemon=True)
     thread.start()
     try:
-        yield os.ttyname(slaves[0]), os.ttyname(slaves[1])
+        yield
     finally:
         stop.set()
         thread.join()
-        for descriptor in (*masters, *slaves):
-            os.close(descriptor)
-
-
-def wait_for_distances(autopilot: ParameterAutopilot, limit_s: float = 20.0) -> None:
-    """Wait until distances have come."""
-    give_up_s = time.monotonic() + limit_s
-    while not any(message.get_type() == "DISTANCE_SENSOR" for message in autopilot.received):
-        assert time.monotonic() < give_up_s, "no distances have come"
-        time.sleep(0.05)
