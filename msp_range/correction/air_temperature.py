@@ -28,6 +28,8 @@ WORTH_REPORTING_M = 0.10
 """A missing thermometer is reported if the error of ranges may exceed this [m]: 4 C at the maximum of an MB1242. With
 less it is also reported if somebody states the temperature before each flight."""
 BACK = "Range: air temp is back"
+NO_THERMOMETER = "Range: no thermometer"
+"""Beginning of the text for an airframe file that names none."""
 
 _NO_SOURCE = {("HIGHRES_IMU", "temperature"): 15.0, "temperature_press_diff": 0.0}
 """Values that autopilots send if they have no such sensor."""
@@ -64,7 +66,7 @@ class AirTemperature:
         self._no_thermometer: str | None = None
         if not parameters.sources and fixed_error_m > WORTH_REPORTING_M:
             off = f"up to {100 * fixed_error_m:.0f} cm off at {maximum_m:.3g} m"
-            self._no_thermometer = f"Range: no thermometer, {off}"
+            self._no_thermometer = f"{NO_THERMOMETER}, {off}"
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""

@@ -14,8 +14,8 @@ from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
 from msp_range.mavlink.signing import is_signed, signing_of
-from msp_range.mavlink.transport import Transport, Wrapped
-from msp_range.mavlink.transport.url import SerialUrl, parse_url
+from msp_range.mavlink.transport import Transport, Wrapped, open_transport
+from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, parse_url
 from msp_range.params.client import ParameterClient, same
 from msp_range.params.commands import described, differences
 from msp_range.params.settings import Firmware, downward_stream, settings
@@ -33,6 +33,11 @@ DELAY_MS = 25.0
 18 ms, so less would call a good value wrong."""
 PORT_NAMES = ("SERIAL", "MAV_", "SER_")
 """Beginnings of names of parameters of the port: messages arrive, so it is set up, whichever port it is."""
+_EXISTS = {"ardupilot": "RNGFND1_TYPE", "px4": "EKF2_RNG_CTRL"}
+"""A parameter that each autopilot has: it is asked for where TIMESYNC is not answered."""
+LISTEN_S = 2.0
+"""How long to listen for a program that sends to this computer, where nobody is at the address of the link [s]: an
+autopilot sends a heartbeat once a second."""
 FIELD_OF_VIEW_RAD = 0.4
 QUALITY = 100
 
@@ -88,7 +93,7 @@ def check_autopilot(
         return
     client = ParameterClient(tap, clock, airframe.link.system_id, wanted, signing)
     if not client.connect(CONNECT_S):
-        yield _silence(airframe, tap)
+        yield _silence(airframe, tap, clock)
         return
     # Others that send on the link, and the messages asked for, need a moment.
     client.wait(lambda: False, 1.5)
@@ -97,6 +102,10 @@ def check_autopilot(
     yield from _others(airframe, tap)
     yield from (_temperature(source, client) for source in temperatures)
     if found.verdict is not Verdict.RIGHT:
+        return
+    replies = _replies(airframe, tap, client)
+    yield replies
+    if replies.verdict is Verdict.WRONG:
         return
     if client.armed is not False:
         yield unknown("distances", "the vehicle is armed: nothing is sent", "disarm it and try again")
@@ -109,9 +118,9 @@ def check_autopilot(
         yield _latency(client, latency_s)
 
 
-def _silence(airframe: Airframe, tap: Tap) -> Finding:
+def _silence(airframe: Airframe, tap: Tap, clock: Clock) -> Finding:
     step = "heartbeat"
-    url = parse_url(airframe.link.url)
+    url = parse_url(tap.description)
     autopilot = "SERIALn_PROTOCOL 2" if airframe.link.autopilot == "ardupilot" else "MAV_n_CONFIG and MAV_n_MODE 2"
     if tap.last_error and not tap.connected:
         return wrong(step, f"the link cannot be opened: {tap.last_error}", "check link.url, and what else uses it")
@@ -134,9 +143,40 @@ def _silence(airframe: Airframe, tap: Tap) -> Finding:
     if isinstance(url, SerialUrl):
         remedy = f"exchange TX and RX, connect ground, switch the autopilot on, and set {autopilot} on its port"
         return wrong(step, f"nothing arrives at {url.path}", remedy)
-    return wrong(
-        step, f"nothing arrives by {url}", "check address, port and firewall, and that the autopilot sends there"
-    )
+    return _silent_network(url, tap, clock)
+
+
+def _silent_network(url: NetworkUrl, tap: Tap, clock: Clock) -> Finding:
+    """What to do where an address is silent: one side of a UDP link sends first, and the other one listens."""
+    step, text = "heartbeat", f"nothing arrives by {url}"
+    if url.kind == "udpin":
+        remedy = "check that the other side sends to this computer's address and this port, and firewalls"
+        return wrong(step, text, f"{remedy}; where it listens, too: udpout:HOST:PORT")
+    if url.kind != "udpout":
+        return wrong(step, text, "check address, port and firewall, and that the autopilot sends there")
+    here = f"udpin:0.0.0.0:{url.port}"
+    systems = _systems_at(here, clock)
+    if systems:
+        text += f", and system {systems} sends to port {url.port} of this computer, where nobody listens"
+        return wrong(step, text, f"link.url: {here}")
+    if tap.stats.refused:
+        text += ": nobody listens there"
+    remedy = "check address, port and firewall, and that the other side listens there"
+    return wrong(step, text, f"{remedy}; where it sends to this computer instead: {here}")
+
+
+def _systems_at(url: str, clock: Clock) -> list[int]:
+    """Systems whose messages arrive at a port of this computer; none where another program listens there."""
+    transport = open_transport(url, clock)
+    tap = Tap(transport)
+    try:
+        end_s = clock.now() + LISTEN_S
+        while not tap.frames and clock.now() < end_s:
+            tap.receive()
+            clock.sleep_until(clock.now() + SENT_INTERVAL_S)
+    finally:
+        transport.close()
+    return sorted({frame.system for frame in tap.frames})
 
 
 def _type(airframe: Airframe, client: ParameterClient) -> Finding:
@@ -157,9 +197,28 @@ def _others(airframe: Airframe, tap: Tap) -> Iterator[Finding]:
     if any(frame.component == bridge and frame.system in autopilots for frame in tap.frames):
         text = f"another program already sends as component {bridge}"
         yield wrong("component id", text, "stop it (is the bridge running?), or change link.component_id")
+
+
+def _replies(airframe: Airframe, tap: Tap, client: ParameterClient) -> Finding:
+    """Whether the autopilot receives what is sent to it: heartbeats show the other direction only."""
+    name = _EXISTS[airframe.link.autopilot]
+    answers = client.link.autopilot_clock.round_trip_s is not None or client.read(name) is not None
     if airframe.link.signing_key is None and any(map(is_signed, tap.frames)):
+        if answers:
+            text = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
+            return unknown("signing", text, "for another port give both the same key: msp-range sign")
         text = "the autopilot signs its messages and drops those of the bridge, which has no key"
-        yield wrong("signing", text, "give both the same key: msp-range sign; or clear it in the ground station")
+        return wrong("signing", text, "give both the same key: msp-range sign; or clear it in the ground station")
+    if answers:
+        return right("replies", "the autopilot answers what is sent to it")
+    text = "the autopilot is received, and answers nothing that is sent to it (TIMESYNC, parameters)"
+    if isinstance(parse_url(airframe.link.url), SerialUrl):
+        remedy = (
+            "check the wire from this computer's TX to the autopilot's RX, and flow control if RTS and CTS are open"
+        )
+    else:
+        remedy = "let the router pass messages on to the autopilot; check firewalls"
+    return wrong("replies", text, remedy)
 
 
 def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:

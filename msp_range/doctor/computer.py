@@ -21,6 +21,10 @@ BOOT_CONFIGS = ("/boot/firmware/config.txt", "/boot/config.txt")
 """The Raspberry Pi's configuration, newest place first."""
 
 
+_DEVICE = re.compile(r"/dev/[\w/.-]+")
+"""The path of a device in a command line."""
+
+
 @dataclass(frozen=True)
 class User:
     """Who is to use the devices: name, number, and the numbers of its groups as its processes have them."""
@@ -124,16 +128,21 @@ class Computer:
         return any(re.match(pattern, line.split("#")[0].strip()) for line in lines)
 
     def holders(self, path: str) -> Iterator[tuple[int, str]]:
-        """Processes that have a file open, as far as this user may see: number and command."""
-        names = {path, self.target(path)}
-        for link in self.root.glob("proc/[0-9]*/fd/*"):
-            process = int(link.parts[-3])
-            try:
-                is_open = os.readlink(link) in names
-            except OSError:
+        """Processes that have a file open: number and command.
+
+        What the process of another user has open is not to be seen; then those whose command names the file.
+        """
+        target = self.target(path)
+        for folder in self.root.glob("proc/[0-9]*"):
+            command = (self.text(f"/proc/{folder.name}/cmdline") or "").replace("\0", " ")
+            if int(folder.name) == os.getpid():
                 continue
-            if is_open and process != os.getpid():
-                yield process, (self.text(f"/proc/{process}/cmdline") or "").replace("\0", " ") or "?"
+            try:
+                opened = [_target_of(link) for link in folder.joinpath("fd").iterdir()]
+            except OSError:
+                opened = _DEVICE.findall(command)
+            if any(self.target(each) == target for each in opened):
+                yield int(folder.name), command or "?"
 
     def may_write(self, path: str) -> bool:
         """Whether the user may read and write a file, by its mode."""
@@ -147,6 +156,12 @@ class Computer:
         else:
             bits = stat.S_IROTH | stat.S_IWOTH
         return found.st_mode & bits == bits
+
+    def owner(self, path: str | Path) -> str | None:
+        """Name of the user whom a file belongs to; None where it has none."""
+        uid = str(self.at(path).stat().st_uid)
+        users = [line.split(":") for line in (self.text("/etc/passwd") or "").splitlines()]
+        return next((fields[0] for fields in users if len(fields) == 7 and fields[2] == uid), None)
 
     def permission(self, step: str, path: str, usual_group: str) -> Finding:
         """Whether the user may use a device, and how it is to be allowed."""
@@ -180,6 +195,14 @@ class Computer:
 
     def _members(self, group: str) -> list[str]:
         return [each for name, _, _, members in self._groups() if name == group for each in members.split(",")]
+
+
+def _target_of(link: Path) -> str:
+    """What a link leads to; nothing where it is there no more."""
+    try:
+        return os.readlink(link)
+    except FileNotFoundError:
+        return ""
 
 
 def this_computer() -> Computer:

@@ -24,6 +24,11 @@ def _there(computer: Computer, path: str) -> Finding:
     step = "serial port"
     target = computer.target(path)
     if computer.exists(target):
+        pins, other = computer.target("/dev/serial0"), computer.target("/dev/serial1")
+        if computer.raspberry_pi and target == other != pins:
+            text = f"{path} is /dev/serial1, the port of Bluetooth; the pins have /dev/serial0, which is {pins}"
+            overlay = f"dtoverlay=disable-bt in {computer.boot_config} gives the pins the better port after a restart"
+            return wrong(step, text, f"link.url: serial:/dev/serial0:BAUD; {overlay}")
         return right(step, path if target == path else f"{path} is {target}")
     if path.startswith(UARTS) and computer.raspberry_pi:
         config = computer.boot_config
@@ -57,5 +62,5 @@ def _free(computer: Computer, path: str) -> Finding:
         remedy = "stop it"
         if "ModemManager" in command:
             remedy = "sudo systemctl disable --now ModemManager, or the udev rule of install.sh"
-        return wrong(step, f"another program has {path} open: {who}", remedy)
+        return wrong(step, f"another program uses {path}: {who}", remedy)
     return right(step, f"no console and no other program on {path}")

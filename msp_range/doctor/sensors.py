@@ -3,7 +3,8 @@
 The bus is worked on as the bridge does it: the same drivers, timing and order.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import cos
 from statistics import median
 from typing import NamedTuple
 
@@ -24,6 +25,9 @@ SILENCE_S = 0.25
 DISTURBED_M, DISTURBED_SHARE = 0.10, 0.05
 """A sensor whose median changes by more than this while others ping hears them [m, share of the range]. A hand-held
 vehicle moves by some centimetres meanwhile; a neighbour's echo is off by decimetres."""
+UNEVEN_M, UNEVEN_SHARE = 0.30, 0.20
+"""A downward sensor whose height differs by more than this from the middle one [m, share of the height] is reported:
+the vehicle is examined on the ground or in the hands, and a leg in the beam is nearer by more."""
 SCATTER_M = 0.30
 """Readings that lie further apart [m] are reported: a still sensor scatters by 1 to 3 cm."""
 
@@ -74,13 +78,14 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
                 continue
         alone[sensor.name] = pings
         findings.append(_readings(sensor, pings))
-    with_echo = {name: ranges for name, pings in alone.items() if (ranges := _ranges(pings))}
     if len(alone) > 1:
         findings.append(_crosstalk(airframe, polled, clock, alone))
+    ranges_m = {name: median(ranges) for name, pings in alone.items() if (ranges := _ranges(pings))}
+    findings += disagreeing(airframe, ranges_m)
     delays_s = [each.answered_s - each.echo_s for pings in alone.values() for each in pings if each.range_m is not None]
     return Looked(
         findings,
-        {name: median(ranges) for name, ranges in with_echo.items()},
+        ranges_m,
         min(delays_s) if delays_s else None,
     )
 
@@ -108,14 +113,14 @@ def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding
     if present:
         findings.append(right(step, ", ".join(f"{each.name} answers at {_both(each.address)}" for each in present)))
     for sensor in absent:
-        findings.append(_absent(sensor, others))
+        findings.append(_absent(sensor, others, {each.address: each.name for each in present}))
     if others:
         listed = "; ".join(f"{_both(each)} {f'({OTHERS[each]})' if each in OTHERS else ''}".strip() for each in others)
         findings.append(right("other devices", f"the airframe file does not name {listed}"))
     return findings, present
 
 
-def _absent(sensor: SensorSettings, others: Sequence[int]) -> Finding:
+def _absent(sensor: SensorSettings, others: Sequence[int], present: Mapping[int, str]) -> Finding:
     step = f"address of {sensor.name}"
     text = f"nothing answers at {_both(sensor.address)}"
     factory = sensor.driver.default_address
@@ -130,7 +135,13 @@ def _absent(sensor: SensorSettings, others: Sequence[int]) -> Finding:
         return wrong(
             step, f"{text}; the file does not name {listed}", "is one of these it? 'msp-range scan --ping' shows"
         )
-    return wrong(step, text, "check its power and wires; two sensors at one address look like one: msp-range scan")
+    remedy = "check its power and wires"
+    if factory in present:
+        remedy += (
+            f"; as it was delivered it is at 0x{factory:02x}, together with {present[factory]}, and they look like "
+            f"one: then connect it alone, and msp-range address 0x{factory:02x} 0x{sensor.address:02x}"
+        )
+    return wrong(step, text, remedy)
 
 
 def _both(address: int) -> str:
@@ -270,6 +281,23 @@ def _crosstalk(
     if moved:
         return unknown(step, f"{', '.join(moved)} moved meanwhile", "hold the vehicle still and try again")
     return right(step, "each reads alone as it does in turn with the others")
+
+
+def disagreeing(airframe: Airframe, ranges_m: Mapping[str, float]) -> Iterator[Finding]:
+    """Downward sensors whose height above the ground differs from that of the others, if there are at least three."""
+    heights_m = {
+        each.name: ranges_m[each.name] * cos(each.tilt_from_down_rad) + each.position_m[2]
+        for each in airframe.downward
+        if each.name in ranges_m
+    }
+    if len(heights_m) < 3:
+        return
+    middle_m = median(heights_m.values())
+    for name, height_m in heights_m.items():
+        if abs(height_m - middle_m) > max(UNEVEN_M, UNEVEN_SHARE * middle_m):
+            text = f"{name} reads {ranges_m[name]:.2f} m, and the other downward sensors {middle_m:.2f} m"
+            remedy = "above level ground: is a leg, a cable or the stand in its beam, or is it mounted at an angle?"
+            yield unknown("agreement", text, remedy)
 
 
 def _differs(one_m: float, other_m: float) -> bool:

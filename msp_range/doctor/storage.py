@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from msp_range.doctor.computer import Computer
+from msp_range.doctor.computer import SERVICE_USER, Computer
 from msp_range.doctor.finding import Finding, right, unknown, wrong
 
 NEEDED_BYTES = 16 * 2**20
@@ -32,6 +32,9 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
         return wrong(step, f"{folder} is on a disk that is read-only", "mount it for writing, or name another folder")
     if not computer.may_write(str(there)):
         who = computer.user.name
+        if computer.owner(there) == SERVICE_USER:
+            text = f"{there} belongs to {SERVICE_USER}, whose service may write there; {who} may not"
+            return unknown(step, text, "sudo msp-range doctor looks with the service's rights")
         remedy = f"sudo mkdir -p {folder} && sudo chown {who} {folder}"
         return wrong(step, f"{who} may not write into {there}, where {folder} is to be", remedy)
     left = computer.free_bytes(computer.at(there))

@@ -38,6 +38,8 @@ RANGING_S = 0.080
 """By this time after the ping a measurement has ended [s]."""
 RANGES_STILL_S = 0.008
 """At this time after the ping no measurement has ended [s]."""
+TRIES = 3
+"""How often a device is asked while it should be ranging, where a busy computer asks too late; more takes longer."""
 
 PART_INFO = 0x012C
 """Answer before the first ping; the real bytes are not documented, these look like 300 cm."""
@@ -133,15 +135,23 @@ class MB1242(Driver):
         Other devices may interpret that one-byte command differently.
         """
         try:
-            bus.write(address, COMMAND_RANGE)
-            pinged_s = clock.now()
-            clock.sleep_until(pinged_s + RANGES_STILL_S)
-            busy = not acknowledges(bus, address)
+            for _ in range(TRIES):
+                start_s = clock.now()
+                bus.write(address, COMMAND_RANGE)
+                pinged_s = clock.now()
+                clock.sleep_until(pinged_s + RANGES_STILL_S)
+                busy = not acknowledges(bus, address)
+                in_time = clock.now() < start_s + EARLIEST_ANSWER_S
+                if busy or in_time:
+                    break
+                clock.sleep_until(clock.now() + RANGING_S)
             first = _first_answer(bus, clock, address, pinged_s + RANGING_S)
             clock.sleep_until(pinged_s + RANGING_S)
             answer = bus.read(address, ANSWER_BYTES)
         except BusError as error:
             return stranger(address, f"no answer to the range command (errno {error.errno})")
+        if not busy and not in_time:
+            return FoundDevice(address, False, "not recognised: the computer is too busy to ask while it is ranging")
         if not busy:
             return stranger(address, "not an MB1242: it answers while it should be ranging")
         if first not in (None, answer):

@@ -4,35 +4,30 @@ A set-up is what a person did: files of the computer, sensors on umockdev's I2C 
 with an autopilot that pymavlink plays, an airframe file. What doctor looks at was no guide in choosing them.
 """
 
-import json
-import os
-import pty
-import socket
-import sys
 import threading
-import tty
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import pytest
 
 from msp_sim.device.device import Fault
 from msp_sim.device.lidar_lite_v3 import TIMING as LASER_TIMING
+from tests.support.doctor_runs import AT_ONCE, Found, doctor_command, examined, findings_in
 from tests.support.fake_computer import FakeComputer
+from tests.support.far_ends import by_udp, cable_at_other_baud, on_cable, silent_cable
 from tests.support.kernel_bus import Other, Sonar, kernel_bus
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.service import LinkEnd, running_service
-from tests.support.transports import free_port
 
 ROOT = Path(__file__).parents[2]
-PROGRAM = ROOT / "tests/support/doctor_program.py"
-AT_ONCE = 6
-"""Set-ups that are examined at the same time: each waits for sensors and autopilots most of its time."""
 THERE = 1e9
 """Until the end of a test."""
+BAUD = 921_600
+"""Of the serial port, as the airframe file has it."""
 COPTER = {
     "RNGFND1_TYPE": 10.0,
     "RNGFND1_ORIENT": 25.0,
@@ -51,15 +46,6 @@ PX4 = {
 FOUR = tuple(Sonar(0x70 + number, [300, 301]) for number in range(4))
 
 
-class Found(NamedTuple):
-    """One finding."""
-
-    step: str
-    verdict: str
-    text: str
-    remedy: str
-
-
 class Setup:
     """What its owner has: a good quad pallet, until a test changes it."""
 
@@ -71,9 +57,10 @@ class Setup:
         self.airframe = "quad_pallet"
         self.edits: list[tuple[str, str]] = []
         self.parameters: dict[str, float] | None = dict(COPTER)
-        self.options: dict[str, bool] = {}
-        self.noise: bytes | None = None
-        """What arrives at the serial port instead of MAVLink."""
+        self.autopilot: Callable[..., ParameterAutopilot] = ParameterAutopilot
+        self.options: dict[str, Any] = {}
+        self.baud = BAUD
+        """The rate of the autopilot's serial port."""
         self.udp = False
 
     def edit(self, old: str, new: str) -> None:
@@ -90,91 +77,17 @@ class Setup:
         path.write_text(
             text.replace("sensors/mb1242.yaml", "mb1242").replace("sensors/lidar_lite_v3.yaml", "lidar_lite_v3")
         )
-        with ExitStack() as stack:
-            specification = {
-                "root": str(self.computer.root),
-                "airframe": str(path),
-                "user": self.computer.user,
-                "gids": self.computer.gids,
-                "utc_s": self.computer.utc_s,
-                "free_bytes": self.computer.free_bytes,
-                "link": self._autopilot(stack),
-            }
-            testbed = stack.enter_context(kernel_bus(self.devices, timeout_s=self.timeout_s))
-            done = testbed.run([sys.executable, PROGRAM, json.dumps(specification)], timeout_s=120.0)
-        assert done.returncode == 0, done.stderr
-        return [Found(*each) for each in json.loads(done.stdout)]
+        with self._link() as link, kernel_bus(self.devices, timeout_s=self.timeout_s) as testbed:
+            return examined(testbed, self.computer, path, link)
 
-    def _autopilot(self, stack: ExitStack) -> str:
-        """The link's URL to what is at its other end."""
-        if self.udp:
-            port = free_port(socket.SOCK_DGRAM)
-            if self.parameters is not None:
-                stack.enter_context(ParameterAutopilot(f"udpin:127.0.0.1:{port}", self.parameters, **self.options))
-            return f"udpout:127.0.0.1:{port}"
-        ours, theirs = pty.openpty()
-        tty.setraw(ours)
-        tty.setraw(theirs)
-        stack.callback(os.close, ours)
-        stack.callback(os.close, theirs)
-        # By another name: umockdev answers for whatever is opened by a name in /dev.
-        line = self.folder / "line"
-        line.symlink_to(os.ttyname(theirs))
-        url = f"serial:{line}:57600"
-        if self.noise is not None:
-            stack.enter_context(writing(ours, self.noise))
-        elif self.parameters is not None:
-            stack.enter_context(bridged(ours, self.parameters, self.options))
-        return url
-
-
-@contextmanager
-def writing(file: int, noise: bytes) -> Iterator[None]:
-    """Write again and again."""
-    os.set_blocking(file, False)
-    stop = threading.Event()
-
-    def run() -> None:
-        while not stop.wait(0.05):
-            with suppress(OSError):
-                os.write(file, noise)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
-@contextmanager
-def bridged(file: int, parameters: dict[str, float], options: dict[str, bool]) -> Iterator[None]:
-    """An autopilot at the other end of a serial line: what arrives there goes on by UDP, and back."""
-    stop = threading.Event()
-    port = free_port(socket.SOCK_DGRAM)
-    with (
-        ParameterAutopilot(f"udpin:127.0.0.1:{port}", parameters, **options),
-        socket.socket(type=socket.SOCK_DGRAM) as end,
-    ):
-        end.connect(("127.0.0.1", port))
-        end.setblocking(False)
-        os.set_blocking(file, False)
-
-        def run() -> None:
-            while not stop.wait(0.002):
-                with suppress(OSError):
-                    end.send(os.read(file, 4096))
-                with suppress(OSError):
-                    os.write(file, end.recv(4096))
-
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            stop.set()
-            thread.join()
+    def _link(self) -> AbstractContextManager[str]:
+        """What is at the other end of the link; its URL."""
+        if self.baud != BAUD:
+            return cable_at_other_baud(self.baud, BAUD)
+        if self.parameters is None:
+            return silent_cable()
+        autopilot = partial(self.autopilot, values=self.parameters, **self.options)
+        return by_udp(autopilot) if self.udp else on_cable(autopilot)
 
 
 Change = Callable[[Setup], None]
@@ -333,7 +246,7 @@ def transmit_and_receive_not_crossed(setup: Setup) -> None:
 
 @broken("heartbeat", "none are MAVLink", "same baud rate")
 def baud_rates_differ(setup: Setup) -> None:
-    setup.noise = bytes(range(128, 250)) * 2
+    setup.baud = 115_200
 
 
 @broken("heartbeat", "is PX4, and link.autopilot is ardupilot", "link.autopilot")
@@ -416,6 +329,19 @@ def armed_vehicle_on_a_bit_banged_bus(setup: Setup) -> None:
     setup.options = {"armed": True}
 
 
+class SigningByUsb(ParameterAutopilot):
+    """ArduPilot with a key, on USB: it signs, and takes what is not signed."""
+
+    def __init__(self, url: str, values: dict[str, float]) -> None:
+        super().__init__(url, values)
+        self._connection.setup_signing(bytes(32), allow_unsigned_callback=lambda *_: True)
+
+
+@good
+def autopilot_that_signs_by_usb(setup: Setup) -> None:
+    setup.autopilot = SigningByUsb
+
+
 @good
 def hall_without_an_echo(setup: Setup) -> None:
     setup.devices = [Sonar(0x70 + number, [765]) for number in range(4)]
@@ -467,21 +393,12 @@ def test_a_running_bridge_is_left_alone(tmp_path: Path) -> None:
     computer = setup.computer
     with kernel_bus(FOUR) as testbed, LinkEnd() as end, running_service(testbed, end.url, tmp_path) as service:
         end.run_until(lambda: len(end.distances) >= 2)
-        specification = {
-            "root": str(computer.root),
-            "airframe": str(path),
-            "user": computer.user,
-            "gids": computer.gids,
-            "utc_s": computer.utc_s,
-            "free_bytes": computer.free_bytes,
-            "link": "",
-        }
-        program = testbed.popen([sys.executable, PROGRAM, json.dumps(specification)], stdout=-1, text=True)
+        program = testbed.popen(doctor_command(computer, path, ""), stdout=-1, text=True)
         output: list[str] = []
         reader = threading.Thread(target=lambda: output.append(program.communicate()[0]))
         reader.start()
         end.run_until(lambda: not reader.is_alive())
-        findings = {each[0]: Found(*each) for each in json.loads(output[0])}
+        findings = {each.step: each for each in findings_in(output[0])}
         assert service.stop() == 0
         polled = [each for each in testbed.journal() if each.verb == "read" and len(each.data) == 1]
     in_use = findings["I2C bus in use"]
@@ -496,6 +413,7 @@ def test_a_running_bridge_is_left_alone(tmp_path: Path) -> None:
         "forward": "right",
         "down_left": "right",
     }
-    assert "2.9" in findings["sensor down_left"].text
+    # 300 and 301 cm, corrected for 20 C.
+    assert findings["sensor down_left"].text.startswith(("2.99 m now", "3.00 m now"))
     assert findings["autopilot"].verdict == "wrong"
     assert polled == []  # a scan reads one byte of each address

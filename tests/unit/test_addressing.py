@@ -187,3 +187,25 @@ def test_a_move_to_something_that_does_not_range_is_noticed() -> None:
     device.write = write  # type: ignore[method-assign]
     with pytest.raises(AddressError, match="0x71 does not behave as an MB1242"):
         change_address(bus, clock, 0x70, 0x71, DRIVER)
+
+
+class BusyClock(VirtualClock):
+    """The clock of a computer that wakes a program up late, the first ``late`` times."""
+
+    def __init__(self, late: int) -> None:
+        super().__init__(10.0)
+        self._late = late
+
+    def sleep_until(self, time_s: float) -> None:
+        if 0.0 < time_s - self.now() < 0.02 and self._late > 0:
+            self._late -= 1
+            time_s += 0.2
+        super().sleep_until(time_s)
+
+
+@pytest.mark.parametrize(("late", "ranged"), [(1, True), (2, True), (9, False)])
+def test_a_sonar_that_a_busy_computer_asks_too_late_is_no_other_device(late: int, ranged: bool) -> None:
+    clock = BusyClock(late)
+    found = DRIVER.identify(EmulatedBus([sonar(0x70)(clock)], clock.now), clock, 0x70)
+    assert found.ranged is ranged
+    assert "not an" not in found.answer
