@@ -38,8 +38,8 @@ RANGING_S = 0.080
 """By this time after the ping a measurement has ended [s]."""
 RANGES_STILL_S = 0.008
 """At this time after the ping no measurement has ended [s]."""
-TRIES = 3
-"""How often a device is asked while it should be ranging, where a busy computer asks too late; more takes longer."""
+TRIES = 5
+"""How often a device is asked while it should be ranging, where a busy computer asks too late. Each takes 0.1 s."""
 
 PART_INFO = 0x012C
 """Answer before the first ping; the real bytes are not documented, these look like 300 cm."""
@@ -141,16 +141,15 @@ class MB1242(Driver):
                 pinged_s = clock.now()
                 clock.sleep_until(pinged_s + RANGES_STILL_S)
                 busy = not acknowledges(bus, address)
-                in_time = clock.now() < start_s + EARLIEST_ANSWER_S
-                if busy or in_time:
+                asked_s = clock.now() - start_s
+                first = _first_answer(bus, clock, address, pinged_s + RANGING_S)
+                clock.sleep_until(pinged_s + RANGING_S)
+                answer = bus.read(address, ANSWER_BYTES)
+                if busy or asked_s < _soonest_s(answer):
                     break
-                clock.sleep_until(clock.now() + RANGING_S)
-            first = _first_answer(bus, clock, address, pinged_s + RANGING_S)
-            clock.sleep_until(pinged_s + RANGING_S)
-            answer = bus.read(address, ANSWER_BYTES)
         except BusError as error:
             return stranger(address, f"no answer to the range command (errno {error.errno})")
-        if not busy and not in_time:
+        if not busy and asked_s >= _soonest_s(answer):
             return FoundDevice(address, False, "not recognised: the computer is too busy to ask while it is ranging")
         if not busy:
             return stranger(address, "not an MB1242: it answers while it should be ranging")
@@ -211,6 +210,14 @@ class _Playback:
 
     def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
         return None if ranging else raw.to_bytes(ANSWER_BYTES, "big")[:count]
+
+
+def _soonest_s(answer: bytes) -> float:
+    """Time after a ping before which no such sensor gives an answer [s]; infinite for what is none of its answers."""
+    reading_cm = int.from_bytes(answer, "big") % CLOCK_FAULT_BIT
+    if not MINIMUM_CM <= reading_cm <= NO_ECHO_CM:
+        return float("inf")
+    return EARLIEST_ANSWER_S + ECHO_S_PER_CM * reading_cm
 
 
 def _first_answer(bus: Bus, clock: Clock, address: int, until_s: float) -> bytes | None:

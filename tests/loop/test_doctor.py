@@ -351,14 +351,14 @@ def hall_without_an_echo(setup: Setup) -> None:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, "Future[list[Found]]"]]:
     """All set-ups, several at a time."""
 
-    def examine(name: str, change: Change) -> list[Found]:
-        setup = Setup(tmp_path_factory.mktemp(name))
+    def examine(change: Change, folder: Path) -> list[Found]:
+        setup = Setup(folder)
         change(setup)
         return setup.examine()
 
     changes = {name: each[0] for name, each in BROKEN.items()} | GOOD
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        yield {name: pool.submit(examine, name, change) for name, change in changes.items()}
+        yield {name: pool.submit(examine, change, tmp_path_factory.mktemp(name)) for name, change in changes.items()}
 
 
 def wrong(findings: Sequence[Found]) -> list[Found]:
