@@ -26,6 +26,7 @@ from benchmarks import (
     bench_page,
     bench_rates,
     bench_reading_model,
+    bench_sensor_watch,
     bench_start,
     bench_virtual_flight,
 )
@@ -41,6 +42,7 @@ PARTS = (
     bench_bridge,
     bench_filters,
     bench_fusion,
+    bench_sensor_watch,
     bench_virtual_flight,
     bench_rates,
     bench_start,

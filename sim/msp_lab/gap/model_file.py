@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import FoundEffect, Gap, GapFindings, Measure, UnknownEffect
-from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.reading_model.sensor_model import InFlight, SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 from msp_sim.model.model import Model
@@ -23,7 +23,7 @@ TRAINING_FIT = "model_training_fit.yaml"
 _DIGITS = 6
 
 
-def model_text(model: Model, findings: GapFindings, heading: str) -> str:
+def model_text(model: Model, findings: GapFindings, heading: str, flown: InFlight | None = None) -> str:
     """The file's text.
 
     Parameters
@@ -34,6 +34,8 @@ def model_text(model: Model, findings: GapFindings, heading: str) -> str:
         What was added, and why.
     heading
         First line of the file, as a comment.
+    flown
+        What the effects make of the readings of a flight, for the bridge.
 
     Raises
     ------
@@ -41,6 +43,7 @@ def model_text(model: Model, findings: GapFindings, heading: str) -> str:
         What was added does not go with the rest of the model.
     """
     content = to_sensor(model).model_dump(mode="json")
+    content["in_flight"] = flown if flown is None else flown.model_dump()
     content["effects"] = _with_evidence(content["effects"], findings)
     content["evidence"] = [*content["evidence"], _calibrated(findings)]
     content = _rounded(content)
@@ -54,7 +57,7 @@ def model_text(model: Model, findings: GapFindings, heading: str) -> str:
     return text
 
 
-def write_model(path: Path, model: Model, findings: GapFindings, heading: str) -> None:
+def write_model(path: Path, model: Model, findings: GapFindings, heading: str, flown: InFlight | None = None) -> None:
     """Write the model file; an older one of this name is replaced.
 
     Raises
@@ -62,7 +65,7 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str) -
     ConfigError
         It cannot be written, or what was added does not go with the rest.
     """
-    text = model_text(model, findings, heading)
+    text = model_text(model, findings, heading, flown)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

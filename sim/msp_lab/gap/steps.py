@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from numpy.random import default_rng
+
 from msp_lab.gap import workflow
 from msp_lab.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
 from msp_lab.gap.intake import read_readings
@@ -23,6 +25,7 @@ from msp_lab.readings.intake import sha256
 from msp_range import __version__
 from msp_range.clock import Clock, date_of
 from msp_range.yaml_file import ConfigError
+from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import load_model
 from msp_sim.terminal import make_folder
 
@@ -107,17 +110,18 @@ class Steps:
     ) -> GapFindings:
         findings = self._written(workflow.add(comparison, findings, models, self.report), started_s)
         try:
-            self._write_models(findings, models)
+            self._write_models(findings, models, comparison)
         except ConfigError as error:
             # The findings are worth more than the file.
             message = f"The extended model is not written: {error}."
             findings = self._written(replace(findings, messages=(*findings.messages, message)), started_s)
         return findings
 
-    def _write_models(self, findings: GapFindings, models: ExtendedModels) -> None:
+    def _write_models(self, findings: GapFindings, models: ExtendedModels, comparison: Comparison) -> None:
         given = Path(findings.settings.model).name
         heading = f"{given}, extended by msp-lab gap on {findings.date}."
-        write_model(self.folder / MODEL, models.held_out_fit, findings, heading)
+        flown = in_flight(models.held_out_fit, comparison.held_out.contexts, default_rng(comparison.settings.seed))
+        write_model(self.folder / MODEL, models.held_out_fit, findings, heading, flown)
         heading = (
             f"{given} with the values of the training runs, which held-out runs validated; to fly with, use {MODEL}."
         )
