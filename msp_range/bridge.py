@@ -419,9 +419,9 @@ class Bridge:
             if self._attitude.update(angles):
                 self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
         elif (force := specific_force(message)) is not None:
-            rotation = self._attitude.rotation_at(now_s)
-            if rotation is not None:
-                up_m_s2 = -dot(rotation[2], force) - GRAVITY_M_S2
+            down = self._attitude.down_at(now_s)
+            if down is not None:
+                up_m_s2 = -dot(down, force) - GRAVITY_M_S2
                 if self._motion.on_acceleration(now_s, up_m_s2):
                     self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "up_m_s2": up_m_s2})
         elif (height_m := pressure_height_m(message)) is not None and self._motion.on_pressure_height(now_s, height_m):

@@ -31,6 +31,12 @@ def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix
     )
 
 
+def down_axis(roll_rad: float, pitch_rad: float) -> Vector:
+    """Last row of `rotation_matrix`: straight down in the body's frame."""
+    cp = math.cos(pitch_rad)
+    return (-math.sin(pitch_rad), cp * math.sin(roll_rad), cp * math.cos(roll_rad))
+
+
 def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
     """First column of `rotation_matrix`: the direction in which the sensor looks, body FRD."""
     cp = math.cos(pitch_rad)

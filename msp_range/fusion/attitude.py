@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
-from msp_range.geometry import Matrix, rotation_matrix
+from msp_range.geometry import Matrix, Vector, down_axis, rotation_matrix
 from msp_range.health import Condition
 
 OLDEST_S = 0.6
@@ -86,6 +86,16 @@ class AttitudeTrack:
         >>> AttitudeTrack().rotation_at(0.0) is None
         True
         """
+        angles = self._angles_at(time_s)
+        return None if angles is None else rotation_matrix(*angles)
+
+    def down_at(self, time_s: float) -> Vector | None:
+        """Straight down, a unit vector in body FRD; None where nothing is known."""
+        angles = self._angles_at(time_s)
+        return None if angles is None else down_axis(*angles[:2])
+
+    def _angles_at(self, time_s: float) -> tuple[float, float, float] | None:
+        """Roll, pitch and yaw [rad] on the line through the newest two attitudes."""
         newest, before = self._newest, self._before
         if newest is None or time_s - newest[0] > OLDEST_S:
             return None
@@ -96,7 +106,7 @@ class AttitudeTrack:
             roll += share * _turn(from_roll, roll)
             pitch += share * (pitch - from_pitch)
             yaw += share * _turn(from_yaw, yaw)
-        return rotation_matrix(roll, pitch, yaw)
+        return roll, pitch, yaw
 
 
 class RecordedAttitude:

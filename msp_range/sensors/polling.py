@@ -51,8 +51,10 @@ class _Pending:
         self.from_s, self.ping_s = from_s, ping_s
         deadline_s = ping_s + sensor.timing.deadline_s
         self.next_try_s = ping_s + sensor.timing.first_answer_s
-        while self.next_try_s < min(ping_s + busy_s, deadline_s):
-            self.next_try_s = min(self.next_try_s + POLL_INTERVAL_S, deadline_s)
+        until_s = ping_s + busy_s
+        while self.next_try_s < until_s:
+            self.next_try_s += POLL_INTERVAL_S
+        self.next_try_s = min(self.next_try_s, deadline_s)
 
 
 _next_try_s = attrgetter("next_try_s")

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msp_range.geometry import angle_between, boresight, dot, quaternion, rotation_matrix
+from msp_range.geometry import (
+    angle_between,
+    boresight,
+    dot,
+    down_axis,
+    quaternion,
+    rotate,
+    rotate_back,
+    rotation_matrix,
+)
 
 ANGLES_RAD = [
     *np.random.default_rng(5).uniform(-2 * math.pi, 2 * math.pi, size=(40, 3)),
@@ -20,6 +29,10 @@ def test_a_rotation_is_scipys(angles_rad: np.ndarray) -> None:
     independent = Rotation.from_euler("ZYX", [yaw, pitch, roll])
     np.testing.assert_allclose(rotation_matrix(roll, pitch, yaw), independent.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(boresight(roll, pitch, yaw), independent.apply([1, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(down_axis(roll, pitch), independent.inv().apply([0, 0, 1]), atol=1e-12)
+    turned = rotate(rotation_matrix(roll, pitch, yaw), (0.3, -2.0, 5.0))
+    np.testing.assert_allclose(turned, independent.apply([0.3, -2.0, 5.0]), atol=1e-12)
+    assert rotate_back(rotation_matrix(roll, pitch, yaw), turned) == pytest.approx((0.3, -2.0, 5.0))
     w, *xyz = quaternion(roll, pitch, yaw)
     assert w >= 0
     assert w * w + sum(each * each for each in xyz) == pytest.approx(1.0)

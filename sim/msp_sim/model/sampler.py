@@ -90,7 +90,7 @@ class Sampler:
     ) -> int:
         minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
         most = max(log_weights)
-        hit, short, missed, random = (math.exp(each - most) for each in log_weights)
+        hit, short, missed, random = [math.exp(each - most) for each in log_weights]
         kind *= hit + short + missed + random
         if kind >= hit:
             if kind < hit + short:

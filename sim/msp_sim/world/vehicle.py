@@ -211,7 +211,7 @@ class Vehicle:
         height_m, climb_m_s, climb_m_s2 = self._height.at(time_s)
         elevation_m = self._start_elevation_m + height_m
         above_surface_m = elevation_m - self._elevation_m(north_m, east_m)
-        sways = min(max(above_surface_m / FULL_SWAY_HEIGHT_M, 0.0), 1.0)
+        sways = 1.0 if above_surface_m >= FULL_SWAY_HEIGHT_M else max(above_surface_m / FULL_SWAY_HEIGHT_M, 0.0)
         roll_rad, pitch_rad, yaw_rad = self._attitude.at(time_s, north_m_s2, east_m_s2, sways)
         return Pose(
             time_s,
