@@ -127,6 +127,13 @@ def test_a_sensor_is_no_part_of_its_own_reference_and_nor_is_the_truth() -> None
     np.testing.assert_allclose(apart_cm, shift_cm, atol=1e-6)
 
 
+def test_a_sensor_that_is_far_off_has_its_whole_offset_taken_off() -> None:
+    """20 cm are beyond what counts as an outlier of the others, and each run has to get the same offset."""
+    for seed in (3, 4, 5):
+        found = with_others_as_reference(MeasuredData(flown(400, seed, {"a": 20.0})), MODEL, side_by_side(NAMES))
+        assert found.offsets_cm["a"] == pytest.approx(20.0, abs=0.8)
+
+
 def test_tilt_and_position_come_from_the_vehicle() -> None:
     """A wide pallet that rolls by 8 deg over a slope: level and side by side the sensors would differ by 28 cm."""
     rng = np.random.default_rng(4)

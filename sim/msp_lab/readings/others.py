@@ -175,10 +175,24 @@ def _reference(
         expected = model.rows({**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)})
         bias_cm = np.where(np.isfinite(expected.centre_cm), expected.centre_cm - true_cm, 0.0)
         own_cm2 = np.broadcast_to(expected.sigma_cm**2, time_s.shape)
-    rows = is_range & fits & known
-    counts = np.bincount(sensor[rows], minlength=len(names))
-    offsets_cm = np.bincount(sensor[rows], off_cm[rows], len(names)) / np.maximum(counts, 1)
+    offsets_cm = _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
     return found | {TRUE_RANGE: found[TRUE_RANGE] + offsets_cm[sensor]}, offsets_cm
+
+
+def _offsets(
+    off_cm: _Array, expected_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int
+) -> _Array:
+    """By how much more than the others each sensor reads on average [cm], without outliers about its own median.
+
+    About the others, a sensor that is off by more than the gate would have no offset, or one of its nearest readings.
+    """
+    offsets_cm = np.zeros(sensors)
+    for s in range(sensors):
+        here = rows & (sensor == s)
+        if here.any():
+            about_median = off_cm[here] - np.median(off_cm[here])
+            offsets_cm[s] = off_cm[here][about_median**2 < GATE**2 * expected_cm2[here]].mean()
+    return offsets_cm
 
 
 def _start(time_s: _Array, reading_cm: _Array, usable: NDArray[np.bool_]) -> _Array:
