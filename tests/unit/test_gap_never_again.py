@@ -16,7 +16,8 @@ from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.formula import formula
 from msp_lab.gap.intake import read_readings
 from msp_lab.gap.model_file import model_text
-from msp_lab.gap.naming import ExtendedModels
+from msp_lab.gap.naming import ExtendedModels, name_effects
+from msp_lab.gap.runs import split
 from msp_lab.gap.summary import with_words
 from msp_lab.gap.workflow import Comparison, add, compare, name
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -100,3 +101,13 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     said = with_words(findings).sentence
     number, unit = re.findall(r"late by (\S+) (m?s)", said)[0]
     assert float(number) * (1000.0 if unit == "s" else 1.0) == pytest.approx(written["value"], rel=0.06)
+
+
+def test_where_nothing_is_missing_no_number_of_the_base_is_said_to_move() -> None:
+    """Neighbours share a part of the reference's error, so a correlation is fitted: it starts at 0.2."""
+    contexts = flown(3) | {"reference": np.full(N, "others")}
+    rng = np.random.default_rng(3)
+    reading_cm = given(0.0).sample(contexts, rng)
+    found = name_effects(given(0.0), contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+    assert found.calibration == ()
+    assert found.models.held_out_fit.sensor.reading_model.correlation == 0.0

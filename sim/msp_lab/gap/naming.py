@@ -171,7 +171,8 @@ def _named(
     training, base = kept.state.fit, selection.base.fit.base
     as_given = not kept.state.terms and _score(held_out, training.base) <= _score(held_out, np.zeros(len(BASE)))
     if as_given:
-        training = refit(problem.some, [], rounds=0)
+        # The numbers of the model itself: a fit of correlated readings starts off 0.
+        training = refit(problem.some, [], np.zeros(len(BASE)), rounds=0)
         base = training.base
     fit = refit(held_out, training.effects, training.base, rounds=0 if as_given else ROUNDS)
     of_held_out = HeldOutFit.of(held_out, fit, unit, by_run)
