@@ -10,9 +10,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz import base, csv_files, link, mcap_files, yaml_files
+from tests.fuzz import base, csv_files, link, log_files, mcap_files, yaml_files
 
-FILES: dict[str, Any] = {"yaml": yaml_files, "csv": csv_files, "mcap": mcap_files}
+FILES: dict[str, Any] = {"yaml": yaml_files, "csv": csv_files, "mcap": mcap_files, "logs": log_files}
 """Areas that read files: name on the command line -> module with ``fuzz(seconds, seed)`` and ``prepare(folder)``."""
 AREAS: dict[str, Any] = {"link": link, **FILES}
 """Name on the command line -> module with ``fuzz(seconds, seed)``."""

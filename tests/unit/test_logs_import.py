@@ -108,6 +108,14 @@ def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 1.0}) != ""
 
 
+@pytest.mark.parametrize("size", [16, 300, 37_302])
+def test_a_log_that_is_cut_in_its_definitions_is_a_line(tmp_path: Path, size: int) -> None:
+    (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:size])
+    done = run("import", tmp_path / "cut.ulg", "--out", tmp_path / "set")
+    assert done.exit_code == 3
+    assert done.output.count("\n") == 1
+
+
 def test_any_field_can_be_the_truth(tmp_path: Path) -> None:
     (found,) = imported(LOGS / "arducopter.BIN", "--truth", "column:SIM.Alt*0.5", "--out", tmp_path / "set")
     assert (found["truth"], found["truth_source"]) == ("column", "SIM.Alt")

@@ -2,60 +2,22 @@
 
 import contextlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink import mavutil
 
 from msp_lab.logs.telemetry import read_telemetry
-from msp_range.mavlink.dialect import dialect
 from msp_range.recording.error import RecordingError
-
-START_US = 1_790_000_000_000_000
-Messages = list[tuple[float, int, Any]]
+from tests.support.flight_logs import START_US, height_m, telemetry, write_telemetry
 
 
 def nothing(share: float) -> None:
     pass
 
 
-def height_m(time_s: float) -> float:
-    return float(3.0 + 2.0 * np.sin(time_s / 3.0))
-
-
-def flight(posz: float = 1.0) -> Messages:
-    """What an autopilot (component 1) and the bridge (191) send in 30 s, with the component of each message."""
-    found: Messages = [
-        (0.0, 1, dialect.MAVLink_param_value_message(name.encode(), value, 9, 2, number))
-        for number, (name, value) in enumerate({"EK3_SRC1_POSZ": posz, "EK3_RNG_USE_HGT": -1.0}.items())
-    ]
-    for step in range(600):
-        time_s = 0.05 * step
-        range_cm = round(100.0 * height_m(time_s - 0.1)) if step % 50 else 800
-        distance = dialect.MAVLink_distance_sensor_message
-        found.append((time_s, 191, distance(step * 50, 20, 765, range_cm, 0, 10, 25, 4, signal_quality=100)))
-        if step % 2:  # every other one has an invalid signal
-            found.append((time_s, 1, distance(step * 50, 20, 765, 300, 0, 0, 0, 0, signal_quality=step % 4 == 1)))
-        found.append((time_s, 1, dialect.MAVLink_attitude_message(step * 50, 0.1, -0.2, 1.0, 0.0, 0.0, 0.0)))
-        rate_cm_s = round(100.0 * 2.0 / 3.0 * np.cos(time_s / 3.0))
-        place = (step * 50, 0, 0, 0, round(1e3 * height_m(time_s)), 0, 0, -rate_cm_s, 0)
-        found.append((time_s, 1, dialect.MAVLink_global_position_int_message(*place)))
-        found.append((time_s, 1, dialect.MAVLink_vfr_hud_message(0.0, 0.0, 0, 42, 0.0, 0.0)))
-    return found
-
-
-def written(path: Path, messages: Messages) -> Path:
-    link = dialect.MAVLink(None, 1, 1)
-    with path.open("wb") as file:
-        for time_s, component, message in messages:
-            link.srcComponent = component
-            file.write(round(START_US + 1e6 * time_s).to_bytes(8, "big") + message.pack(link))
-    return path
-
-
 def test_readings_context_and_reference(tmp_path: Path) -> None:
-    log = read_telemetry(written(tmp_path / "a.tlog", flight()), nothing)
+    log = read_telemetry(write_telemetry(tmp_path / "a.tlog", telemetry()), nothing)
     down, forward = log.rangers
     assert (down.name, forward.name) == ("distance_sensor_10", "distance_sensor_0")
     assert (down.is_down, forward.is_down, down.maximum_cm) == (True, False, 765.0)
@@ -70,12 +32,12 @@ def test_readings_context_and_reference(tmp_path: Path) -> None:
     (reference,) = log.references
     assert (reference.kind, reference.refused) == ("ekf", "")
     assert reference.series.values[20] == pytest.approx(height_m(1.0), abs=1e-3)
-    (refused,) = read_telemetry(written(tmp_path / "b.tlog", flight(posz=2.0)), nothing).references
+    (refused,) = read_telemetry(write_telemetry(tmp_path / "b.tlog", telemetry(posz=2.0)), nothing).references
     assert "EK3_SRC1_POSZ is 2" in refused.refused
 
 
 def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.tlog", flight())
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
     readings, heights = [], []
     with contextlib.closing(mavutil.mavlink_connection(str(path))) as peer:
         while (message := peer.recv_match()) is not None:
@@ -90,7 +52,7 @@ def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
 
 
 def test_any_field_of_a_message(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.tlog", flight())
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
     reference = read_telemetry(path, nothing, "VFR_HUD.throttle").references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", 42.0)
     with pytest.raises(RecordingError, match=r"common messages have no VFR_HUD\.thrott"):
@@ -98,7 +60,7 @@ def test_any_field_of_a_message(tmp_path: Path) -> None:
 
 
 def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.tlog", flight())
+    path = write_telemetry(tmp_path / "a.tlog", telemetry())
     content = bytearray(path.read_bytes())
     content[30_000:30_500] = b"\x00\xfd\x05" * 166 + b"\xff\xff"
     path.write_bytes(content[:-20])

@@ -9,7 +9,7 @@ import contextlib
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,10 @@ _TOPICS = [
     "vehicle_thrust_setpoint",
     "vehicle_imu_status",
 ]
+MOST_READ = 20
+"""A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without end.
+A damaged file is searched a few times over."""
+_EVERY_BYTES = 2**20
 _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
@@ -53,7 +57,7 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
     path
         The file.
     progress
-        Called when it is read; pyulog reads it at once.
+        Called with the share that is read.
     extra
         ``topic.field`` of a reference in the log, as ``--truth column:`` names it.
 
@@ -66,7 +70,7 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
-            log = ULog(file, [*_TOPICS, *([topic] if field else [])])
+            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if field else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, UnicodeDecodeError, EOFError) as error:
@@ -102,6 +106,30 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
         tuple(references),
         tuple(notes),
     )
+
+
+class _Watched:
+    """A file that reports how far it is read, and raises where it is read without end."""
+
+    def __init__(self, file: BinaryIO, progress: Callable[[float], None]) -> None:
+        self._file = file
+        self._progress = progress
+        self._size = file.seek(0, 2)
+        file.seek(0)
+        self._read = self._next = 0
+        self.seek, self.tell, self.close = file.seek, file.tell, file.close
+
+    def read(self, size: int = -1) -> bytes:
+        """Read, as of the file."""
+        content = self._file.read(size)
+        # Reading at the end counts too.
+        self._read += len(content) + 1
+        if self._read > self._next:
+            self._next = self._read + _EVERY_BYTES
+            self._progress(min(1.0, self._read / max(self._size, 1)))
+            if self._read > MOST_READ * (self._size + _EVERY_BYTES):
+                raise RuntimeError("the definitions at its beginning are damaged")
+        return content
 
 
 def _rangers(found: _Topics) -> list[Ranger]:
