@@ -3,6 +3,8 @@
 Findings enter, the table of the page leaves as lines; the page has the rest.
 """
 
+from collections.abc import Iterator
+
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
@@ -10,6 +12,7 @@ from rich.text import Text
 from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import Kind, conclusions
+from msp_lab.characterise.page.text import interval
 
 STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
@@ -24,8 +27,25 @@ def show_findings(findings: Findings, console: Console) -> None:
     for each in conclusions(findings):
         table.add_row(each.subject, each.answer, Text(each.mark, style=STYLES[each.kind]))
     console.print(table)
+    for line in _numbers(findings):
+        console.print(line, highlight=False, soft_wrap=True)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
         console.print(f"not in these data: {names}: {why}", style="dim", highlight=False)
     for warning in findings.warnings:
         console.print(f"warning: {warning}", style="yellow", highlight=False)
+
+
+def _numbers(findings: Findings) -> Iterator[str]:
+    """Numbers that the page has with its pictures."""
+    base, calibration, mixture = findings.baseline, findings.calibration, findings.mixture
+    if base is not None:
+        yield f"missed echoes: {interval(base.missed)}"
+    if calibration is not None and calibration.offset is not None and calibration.scale is not None:
+        yield f"straight line: offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
+    if mixture is not None:
+        shown = ", ".join(
+            f"{each.name} {each.fitted.value:.3g}{' (at its bound)' if each.at_bound else ''}"
+            for each in mixture.parameters
+        )
+        yield f"mixture: {shown}; {mixture.conditional}"
