@@ -163,6 +163,9 @@ class Counts:
     rejected: dict[str, int] = field(default_factory=dict)
 
 
+_NOT_FILTERED = Filtered(None)
+
+
 class Bridge:
     """All of an airframe's sensors, from bus to link.
 
@@ -317,7 +320,7 @@ class Bridge:
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
         reading = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
-        filtered, fused = Filtered(None), None
+        filtered, fused = _NOT_FILTERED, None
         if self._fusion is not None and channel.is_fused:
             outcome = self._fusion.update(reading, now_s)
             reading, fused, filtered = outcome.reading, outcome.fused, Filtered(None, outcome.rejected)

@@ -85,12 +85,14 @@ class Sight:
 
     def votes_ground(self, since_s: float) -> bool:
         """Whether two of its last three readings were ground, or the only one with a range."""
-        grounds = ranges = 0
+        grounds = others = 0
         for time_s, off_m, is_ground in self._seen:
             if off_m is not None and time_s >= since_s:
-                ranges += 1
-                grounds += is_ground
-        return grounds >= 2 or grounds == ranges == 1
+                if is_ground:
+                    grounds += 1
+                else:
+                    others += 1
+        return grounds > 1 or (grounds == 1 and not others)
 
     def votes_off_m(self, since_s: float) -> float | None:
         """Where two of its last three readings agree on another height: how much farther that is [m]."""

@@ -79,13 +79,13 @@ def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
         return Decoded(Status.PART_INFO, None, word)
     if word & CLOCK_FAULT_BIT:
         return Decoded(Status.CLOCK_FAULT, None, word)
+    if not MINIMUM_CM <= word <= NO_ECHO_CM:
+        return Decoded(Status.IMPOSSIBLE, None, word)
+    earliest_s = EARLIEST_ANSWER_S + word * ECHO_S_PER_CM
     if word == NO_ECHO_CM:
-        return Decoded(Status.NO_ECHO, None, word)
-    if word == MINIMUM_CM:
-        return Decoded(Status.AT_MINIMUM, word / 100, word)
-    if MINIMUM_CM < word < NO_ECHO_CM:
-        return Decoded(Status.OK, word / 100, word, suspect=word in DOUBTFUL_CM)
-    return Decoded(Status.IMPOSSIBLE, None, word)
+        return Decoded(Status.NO_ECHO, None, word, False, earliest_s)
+    status = Status.AT_MINIMUM if word == MINIMUM_CM else Status.OK
+    return Decoded(status, word / 100, word, word in DOUBTFUL_CM, earliest_s)
 
 
 def encode(reading_cm: int) -> bytes:
@@ -117,10 +117,7 @@ class MB1242(Driver):
         An answer that arrives sooner than its own echo could is not the answer to this ping: the sensor lost its power
         and sends part information, or repeats the previous answer.
         """
-        decoded = decode(self._bus.read(self.address, ANSWER_BYTES), pinged=self._pinged)
-        if decoded.raw is None or decoded.status.is_fault:
-            return decoded
-        return decoded._replace(earliest_s=EARLIEST_ANSWER_S + decoded.raw * ECHO_S_PER_CM)
+        return decode(self._bus.read(self.address, ANSWER_BYTES), pinged=self._pinged)
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:
