@@ -43,8 +43,8 @@ _TOPICS = [
     "vehicle_imu_status",
 ]
 MOST_READ = 20
-"""A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without end.
-A damaged file is searched a few times over."""
+"""A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
+end. A damaged file is searched a few times over."""
 _EVERY_BYTES = 2**20
 _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
