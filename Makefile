@@ -22,6 +22,9 @@ help:
 demo: .venv/.installed compile
 	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --force --speed 12
 
+# Tests are rewritten for pytest before they run, which takes a process 8 s unless their bytecode is kept.
+unexport PYTHONDONTWRITEBYTECODE
+
 # As many processes as there are processors; tests/conftest.py says what may run at the same time.
 PYTEST := $(BIN)/python -m pytest --numprocesses auto
 

@@ -10,12 +10,11 @@ from tests.fuzz import base
 from tests.fuzz.__main__ import AREAS
 from tests.support import crashing
 
-SECONDS = 5.0
 
-
+@pytest.mark.parametrize(("seconds", "seed"), [(1.0, 1), pytest.param(4.0, 2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("area", AREAS)
-def test_changed_input_is_read_or_has_a_line(area: str) -> None:
-    result = AREAS[area].fuzz(SECONDS, 1)
+def test_changed_input_is_read_or_has_a_line(area: str, seconds: float, seed: int) -> None:
+    result = AREAS[area].fuzz(seconds, seed)
     assert result.area == area
     assert result.cases > 3
     assert result.failures == [], "\n".join(result.failures)
