@@ -121,6 +121,10 @@ def png(figure: Figure) -> bytes:
         # A $ in a name of a target or run is not a formula. matplotlib's own formulas are added when it draws the axes.
         if "$" in text.get_text():
             text.set_parse_math(False)
+    if (layout := figure.get_layout_engine()) is not None:
+        # A figure that has a layout engine is drawn twice by `savefig`, the first time only for the layout.
+        layout.execute(figure)
+        figure.set_layout_engine(None)
     # Level 4 is twice as fast as the default 6, and a few per cent larger. The file contains no date or version.
     figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 4})
     return file.getvalue()
