@@ -14,6 +14,8 @@ from tests.real.commands import run_command
 from tests.real.sets import CONFIGS
 from tests.support.known import known
 
+pytestmark = pytest.mark.slow
+
 
 def simulated(rng: np.random.Generator, shift_cm: float = 0.0, from_cm: float = 0.0) -> Table:
     """Twelve runs of 150 readings at ranges that are the same in every table; beyond a range all are shifted."""
@@ -119,14 +121,12 @@ def test_right_model_closes_the_gap_and_the_given_one_does_not(case: Path) -> No
     assert abs(closed(none, "ks")) < 8.0
 
 
-@pytest.mark.slow
 def test_part_of_the_effect_closes_part_of_the_gap(case: Path) -> None:
     found = gap_closed([case / "measured.csv"], case / "given.yaml", case / "half.yaml")
     # Seven tenths of the effect leave nine hundredths of what grows with its square; at 4 to 8 cm it grows by less.
     assert 60.0 < known(found.closed_pct) < 95.0
 
 
-@pytest.mark.slow
 def test_without_a_gap_before_there_is_no_figure(case: Path) -> None:
     model = case / "gap" / "model.yaml"
     assert gap_closed([case / "measured.csv"], model, model).closed_pct is None

@@ -21,6 +21,7 @@ from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import Scenario, Thermometer
 from msp_sim.world.world import AirSection, WarmLayer
+from tests.support.slow import slow_but
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FUSED_ID = 10
@@ -177,7 +178,7 @@ def held(temperature: dict[str, Any], air_c: float, over_ground_c: float, warmer
     return inside
 
 
-@pytest.mark.parametrize("kind", IN_FLIGHT)
+@pytest.mark.parametrize("kind", slow_but({"file"}, IN_FLIGHT))
 def test_the_stated_95_percent_hold_the_truth_90_to_99_percent_of_the_time(kind: str) -> None:
     temperature, of_air, of_error, message = IN_FLIGHT[kind]
     draw = np.random.default_rng(3)

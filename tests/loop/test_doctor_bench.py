@@ -8,11 +8,12 @@ import pytest
 
 from msp_range.doctor import bench
 from msp_range.doctor.command import lines_of
+from tests.support.slow import slow
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-@pytest.mark.parametrize("airframe", ["quad_pallet", "lidar_down", "proximity"])
+@pytest.mark.parametrize("airframe", ["quad_pallet", *slow("lidar_down", "proximity")])
 def test_the_figures(airframe: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "BENCH_S", 1.5)
     began_s = time.monotonic()

@@ -85,6 +85,7 @@ def test_no_echo_of_another_kind_of_sensor_is_no_echo_on_the_bus() -> None:
     assert max(valid_s) < 8.0
 
 
+@pytest.mark.slow
 def test_every_scenario_flies_to_its_end() -> None:
     for path in sorted(SCENARIOS.glob("*.yaml")):
         flight, _ = fly(path.name)

@@ -1,6 +1,7 @@
 """Simulated flights over all kinds of ground: how well the height is known, what is reported of objects and faults."""
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from msp_range.clock import VirtualClock
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
+from tests.support.slow import slow
 
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 
@@ -19,6 +21,12 @@ def fly(scenario: Scenario, seed: int = 1) -> FlightResult:
     for _ in simulation.fly():
         pass
     return simulation.flight
+
+
+@cache
+def flown(name: str, seed: int = 1) -> FlightResult:
+    """A flight of a scenario that comes with the product."""
+    return fly(load_scenario(SCENARIOS / f"{name}.yaml"), seed)
 
 
 def error_m(track: SensorTrack, values_m: list[float | None]) -> np.ndarray:
@@ -36,9 +44,9 @@ def rms(errors_m: np.ndarray) -> float:
     return math.sqrt(float((errors_m**2).mean()))
 
 
-@pytest.mark.parametrize("name", ["flat", "slope", "steps", "boxes", "rough_grass"])
+@pytest.mark.parametrize("name", ["flat", "boxes", "rough_grass", *slow("slope", "steps")])
 def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) -> None:
-    flight = fly(load_scenario(SCENARIOS / f"{name}.yaml"))
+    flight = flown(name)
     fused_m = error_m(flight.fused, flight.fused.filtered_m)
     assert len(fused_m) > 400
     raw_m = [error_m(track, track.raw_m) for track in flight.tracks.values()]
@@ -51,13 +59,13 @@ def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) ->
     assert len(times_s) / (times_s[-1] - times_s[0]) > 9.7
 
 
-@pytest.mark.parametrize("kind", ["silent", "stuck"])
+@pytest.mark.parametrize("kind", ["stuck", *slow("silent")])
 def test_a_dead_or_stuck_sensor_costs_little_and_is_reported(kind: str) -> None:
-    scenarios = [load_scenario(SCENARIOS / f"{name}.yaml") for name in ("flat", "terrain", "rough_grass")]
     fault = PlannedFault(sensor="front_left", kind=kind, from_s=12.0, to_s=200.0)
     good, bad = [], []
-    for scenario in scenarios:
-        good.append(fly(scenario))
+    for name in ("flat", "terrain", "rough_grass"):
+        good.append(flown(name))
+        scenario = load_scenario(SCENARIOS / f"{name}.yaml")
         broken = scenario.model_copy(update={"faults": (fault.model_copy(update={"to_s": scenario.duration_s}),)})
         bad.append(fly(broken))
         reported = [text for _, _, text in bad[-1].texts]
@@ -73,13 +81,12 @@ def test_a_dead_or_stuck_sensor_costs_little_and_is_reported(kind: str) -> None:
 
 def test_over_flat_ground_rough_grass_and_slopes_nothing_is_taken_for_an_object() -> None:
     for name in ("flat", "slope", "rough_grass", "hover", "sinusoid"):
-        flight = fly(load_scenario(SCENARIOS / f"{name}.yaml"), seed=3)
-        assert [text for _, _, text in flight.texts if "below" in text] == [], name
+        assert [text for _, _, text in flown(name, seed=3).texts if "below" in text] == [], name
 
 
 def test_boxes_off_the_middle_are_reported_one_by_one() -> None:
     """Four boxes of 30 to 60 cm to the right, left, right and left of the way, each under the front sensor first."""
-    texts = fly(load_scenario(SCENARIOS / "boxes.yaml")).texts
+    texts = flown("boxes").texts
     objects = [(time_s, text) for time_s, _, text in texts if "object" in text]
     firsts = [next((each for each in objects if each[0] > start_s), None) for start_s in (10, 20, 30, 40)]
     assert [each[1].split(":")[0] for each in firsts if each is not None] == [
@@ -107,7 +114,7 @@ flight:
 """
 
 
-@pytest.mark.parametrize("acceleration", [3, 5])
+@pytest.mark.parametrize("acceleration", [5, *slow(3)])
 def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, acceleration: int) -> None:
     airframe = SCENARIOS.parent / "quad_pallet.yaml"
     path = tmp_path / "hard.yaml"
@@ -120,10 +127,10 @@ def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, accelerat
         assert np.percentile(np.abs(error_m(flight.fused, flight.fused.filtered_m)), 95) < 0.06
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, *slow(3)])
 def test_a_box_below_two_of_four_does_not_become_the_ground(seed: int) -> None:
     """Not even when one of the two that see the ground gives an outlier, or none."""
-    fused = fly(load_scenario(SCENARIOS / "boxes.yaml"), seed).fused
+    fused = flown("boxes", seed).fused
     pairs = [
         (reported, true) for reported, true in zip(fused.filtered_m, fused.truth_m, strict=True) if reported and true
     ]

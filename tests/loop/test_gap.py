@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
+from msp_lab.gap import demo
 from msp_lab.gap.findings import read_findings
 from msp_range.recording.csv_form import write_csv
 from msp_sim.cli import app as sim_app
@@ -137,7 +138,7 @@ def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder:
 
 def test_nothing_missing_reports_what_would_have_been_seen(tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(1500, 6))
-    printed = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out")
+    printed = run("gap", tmp_path / "flights.csv", "--model", MODEL, "--out", tmp_path / "out", "--until", "add")
     assert "Nothing is missing" in printed
     assert "would have shown" in printed
     found = read_findings(tmp_path / "out")
@@ -153,8 +154,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     paths = []
     for seed in range(1, 5):
         scenario = ROOT / "configs" / "scenarios" / "demo.yaml"
-        run("fly", scenario, "--model", hidden_model, "--seed", seed, "--out", made / str(seed))
-        paths.append((made / str(seed) / "flight.mcap").rename(made / f"flight-{seed}.mcap"))
+        (made / str(seed)).mkdir()
+        flight = demo.fly(made / str(seed), scenario, hidden_model, seed)
+        paths.append(flight.rename(made / f"flight-{seed}.mcap"))
     return paths
 
 
@@ -180,6 +182,7 @@ def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: li
     assert known(after.gap.nats_per_reading.after) < 0.2 * known(after.gap.nats_per_reading.before)
 
 
+@pytest.mark.slow
 def test_a_campaign_whose_sensor_is_off_shows_it(tmp_path: Path) -> None:
     bench = ROOT / "configs" / "sensors" / "mb1242_bench.yaml"
     off = bench.read_text(encoding="utf-8").replace(

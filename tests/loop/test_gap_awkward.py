@@ -26,8 +26,8 @@ def gap(folder: Path, columns: Columns, *options: str, code: int = 0) -> str:
     return " ".join(result.output.split())
 
 
-def found(folder: Path, columns: Columns, *options: str) -> GapFindings:
-    gap(folder, columns, *options)
+def found(folder: Path, columns: Columns, *options: str, until: str = "add") -> GapFindings:
+    gap(folder, columns, *options, "--until", until)
     return read_findings(folder / "out")
 
 
@@ -102,6 +102,7 @@ def test_readings_of_one_run_are_parted_in_time(tmp_path: Path) -> None:
     assert findings.verdict == "nothing missing"
 
 
+@pytest.mark.slow
 def test_readings_that_depend_on_each_other_have_no_name(tmp_path: Path) -> None:
     n, runs = 2000, 20
     rng = np.random.default_rng(5)
@@ -161,7 +162,7 @@ def test_one_true_range_and_nothing_else_is_compared(tmp_path: Path) -> None:
     columns["reading_cm"] = np.where(np.abs(columns["reading_cm"] - 200.0) > 15.0, 765.0, columns["reading_cm"])
     columns["true_range_cm"] = np.full(600, 200.0)
     columns["throttle"] = np.full(600, 0.5)
-    findings = found(tmp_path, columns)
+    findings = found(tmp_path, columns, until="show")
     assert reports(findings, "All readings are at one true range (200 cm)")
     assert findings.effects == ()
 

@@ -10,6 +10,7 @@ from msp_range.clock import SystemClock
 from msp_range.yaml_file import ConfigError
 
 
+@pytest.mark.slow
 def test_all_hidden_effects_are_named_and_the_extended_model_flies(tmp_path: Path) -> None:
     findings = demo.run(tmp_path, 1, Steps(tmp_path / "gap", SystemClock(), lambda what, share: None))
     found = list(demo.comparisons(findings))

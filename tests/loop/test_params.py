@@ -102,7 +102,7 @@ def test_the_file_is_read_by_pymavlink(tmp_path: Path) -> None:
     ("fresh", "px4", "firmware"),
     [
         (FRESH, False, Firmware("ardupilot")),
-        (FRESH_BEFORE, False, Firmware("ardupilot", centimetres=True)),
+        pytest.param(FRESH_BEFORE, False, Firmware("ardupilot", centimetres=True), marks=pytest.mark.slow),
         (FRESH_PX4, True, Firmware("px4")),
     ],
     ids=["4.7", "before 4.7", "PX4"],

@@ -26,6 +26,7 @@ from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.bench import START_S, Bench, airframe
 from tests.support.data import measured_data
+from tests.support.slow import slow
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -185,7 +186,7 @@ def test_user_errors_are_reported_in_a_line(
     assert "Traceback" not in result.output
 
 
-@pytest.mark.parametrize("name", ["calibration", "training1"])
+@pytest.mark.parametrize("name", ["calibration", *slow("training1")])
 def test_measured_readings_of_a_maxsonar_go_through_the_whole_bridge(tmp_path: Path, name: str) -> None:
     """A MaxBotix MB1433 on a robot before a wall (enmt482): no code comes out, and no error is added.
 

@@ -17,6 +17,7 @@ from msp_range.mavlink.transport import Nowhere
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
+from tests.support.slow import slow
 
 HEIGHT_CM = 500
 JUMP_S = 15.0
@@ -52,7 +53,7 @@ class Hover:
         return [(each.current_distance, each.covariance) for each in messages]
 
 
-@pytest.mark.parametrize("to_c", [60.0, -20.0])
+@pytest.mark.parametrize("to_c", [60.0, *slow(-20.0)])
 def test_a_jump_of_the_thermometer_alone_never_moves_the_distance(tmp_path: Path, to_c: float) -> None:
     """It was believed after 10 s and not reported: 531 or 444 cm at 5 m."""
     hover = Hover(tmp_path, lambda time_s: 20.0 if time_s < GOOD_S else to_c, lambda time_s: 20.0)

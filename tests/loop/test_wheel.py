@@ -46,6 +46,7 @@ def test_it_holds_every_configuration_file_template_and_command(wheel: Path) -> 
     assert scripts == {path.name for path in (ROOT / "bin").iterdir()}
 
 
+@pytest.mark.slow
 def test_a_flight_by_name_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
     site, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()

@@ -23,6 +23,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from msp_sim.device.device import Fault
 from tests.support.kernel_bus import KernelTestbed, Sonar, Transfer, kernel_bus
 from tests.support.service import COMMAND, Autopilot, LinkEnd, Service, missing, running_service, sonars
+from tests.support.slow import slow
 from tests.support.transports import free_port, until
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[765], down_cm=[300])
@@ -142,6 +143,7 @@ def test_the_page_shows_what_changes(tmp_path: Path) -> None:
     assert marks == [{"text": "over the box"}]
 
 
+@pytest.mark.slow
 def test_a_dead_sensor_is_seen_dead(tmp_path: Path) -> None:
     dies_s = 4.0
     dying = [*STEADY[:3], Sonar(0x73, [300], [Fault("silent", dies_s, 1000.0)])]
@@ -157,6 +159,7 @@ def test_a_dead_sensor_is_seen_dead(tmp_path: Path) -> None:
     assert first_s - failed_s < DEAD_WITHIN_S
 
 
+@pytest.mark.slow
 def test_the_page_finds_the_bridge_again(tmp_path: Path) -> None:
     with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path) as bridge:
         # A page of its own, so that it outlives the bridge.
@@ -265,13 +268,13 @@ def status(feed: Path, *options: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, timeout=20.0)
 
 
-def test_a_wrong_address_is_refused_before_the_flight(tmp_path: Path) -> None:
-    for wrong in ("0", "80808", "host", "1.2.3.4:", "::1:http"):
-        done = subprocess.run(
-            [COMMAND, "run", tmp_path / "none.yaml", "--web", wrong], capture_output=True, text=True, timeout=20.0
-        )
-        assert done.returncode == 3
-        assert done.stderr.startswith(f"--web {wrong}: expected [HOST:]PORT")
+@pytest.mark.parametrize("wrong", ["host", *slow("0", "80808", "1.2.3.4:", "::1:http")])
+def test_a_wrong_address_is_refused_before_the_flight(wrong: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [COMMAND, "run", tmp_path / "none.yaml", "--web", wrong], capture_output=True, text=True, timeout=20.0
+    )
+    assert done.returncode == 3
+    assert done.stderr.startswith(f"--web {wrong}: expected [HOST:]PORT")
 
 
 def failed_pings(testbed: KernelTestbed, address: int) -> list[Transfer]:

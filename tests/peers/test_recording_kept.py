@@ -18,6 +18,7 @@ import pytest
 from msp_range.recording.reader import Recording
 from tests.support.kernel_bus import kernel_bus
 from tests.support.service import LinkEnd, running_service, sonars
+from tests.support.slow import slow
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[300], down_cm=[300])
 MOST_LOST_S = 1.0
@@ -66,7 +67,7 @@ def busy_computer(folder: Path, end: LinkEnd) -> Iterator[Callable[[], float]]:
         thread.join()
 
 
-@pytest.mark.parametrize("extra_s", [0.0, 0.17, 0.34])
+@pytest.mark.parametrize("extra_s", [0.17, *slow(0.0, 0.34)])
 def test_a_killed_program_loses_less_than_a_second(extra_s: float, tmp_path: Path) -> None:
     with kernel_bus(STEADY) as testbed, LinkEnd() as end, busy_computer(tmp_path, end) as late_s:
         with running_service(testbed, end.url, tmp_path, "--record", str(tmp_path / "flights")) as service:

@@ -69,6 +69,7 @@ def test_a_curve_draws_what_it_scores_and_rests_where_its_context_is_not_known(n
 SHUFFLED = [str(name) for name in np.random.default_rng(1).permutation(list(CATALOGUE))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("one", "other"), [*pairwise(SHUFFLED), (SHUFFLED[-1], SHUFFLED[0])])
 def test_two_effects_at_once_draw_what_they_score(one: str, other: str) -> None:
     given = contexts(8000, seed=4)

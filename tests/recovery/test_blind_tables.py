@@ -25,6 +25,7 @@ from tests.blind.score import Outcome, accepted_names, judge
 from tests.blind.size import Hidden, stage
 from tests.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base
 from tests.support.known import known
+from tests.support.slow import slow
 
 BASE_SEED = 11
 NAMES = accepted_names()
@@ -99,7 +100,7 @@ def look(base: Callable[[Regime], Path], tmp_path_factory: pytest.TempPathFactor
     def at(flights: Flown) -> Looked:
         folder = tmp_path_factory.mktemp("table")
         write(folder / "measured.csv", flights.columns, flights.reading_cm)
-        run("gap", folder / "measured.csv", "--model", base(flights.regime), "--out", folder / "gap")
+        run("gap", folder / "measured.csv", "--model", base(flights.regime), "--out", folder / "gap", "--until", "add")
         gap = json.loads((folder / "gap" / "gap.json").read_text(encoding="utf-8"))
         hidden = [
             {"mechanism": name, "channel": MECHANISMS[name].channel, "variables": MECHANISMS[name].variables}
@@ -120,7 +121,7 @@ def late(look: Look) -> Looked:
     return look(flown(1, LATE))
 
 
-@pytest.mark.parametrize("regime", ["iid", "run_offsets", "heavy_outliers"])
+@pytest.mark.parametrize("regime", ["iid", *slow("run_offsets", "heavy_outliers")])
 def test_nothing_is_named_where_nothing_is_hidden(look: Look, regime: Regime) -> None:
     looked = look(flown(1, regime=regime))
     assert (looked.found.effects, looked.found.unknown) == ((), ())
@@ -128,6 +129,7 @@ def test_nothing_is_named_where_nothing_is_hidden(look: Look, regime: Regime) ->
     assert looked.found.detectable
 
 
+@pytest.mark.slow
 def test_readings_that_depend_on_each_other_have_no_name(look: Look) -> None:
     looked = look(flown(1, regime="ar1"))
     assert (looked.found.effects, looked.found.unknown) == ((), ())
@@ -149,6 +151,7 @@ def test_a_known_effect_has_its_name_and_its_number(late: Looked) -> None:
     assert flies.values["delay_ms"] == pytest.approx(delay_ms.value, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mechanism", "size", "of"),
     [
@@ -180,6 +183,7 @@ def test_the_extended_model_is_right_of_other_flights(late: Looked) -> None:
     assert after - before == pytest.approx(112.0 / 2000.0, rel=0.3)
 
 
+@pytest.mark.slow
 def test_what_is_in_no_catalogue_is_called_unknown(look: Look) -> None:
     looked = look(flown(1, [("resonant_housing", 1.17)]))
     assert looked.outcome.found_unknown
@@ -189,6 +193,7 @@ def test_what_is_in_no_catalogue_is_called_unknown(look: Look) -> None:
     assert 60.0 < peak[0] < 72.0
 
 
+@pytest.mark.slow
 def test_indistinguishable_effects_are_reported_with_the_experiment(look: Look) -> None:
     looked = look(flown(1, [("air_not_compensated", 0.075)], twist="air of one temperature"))
     assert not looked.outcome.resolved_wrongly
@@ -201,6 +206,7 @@ def test_indistinguishable_effects_are_reported_with_the_experiment(look: Look) 
 # Two checks of honesty.
 
 
+@pytest.mark.slow
 def test_with_the_cause_shuffled_the_name_is_gone(look: Look) -> None:
     flights = flown(1, LATE)
     rate = flights.columns["range_rate_cm_s"]
@@ -209,6 +215,7 @@ def test_with_the_cause_shuffled_the_name_is_gone(look: Look) -> None:
     assert (looked.found.effects, looked.found.unknown) == ((), ())
 
 
+@pytest.mark.slow
 def test_runs_that_confirm_and_hold_nothing_gain_nothing(look: Look, late: Looked) -> None:
     flights, nothing = flown(1, LATE), flown(1)
     # The same flights are split in the same way, whatever was read in them.

@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from msp_lab.gap import workflow
 from msp_lab.gap.findings import GapFindings, Settings
@@ -36,6 +37,7 @@ def _found(sensor: str, mapping: str, paths: tuple[Path, ...]) -> tuple[GapFindi
     return workflow.add(comparison, findings, models, quiet), readings.data
 
 
+@pytest.mark.slow
 def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
     findings, data = found("mb1433", "enmt482-sonar2", "enmt482/training1.csv")
     latency = {each.name: each for each in findings.effects}["latency"]
@@ -67,6 +69,7 @@ def test_the_tilted_ranger_reads_the_slant_range() -> None:
     assert findings.rows == len(data)
 
 
+@pytest.mark.slow
 def test_millimetres_are_calibration_and_no_effect() -> None:
     findings, _ = found("mb1433", "enmt482-sonar2", "enmt482/training1.csv")
     resolution = {each.name: each for each in findings.calibration}["resolution"]
@@ -74,6 +77,7 @@ def test_millimetres_are_calibration_and_no_effect() -> None:
     assert any("1 run" in each for each in findings.messages)
 
 
+@pytest.mark.slow
 def test_the_hcsr04_at_a_ruler_is_reported_to_miss_something() -> None:
     findings, _ = found("hcsr04", "hcsr04-ccu", "hcsr04-ccu/readings.csv")
     assert findings.verdict in ("partly explained", "explained")

@@ -16,6 +16,7 @@ from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.pit import goodness_of_fit, pit_values
 from tests.support.data import measured_data
 from tests.support.plain_sampler import PlainSensor
+from tests.support.slow import slow
 
 MB1242 = ReadingGrid(20, 765, second_no_echo_cm=255)
 GROWTHS = {"sigma_growth_cm_per_m", "missed_growth_per_m"}
@@ -39,6 +40,7 @@ def recovered(result: FitResult, sensor: PlainSensor, errors: float = 4.0) -> No
             assert value == pytest.approx(truth[name], abs=errors * result.standard_errors[name]), name
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     """The whole figure is `python -m benchmarks.bench_fit_coverage`; one in twenty may miss."""
     shares = coverage(range(400, 416))
@@ -74,6 +76,7 @@ def test_growth_with_range_comes_back_and_is_kept() -> None:
     assert result.parameters.missed_growth_per_m == result.estimates["missed_growth_per_m"]
 
 
+@pytest.mark.slow
 def test_the_error_of_growth_is_what_it_scatters_by() -> None:
     rng = np.random.default_rng(31)
     grid, expected_cm = ReadingGrid(20, 765), np.linspace(100.0, 600.0, 600)
@@ -215,7 +218,7 @@ def test_the_mixture_of_a_measured_lidar() -> None:
     assert good.chi_square_p_value < 1e-6
 
 
-@pytest.mark.parametrize("seed", [2, 23, 154, 198, 217, 288, 685])
+@pytest.mark.parametrize("seed", [2, 23, *slow(154, 198, 217, 288, 685)])
 def test_awkward_sensors_are_fitted_at_least_as_well_as_by_the_truth(seed: int) -> None:
     """Few readings, hits that read 255, kinds of reading that hardly occur; 800 seeds were tried by hand."""
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from msp_range.reading_model.fit_result import FitResult
 from msp_range.reading_model.grid import ReadingGrid
 from tests.blind.campaign import over_ranges
 
+pytestmark = pytest.mark.slow
 GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, no_echo_cm=765, second_no_echo_cm=255)
 SEEDS = range(100, 108)
 OFFSET_CM, SCALE = -0.62, 1.0044

@@ -120,6 +120,7 @@ def test_a_sensor_without_error_gets_no_calibration() -> None:
     assert "piecewise linear" not in forms
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_with_set_ups_that_err_and_readings_that_hide_it() -> None:
     held = {"bias": 0, "offset": 0, "scale": 0}
     trials = 40

@@ -188,10 +188,22 @@ def test_address_asks_before_it_moves_a_sensor(sonar: EmulatedMB1242) -> None:
     assert (result.exit_code, sonar.address) == (0, 0x74)
 
 
-def test_export_never_overwrites(tmp_path: Path) -> None:
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """A scenario of four seconds."""
+    path = tmp_path / "scenarios" / "short.yaml"
+    path.parent.mkdir()
+    path.write_text(
+        f"name: short\nairframe: {CONFIGS}/quad_pallet.yaml\nduration_s: 4\n"
+        "flight: {altitude: [{kind: climb, to_m: 1.0}]}\n"
+    )
+    return path
+
+
+def test_export_never_overwrites(short: Path, tmp_path: Path) -> None:
     """Not even the recording itself, by a slip of the keyboard."""
     out = tmp_path / "flight"
-    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(out)]
+    args = ["fly", str(short), "--out", str(out)]
     assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
     before = (out / "flight.mcap").read_bytes()
     result = CliRunner().invoke(app, ["export", str(out / "flight.mcap"), str(out / "flight.mcap")])
@@ -208,26 +220,25 @@ def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
     assert "cannot be created" in result.output
 
 
-def test_a_flight_is_not_replaced_unasked(tmp_path: Path) -> None:
+def test_a_flight_is_not_replaced_unasked(short: Path, tmp_path: Path) -> None:
     """`make demo` asks for it: it flies into the same folder each time."""
-    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(tmp_path)]
+    out = tmp_path / "flight"
+    args = ["fly", str(short), "--out", str(out)]
     assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert set(before) == {"flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"}
 
     result = CliRunner().invoke(sim_app, [*args, "--seed", "2"], catch_exceptions=False)
     assert result.exit_code == 3
-    assert f"{tmp_path}/flight.mcap: a flight is in this folder already" in result.output
+    assert f"{out}/flight.mcap: a flight is in this folder already" in result.output
     assert "--force" in result.output
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
-    again = ["fly", str(tmp_path / "scenario.yaml"), "--out", str(tmp_path), "--seed", "2", "--force"]
-    (tmp_path / "scenario.yaml").write_text(
-        before["scenario.yaml"].decode().replace("../", f"{CONFIGS}/", 1)  # the airframe
-    )
+    again = ["fly", str(out / "scenario.yaml"), "--out", str(out), "--seed", "2", "--force"]
+    (out / "scenario.yaml").write_text(before["scenario.yaml"].decode() + "# once more\n")
     result = CliRunner().invoke(sim_app, again, catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    after = {path.name: path.read_bytes() for path in out.iterdir()}
     assert set(after) == set(before)
     assert all(after[name] != before[name] for name in before)
 

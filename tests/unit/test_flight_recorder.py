@@ -417,6 +417,7 @@ def test_a_power_cut_costs_less_than_a_second_on_a_slow_disk(tmp_path: Path, mon
     recorder.close()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_over_hours(tmp_path: Path) -> None:
     """Resident memory after each of three hours of chunks, in a process of its own."""
     code = """if True:

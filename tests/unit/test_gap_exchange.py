@@ -12,6 +12,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
+from tests.support.slow import slow
 
 Array = NDArray[np.float64]
 MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
@@ -60,7 +61,7 @@ def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
     assert "motion_during_ping" not in [each.active.effect.name for each in selection.alternatives["latency", None]]
 
 
-@pytest.mark.parametrize("order", [("latency", "vibration", "range_scale"), ("vibration", "latency")])
+@pytest.mark.parametrize("order", [("vibration", "latency"), *slow(("latency", "vibration", "range_scale"))])
 def test_a_needless_name_goes(order: tuple[str, ...]) -> None:
     selection = after_exchange(problem_of((60.0, 700.0), 25.0), *order)
     assert names_of(selection) == ["latency"]

@@ -145,6 +145,7 @@ def test_many_readings_of_a_badly_set_up_point_are_not_many_points() -> None:
     assert alarms <= 3
 
 
+@pytest.mark.slow
 def test_false_alarms_over_many_questions_are_corrected_for() -> None:
     """Five nulls of four effects each; one test in twenty would alarm in two of three campaigns."""
     alarms = 0

@@ -331,6 +331,7 @@ def random_hover(seed: int) -> tuple[bool, bool | None]:
     return is_true, None
 
 
+@pytest.mark.slow
 def test_in_flights_of_all_kinds_the_ranges_decide_often_and_hardly_ever_wrongly() -> None:
     """Heights of 0.5 to 7 m, wandering by up to 20 cm, climbing around the jump, 3 % outliers; jumps of 8 to 45 C."""
     outcomes = [random_hover(seed) for seed in range(400)]

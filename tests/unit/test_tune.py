@@ -62,7 +62,10 @@ def test_a_gap_begins_anew() -> None:
     assert log_likelihood([*one, *other], True, 0.5, 1e-3) == pytest.approx(parts)
 
 
-@pytest.mark.parametrize(("acceleration_std_m_s2", "sigma_m"), [(0.3, 0.02), (2.0, 0.05), (1.0, 0.01)])
+@pytest.mark.parametrize(
+    ("acceleration_std_m_s2", "sigma_m"),
+    [(2.0, 0.05), pytest.param(0.3, 0.02, marks=pytest.mark.slow), pytest.param(1.0, 0.01, marks=pytest.mark.slow)],
+)
 def test_q_and_r_are_given_back_within_their_intervals(acceleration_std_m_s2: float, sigma_m: float) -> None:
     inside, count = 0, 12
     for seed in range(count):
