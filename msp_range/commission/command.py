@@ -4,6 +4,7 @@ import json
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, TextIO
 
 from msp_range.commission import edit
@@ -96,6 +97,8 @@ def _correct(
     if not agreed:
         return [], outcome
     edits = [one for each in agreed for one in each.edits]
+    for name, text in {file: text for each in agreed for file, text in each.files}.items():
+        _make(session.path.with_name(name), text)
     backup = edit.change(session.path, edits)
     try:
         changed = load_airframe(session.path)
@@ -112,6 +115,17 @@ def _correct(
     for each in verified.proposals:
         show(_wrapped("left     ", each.text))
     return changes, verified
+
+
+def _make(path: Path, text: str) -> None:
+    """Make a file, or replace the one that is there, which is kept."""
+    if path.exists():
+        edit.save(path, text)
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _asked(session: Session, proposal: Proposal) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from msp_range.commission.motion import Places
 from msp_range.commission.samples import Array, Samples
 
-FARTHEST_DEG, STEP_DEG = 60.0, 2.0
+FARTHEST_DEG, STEP_DEG = 60.0, 3.0
 """Axes up to the first angle from straight down are tried, this far apart [deg]. A sensor further away hears the floor
 at no tilt of a hand."""
 SCALES = np.array([0.7, 0.85, 1.0, 1.15, 1.35, 1.6])

@@ -79,7 +79,7 @@ class Places:
     position_m: Mapping[str, tuple[Measured, Measured, Measured]]
     elsewhere: tuple[str, ...]
     lag: Measured
-    std_m: Mapping[str, float]
+    std_m: Mapping[str, Measured]
     height: Array
 
     def height_at(self, time_s: Array) -> Array:
@@ -263,7 +263,7 @@ def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> 
     places_m = rows.from_file + moved - shift
     height = fit.solution[:knots] - shift[2]  # r + q . d is the height
     stds = {
-        name: 1.4826 * float(np.median(np.abs(fit.residual_m[rows.sensor == i]))) for i, name in enumerate(rows.names)
+        name: _scatter(fit.residual_m[rows.sensor == i], len(rows.knots) / sensors) for i, name in enumerate(rows.names)
     }
     found = {
         name: (
@@ -274,6 +274,18 @@ def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> 
         for i, name in enumerate(rows.names)
     }
     return Places(found, tuple(elsewhere), lag, stds, np.stack([rows.knots, height], axis=1))
+
+
+def _scatter(residual_m: Array, fitted: float) -> Measured:
+    """Standard deviation of residuals without outliers, from which so many numbers were fitted."""
+    spread = max(1.4826 * float(np.median(np.abs(residual_m))), NOISE_M)
+    for _ in range(5):
+        kept = residual_m[np.abs(residual_m) <= 3 * spread]
+        spread = max(float(np.sqrt(np.mean(kept**2))), NOISE_M)
+    # Heights that bend little cost less than one number each.
+    free = max(len(kept) - 0.5 * fitted, 0.5 * len(kept))
+    std = spread * float(np.sqrt(len(kept) / free))
+    return Measured(std, 1.96 * MARGIN * std / float(np.sqrt(2 * free)))
 
 
 def common_shift(from_file: Array, moved: Array, half_width: Array) -> float:

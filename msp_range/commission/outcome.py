@@ -20,10 +20,13 @@ class Proposal:
         What was measured, with its interval, what the file has, and what is proposed.
     edits
         The change.
+    files
+        Files to be made next to the airframe file first: name, text.
     """
 
     text: str
     edits: tuple[Edit, ...]
+    files: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass

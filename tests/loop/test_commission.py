@@ -227,6 +227,19 @@ def test_a_thermometer_that_is_too_warm_gets_its_bias(tmp_path: Path) -> None:
     assert "# the barometer" in vehicle.path.read_text()
 
 
+def test_sensors_that_are_noisier_than_their_model_get_one_of_their_own(tmp_path: Path) -> None:
+    noisy = (CONFIGS / "sensors/mb1242.yaml").read_text().replace("sigma_cm: 1.9445", "sigma_cm: 4.0")
+    (tmp_path / "noisy.yaml").write_text(noisy)
+    vehicle = Vehicle(tmp_path, GOOD.replace("model: mb1242", "model: noisy.yaml"), GOOD, seed=11)
+    report = vehicle.do("bench")["bench"]
+    assert report["passed"], report
+    assert ["A model of your own" in each for each in vehicle.person.asked] == [True]
+    models = {sensor.model: sensor.sensor_model for sensor in vehicle.airframe.sensors}
+    ((name, model),) = models.items()
+    assert model.reading_model.sigma_cm == pytest.approx(4.0, abs=0.6)
+    assert "# sqrt(3.7811 cm^2)" in (tmp_path / name).read_text()
+
+
 def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
     vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=6)
     vehicle.held.armed = True

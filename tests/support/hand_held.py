@@ -4,6 +4,7 @@ Emulated sensors at their true places, over a flat floor, and an autopilot that 
 virtual. `Person` does what commissioning asks for.
 """
 
+import ctypes
 import math
 import random
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from numpy.random import SeedSequence, default_rng
+from smbus2 import i2c_msg
 
 from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
@@ -216,7 +218,7 @@ class Autopilot(LoopbackAutopilot):
 
 
 class EmulatedBus(KernelBus):
-    """The vehicle's sensors where `msp_range.bus.smbus.KernelBus` is expected: transfers go to the emulated devices."""
+    """The vehicle's sensors behind the bridge's own bus: smbus2's messages, without the kernel."""
 
     def __init__(self, vehicle: HandHeld) -> None:
         super().__init__("/dev/emulated")
@@ -228,13 +230,12 @@ class EmulatedBus(KernelBus):
     def reopen(self) -> None:
         """It is always open."""
 
-    def write(self, address: int, data: bytes) -> None:
-        """One message."""
-        self._devices.write(address, data)
-
-    def read(self, address: int, count: int) -> bytes:
-        """One message."""
-        return self._devices.read(address, count)
+    def _transfer(self, message: i2c_msg, verb: str, address: int) -> None:
+        assert message.addr == address
+        if verb == "read":
+            ctypes.memmove(message.buf, self._devices.read(address, message.len), message.len)
+        else:
+            self._devices.write(address, bytes(message))
 
 
 class Person:

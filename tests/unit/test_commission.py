@@ -16,13 +16,16 @@ from msp_range.clock import SystemClock
 from msp_range.commission.cover import blocked, covered
 from msp_range.commission.live import Armed, RunningBridge
 from msp_range.commission.look import axis_of
-from msp_range.commission.motion import NotMeasured, common_shift, places
+from msp_range.commission.motion import Measured, NotMeasured, common_shift, places
+from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import Terminal
+from msp_range.commission.outcome import Outcome
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.flight import hovering
 from msp_range.commission.still import Stand, levels, noise_m
 from msp_range.config import load_airframe
+from msp_range.doctor.finding import Verdict
 from msp_range.yaml_file import ConfigError
 
 AIRFRAME = load_airframe("configs/quad_pallet.yaml")
@@ -238,6 +241,18 @@ def test_noise_is_that_of_the_steps_between_readings() -> None:
     found = noise_m(samples_of(records))["a"]
     assert found.value == pytest.approx(0.02, abs=0.0025)
     assert found.half_width < 0.004
+
+
+def test_one_noisy_sensor_is_a_fault_of_its_own_and_all_of_them_are_the_model_s() -> None:
+    quiet, loud = Measured(0.019, 0.003), Measured(0.05, 0.006)
+    one, all_of_them = Outcome(), Outcome()
+    compare_noise(AIRFRAME, {name: loud if name == NAMES[2] else quiet for name in NAMES}, "in flight", one)
+    compare_noise(AIRFRAME, dict.fromkeys(NAMES, loud), "in flight", all_of_them)
+    assert ["rear_left" in each.text for each in one.findings if each.verdict is Verdict.WRONG] == [True]
+    assert one.proposals == []
+    (proposal,) = all_of_them.proposals
+    assert "sigma_cm: 5" in proposal.files[0][1]
+    assert len(proposal.edits) == 4
 
 
 def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from msp_range.acoustics.air import FIXED
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured
+from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import Outcome, Proposal, shown
 from msp_range.commission.samples import Samples, samples_of
@@ -28,8 +29,6 @@ LEAD_S, STILL_S = 2.0, 15.0
 """Time for the hands to go, and time that is measured [s]: 37 readings of each of four sensors."""
 DEEPER_M = 0.02
 """A height in the file that differs by less [m] stays: tape, floor and sensor are not better."""
-NOISIER_M = 0.005
-"""Noise above the model's by less [m] is not reported: it is that of readings in whole centimetres."""
 ELSEWHERE_M = 0.6
 """A sensor this far from where the file has it [m] does not look at the floor: the lift shows where it looks."""
 WARMER_C = 4.0
@@ -85,7 +84,9 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
         text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
         outcome.findings.append(wrong("level", text, "put it level, or calibrate the autopilot's level, then again"))
         return outcome
-    _noise(airframe, still, outcome)
+    noise = noise_m(still)
+    outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in noise.items()}
+    compare_noise(airframe, noise, "while still", outcome)
     answer_s = latency_s(still)
     if math.isfinite(answer_s):
         outcome.measured["echo_to_answer_s"] = round(answer_s, 4)
@@ -112,30 +113,6 @@ def _vertical(sensor: SensorSettings) -> float:
     """Share of its distance that is vertical over a level floor, as the fusion has it."""
     slant = {"slant": 1.0, "nearest": 0.0, "unknown": 0.5}[sensor.sensor_model.oblique_reading]
     return slant * math.cos(sensor.tilt_from_down_rad) + 1.0 - slant
-
-
-def _noise(airframe: Airframe, still: Samples, outcome: Outcome) -> None:
-    measured = noise_m(still)
-    sigma_cm = {sensor.name: sensor.sensor_model.reading_model.sigma_cm for sensor in airframe.sensors}
-    outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in measured.items()}
-    noisy = {
-        name: each
-        for name, each in measured.items()
-        if each.value > sigma_cm[name] / 100 and each.differs_from(sigma_cm[name] / 100, NOISIER_M)
-    }
-    for name, each in noisy.items():
-        in_cm = Measured(100 * each.value, 100 * each.half_width)
-        text = f"a still {name} scatters by {shown(in_cm, 'cm', 1)}, and its model says {sigma_cm[name]:.1f} cm"
-        remedy = (
-            "check its supply (100 ohm and 100 uF at the sensor) and the floor; if it stays, raise "
-            "reading_model.sigma_cm in a model file of your own"
-        )
-        outcome.findings.append(wrong("noise", text, remedy))
-    if measured and not noisy:
-        most = max(100 * each.value for each in measured.values())
-        model_cm = max(sigma_cm.values())
-        text = f"at most {most:.1f} cm while still; the model's {model_cm:.1f} cm have to cover the flight too"
-        outcome.findings.append(right("noise", text))
 
 
 def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome: Outcome) -> None:

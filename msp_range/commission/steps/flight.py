@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_range.commission.motion import NotMeasured, Places, places
+from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Outcome, Proposal
 from msp_range.commission.samples import Array, Readings, Record, Samples, samples_of
 from msp_range.commission.session import Session
@@ -147,18 +148,11 @@ def _residuals(airframe: Airframe, found: Places, outcome: Outcome) -> None:
     in_flight = Outcome()
     compare_places(airframe, found, in_flight)
     outcome.proposals += [Proposal(f"in flight: {each.text}", each.edits) for each in in_flight.proposals]
-    sigma = {sensor.name: sensor.sensor_model.reading_model.sigma_cm for sensor in airframe.sensors}
-    outcome.measured["noise_in_flight_cm"] = {name: round(100 * each, 2) for name, each in found.std_m.items()}
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
         outcome.findings.append(wrong(f"residuals of {name}", text, "msp-range commission --step lift"))
-    for name, std_m in found.std_m.items():
-        text = f"they scatter by {100 * std_m:.1f} cm about the ground, {sigma[name]:.1f} cm in its model"
-        if 100 * std_m > 2 * sigma[name]:
-            remedy = "vibration, wash or rough ground; or raise reading_model.sigma_cm in a model file of your own"
-            outcome.findings.append(wrong(f"residuals of {name}", text, remedy))
-        else:
-            outcome.findings.append(right(f"residuals of {name}", text))
+    outcome.measured["noise_in_flight_cm"] = {name: round(100 * each.value, 2) for name, each in found.std_m.items()}
+    compare_noise(airframe, found.std_m, "in flight", outcome)
 
 
 def hovering(samples: Samples) -> Samples | None:
