@@ -1,6 +1,7 @@
 """What `msp-range commission` does: the steps in their order, each printed, corrected, verified and remembered."""
 
 import json
+import os
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -42,6 +43,11 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
     as_json
         Print one JSON object at the end instead.
     """
+    if not os.access(session.path.absolute().parent, os.W_OK):
+        raise ConfigError(
+            f"{session.path.absolute().parent}: this user may not write there, where changes and what has passed are "
+            "kept: use sudo, or a copy of the file in a folder of your own"
+        )
     state = State.of(session.path)
     airframe = session.airframe()
     session.measured.update({name: each["measured"] for name, each in state.steps.items()})

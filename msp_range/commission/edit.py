@@ -66,7 +66,10 @@ def save(path: Path, text: str) -> Path:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        new.chmod(path.stat().st_mode & 0o777)
+        before = path.stat()
+        if (new.stat().st_uid, new.stat().st_gid) != (before.st_uid, before.st_gid):
+            os.chown(new, before.st_uid, before.st_gid)  # root edits a file that the service's user has to read
+        new.chmod(before.st_mode & 0o777)
         new.replace(path)
     except OSError as error:
         raise ConfigError(

@@ -48,11 +48,9 @@ class Live(Protocol):
         Armed
             The vehicle is armed.
         """
-        ...
 
     def close(self) -> None:
         """Leave bus and link."""
-        ...
 
 
 class _Kept:

@@ -40,7 +40,6 @@ class Beam(Protocol):
 
     def half_angle_rad(self, range_m: Array) -> Array:
         """Largest angle with an echo [rad] at a range [m], shape (n,)."""
-        ...
 
 
 @dataclass(frozen=True)

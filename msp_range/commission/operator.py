@@ -31,19 +31,15 @@ class Operator(Protocol):
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait until the person is ready."""
-        ...
 
     def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
         """Say what is to be done from now on; ``subject`` is the sensor or the side that it is about."""
-        ...
 
     def agrees(self, text: str) -> bool:
         """Ask whether to make a change."""
-        ...
 
     def height_m(self, text: str) -> float | None:
         """Ask for a measured height [m]; None: there is no further one."""
-        ...
 
 
 class Terminal:

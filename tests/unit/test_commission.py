@@ -3,15 +3,19 @@
 import io
 import json
 import math
+import os
 import socket
 import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from msp_range.cli import app
 from msp_range.clock import SystemClock
 from msp_range.commission.cover import blocked, covered
 from msp_range.commission.live import Armed, RunningBridge
@@ -280,6 +284,21 @@ def test_without_a_terminal_no_question_is_asked(monkeypatch: pytest.MonkeyPatch
     hurried.begin("a")
     assert hurried.agrees("b")
     assert [hurried.height_m("c"), hurried.height_m("c")] == [0.8, None]
+
+
+def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "airframe.yaml"
+    path.write_text(Path("configs/quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242"))
+    asked = CliRunner().invoke(app, ["commission", str(path), "--step", "bench"])
+    assert asked.exit_code == 3
+    assert "--yes" in asked.stderr
+    (tmp_path / "airframe.commission.json").write_text("[]")
+    damaged = CliRunner().invoke(app, ["commission", str(path)])
+    assert damaged.exit_code == 3
+    assert "remove it to begin anew" in damaged.stderr
+    monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
+    forbidden = CliRunner().invoke(app, ["commission", str(path)])
+    assert "use sudo" in forbidden.stderr
 
 
 def bridge_that_says(*packets: tuple[str, Mapping[str, object]]) -> RunningBridge:

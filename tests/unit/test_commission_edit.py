@@ -1,5 +1,6 @@
 """Changing values of a YAML file: comments stay, the rest stays, a backup is kept."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +64,12 @@ def test_every_change_keeps_the_file_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "airframe.yaml"
     path.write_text("bus: 1\n")
     path.chmod(0o640)
+    group = 12345 if os.geteuid() == 0 else os.getegid()
+    os.chown(path, -1, group)
     backups: list[Any] = [change(path, [Edit(("bus",), number)]) for number in (2, 3)]
     assert [each.name for each in backups] == ["airframe.yaml.1", "airframe.yaml.2"]
     assert [each.read_text() for each in backups] == ["bus: 1\n", "bus: 2\n"]
     assert path.read_text() == "bus: 3\n"
     assert path.stat().st_mode & 0o777 == 0o640
+    assert path.stat().st_gid == group
     assert len(list(tmp_path.iterdir())) == 3
