@@ -13,6 +13,10 @@ landing place for the sky, more are late after a restart in cruise."""
 RANGES = 2
 """So many readings in a row with a range end it, however many sensors had no echo before: of eight that ping half a
 second apart most still had none when a descent has gone on for four seconds. One is often an outlier; more are late."""
+CODES = 5
+"""After so many readings in a row of 253 or 255, which may as well be 'no echo', they no longer stand for it. Of
+readings without an echo a quarter are such codes, so that one message in a thousand is left out by chance; fewer leave
+out more, more keep 'above the maximum' for longer in a descent in which all sensors have that fault."""
 MARGIN_M = 0.3
 """A climb that ends this far below the maximum counts as one to it [m]: sensors lose the ground a little sooner."""
 CLIMB_SIGMAS = 3.0
@@ -38,16 +42,21 @@ class AboveMaximum:
         self.maximum_m = maximum_m
         self._motion = motion
         self._no_echo: dict[str, int] = {}
-        self._ranges = 0
+        self._ranges = self._codes = 0
         self._last: Known | None = None
 
     def note(self, sensor: str, no_echo: bool, works: bool) -> None:
         """Count readings in a row: each sensor's without an echo, and all that have a range; faults do not count."""
         if works:
+            self._codes = 0
             self._no_echo[sensor] = self._no_echo.get(sensor, 0) + 1 if no_echo else 0
             self._ranges = 0 if no_echo else self._ranges + 1
         else:
             self._no_echo.pop(sensor, None)
+
+    def note_code(self) -> None:
+        """Count a reading that is a range or no echo, nobody knows which."""
+        self._codes += 1
 
     def on_ground_seen(self, known: Known) -> None:
         """The ground is seen: from here the vehicle climbs or does not."""
@@ -57,7 +66,7 @@ class AboveMaximum:
         """Whether the vehicle is above the maximum: most working sensors have no echo, and it may have got there."""
         counts = self._no_echo.values()
         silent = sum([count > 0 for count in counts])
-        if not silent or 2 * silent <= len(counts) or self._ranges >= RANGES:
+        if not silent or 2 * silent <= len(counts) or self._ranges >= RANGES or self._codes >= CODES:
             return False
         if self._last is None:
             if min(counts) < TURNS:

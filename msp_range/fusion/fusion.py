@@ -180,7 +180,9 @@ class Fusion:
             if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
                 sensor.sight.works = False
-        if not reading.suspect:  # A code that may as well be 'no echo' speaks for nothing.
+        if reading.suspect:
+            self._above.note_code()
+        else:
             self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
         if self._filter is not None and self._support.is_enough(time_s, now_s, rejected is None):
             fused = self._down_axis(self._filter, rotation)

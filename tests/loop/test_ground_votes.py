@@ -205,6 +205,16 @@ def test_a_restart_in_cruise_is_above_the_maximum_after_three_turns(dead: str) -
     assert max(late - early for early, late in pairwise(times_s)) < 0.35
 
 
+def test_codes_of_all_sensors_do_not_keep_the_vehicle_above_the_maximum() -> None:
+    """255 of all sensors is a fault of the bus; a quarter of the readings without an echo are that, too."""
+    draw = random.Random(1)
+    bench = Bench(airframe(), lambda name, time_s: 255 if time_s >= 30.0 or draw.random() < 0.25 else 765).fly(40.0)
+    times_s = [time_s for time_s, _ in bench.sent() if time_s < 30.0]
+    assert max(late - early for early, late in pairwise(times_s)) < 0.35
+    assert bench.sent()[-1].time_s < 31.0
+    assert "Range: no distance to the ground" in bench.texts()
+
+
 def test_a_restart_in_cruise_over_ground_that_one_sensor_sees_is_not_above_the_maximum() -> None:
     bench = Bench(airframe(), lambda name, time_s: 700 if name == "c" else 765).fly(6.0)
     assert set(bench.distances_cm()) == {700}
