@@ -310,12 +310,11 @@ def receive_until_silent(listener: socket.socket, received: list[Any]) -> None:
 
 @pytest.mark.real_time
 def test_a_flight_in_real_time(tmp_path: Path) -> None:
-    """Ten seconds on the system's clock, with a listener on a real link: 10 Hz, and the truth."""
+    """Five seconds on the system's clock, with a listener on a real link: 10 Hz, and the truth."""
     short = tmp_path / "short.yaml"
-    altitude = "[{kind: hold, duration_s: 1}, {kind: climb, to_m: 1.5}, {kind: hold, duration_s: 4}]"
+    altitude = "[{kind: hold, duration_s: 1}, {kind: climb, to_m: 1.5}]"
     short.write_text(
-        f"name: short\nairframe: {SCENARIOS.parent}/quad_pallet.yaml\nduration_s: 10\n"
-        f"flight: {{altitude: {altitude}}}\n"
+        f"name: short\nairframe: {SCENARIOS.parent}/quad_pallet.yaml\nduration_s: 5\nflight: {{altitude: {altitude}}}\n"
     )
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", 0))
@@ -326,12 +325,12 @@ def test_a_flight_in_real_time(tmp_path: Path) -> None:
         with ThreadPoolExecutor(1) as reader:
             reading = reader.submit(receive_until_silent, listener, received)
             run("fly", short, "--realtime", "--link", url, "--out", tmp_path / "f")
-            assert SystemClock().now() - started_s >= 10
+            assert SystemClock().now() - started_s >= 5
             reading.result()
     distances = [m for m in received if m.get_type() == "DISTANCE_SENSOR" and m.get_srcComponent() == 191]
     heartbeats = {(m.get_srcSystem(), m.get_srcComponent()) for m in received if m.get_type() == "HEARTBEAT"}
     assert heartbeats == {(1, 1), (1, 191)}
-    assert len(distances) >= 95
+    assert len(distances) >= 45
     summary = json.loads((tmp_path / "f" / "summary.json").read_text())
     assert summary["fused"]["error"]["p95_cm"] < 6
 

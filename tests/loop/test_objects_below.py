@@ -13,6 +13,7 @@ from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, S
 from msp_sim.device.bus import EmulatedBus
 from tests.support.bench import CONFIGS
 
+pytestmark = pytest.mark.slow
 AIRFRAME = load_airframe(CONFIGS / "quad_pallet.yaml")
 NAMES = [sensor.name for sensor in AIRFRAME.sensors]
 SLOT_S = 0.1
@@ -80,7 +81,6 @@ def test_objects_of_30_cm_or_more_are_found_within_1200_ms_in_95_percent() -> No
     assert np.mean(np.array(waits_s) <= 1.2) > 0.935
 
 
-@pytest.mark.slow
 def test_in_1000_seconds_over_flat_ground_there_is_no_object() -> None:
     draw = np.random.default_rng(12)
     for height_m in (1.0, 1.5, 2.0, 3.0, 4.0):

@@ -85,6 +85,7 @@ def test_the_schema_and_the_catalogue_list_what_it_brings(installed: Installed) 
     assert "supply_sag" not in installed.run("msp-lab", "effects", without=True)
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_file_is_sampled_and_found_again(installed: Installed) -> None:
     """The package is not installed here: the effect comes from its file alone."""
     folder = installed.folder

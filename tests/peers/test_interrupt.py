@@ -6,14 +6,18 @@ import subprocess
 import time
 from pathlib import Path
 
+import pytest
+
 from tests.support.service import AIRFRAME, COMMAND, LIMIT_S
+from tests.support.slow import slow
 
 
-def test_sigint_ends_it_in_silence_at_whatever_moment_of_the_start(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [5, *slow(1)])
+def test_sigint_ends_it_in_silence_at_whatever_moment_of_the_start(every: int) -> None:
     """Also while Python itself starts, which takes it 10 to 100 ms."""
     options = ["--bus", "/nonexistent/i2c", "--link", "udpout:127.0.0.1:9", "--log", "json"]
     command: list[str | Path] = [COMMAND, "run", AIRFRAME, *options]
-    for delay_ms in (*range(0, 100, 6), *range(100, 1000, 60)):
+    for delay_ms in (*range(0, 100, 6 * every), *range(100, 1000, 60 * every)):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         time.sleep(delay_ms / 1e3)
         process.send_signal(signal.SIGINT)

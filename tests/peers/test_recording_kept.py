@@ -80,6 +80,7 @@ def test_a_killed_program_loses_less_than_a_second(extra_s: float, tmp_path: Pat
     assert lost_s(end, recording, killed_s) < MOST_LOST_S + late_s()
 
 
+@pytest.mark.slow
 def test_a_folder_that_goes_away_is_reported_and_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "flights"
     with (

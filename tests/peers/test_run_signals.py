@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 import yaml
 
 from msp_range.recording.reader import Recording
@@ -125,6 +126,7 @@ def test_sighup_with_a_file_that_is_not_valid_changes_nothing(tmp_path: Path) ->
         assert service.stop() == 0
 
 
+@pytest.mark.slow
 def test_sighup_waits_while_the_vehicle_is_armed(tmp_path: Path) -> None:
     with flying(tmp_path) as (service, end, airframe):
         assert end.autopilot is not None

@@ -135,6 +135,7 @@ def sent_frames(recording: Path) -> list[bytes]:
     return [frame for frame in frames if int.from_bytes(frame[7:10], "little") == 132]
 
 
+@pytest.mark.slow
 def test_a_late_autopilot_and_its_reboot(tmp_path: Path) -> None:
     """Nobody listens at first; then an autopilot comes, is rebooted, and must receive that a sensor is missing."""
     port = free_port(socket.SOCK_DGRAM)

@@ -71,6 +71,7 @@ def locked_up(start_s: float, end_s: float) -> list[Sonar]:
     return [Sonar(0x70 + number, [250, 251], [lock_up] if number == 0 else []) for number in range(4)]
 
 
+@pytest.mark.slow
 def test_equipment_that_fails_does_not_restart_the_bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A bus that locks up, a disk that is full and an autopilot that never speaks, all at once."""
     with (

@@ -111,9 +111,9 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Complete:
 
 @pytest.fixture(scope="module")
 def compared(complete: Complete, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Page]:
-    """The comparison with the report, of data that lack vibration."""
+    """The comparison with the report, of all findings, with the figures of two conditions."""
     data = measured(most=2000)
-    data = data.select(data["condition"] != "vibration")
+    data = data.select(np.isin(data["condition"], ("baseline", "temperature_compensation")))
     folder = tmp_path_factory.mktemp("comparison")
     return folder, Page(write_comparison(complete.findings, data, MODEL, folder))
 
@@ -178,9 +178,12 @@ def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> No
         assert words in head, words
 
 
-def test_every_figure_of_the_report_is_there_or_says_why_not(compared: tuple[Path, Page]) -> None:
-    folder, page = compared
-    names = names_of(folder)
+@pytest.mark.slow
+def test_every_figure_of_the_report_is_there_or_says_why_not(complete: Complete, tmp_path: Path) -> None:
+    data = measured(most=2000)
+    data = data.select(data["condition"] != "vibration")
+    page = Page(write_comparison(complete.findings, data, MODEL, tmp_path))
+    names = names_of(tmp_path)
     missing = [figure for figure in REPORT_FIGURES if not any(name.startswith(figure) for name in names)]
     assert missing == ["figure_4_19"]
     assert "Figure 4.19: range error, vibration: not drawn. No readings of vibration are in the data." in page.text
@@ -194,6 +197,13 @@ def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared: tup
     for words in ("agrees 23.4° or more (no larger angle was tried) 23.4°", "near 503 cm", "4.3.8: inconclusive"):
         assert words in head, words
     assert "The report: at 60 Hz" not in page.text
+
+
+def test_a_figure_without_readings_says_so(compared: tuple[Path, Page]) -> None:
+    folder, page = compared
+    assert names_of(folder)
+    assert set(names_of(folder)) <= page.anchors
+    assert "Figure 4.19: range error, vibration: not drawn. No readings of vibration are in the data." in page.text
 
 
 def test_table_5_1_has_both_sides_and_says_that_the_first_row_was_not_compensated(compared: tuple[Path, Page]) -> None:

@@ -296,6 +296,7 @@ def test_what_nothing_explains_is_reported_as_unexplained(tmp_path: Path) -> Non
     assert verdict.alone["steps"] is None
 
 
+@pytest.mark.slow
 def test_the_command_explains_the_report_and_draws_its_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

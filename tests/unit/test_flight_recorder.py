@@ -94,8 +94,9 @@ class Flight:
 
 @pytest.fixture(autouse=True)
 def real_time(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
-    """What counts as real time of the disk: it stands still unless a test moves it."""
+    """What counts as real time of the disk: it stands still unless a test moves it, and the disk takes no rest."""
     clock = VirtualClock()
+    monkeypatch.setattr(background_file, "REST_S", 0.0)
     monkeypatch.setattr(background_file, "SystemClock", lambda: clock)
     return clock
 
