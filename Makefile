@@ -1,6 +1,6 @@
 # make demo   fly a simulated flight with the real bridge, and draw it
-# make test   run the tests, but for those of the tests' own tools
-# make test-all   run all tests
+# make test   run the quick tests (3 minutes on two processors)
+# make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
 # make bench  run all benchmarks, and write the table in docs/figures.md

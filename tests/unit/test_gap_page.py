@@ -70,8 +70,15 @@ def page_of(findings: GapFindings, folder: Path) -> str:
     return re.sub(r"\s+", " ", words)
 
 
-def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path) -> None:
-    text = page_of(FOUND, tmp_path)
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of the page of `FOUND`, and its words."""
+    folder = tmp_path_factory.mktemp("page")
+    return folder, page_of(FOUND, folder)
+
+
+def test_a_page_says_what_another_laboratory_needs_to_do_it_again(drawn: tuple[Path, str]) -> None:
+    _, text = drawn
     assert "selected and fitted: monday, tuesday" in text
     assert "reported values come: wednesday, thursday" in text
     assert "Family-wise false-positive rate: 0.02" in text
@@ -81,8 +88,8 @@ def test_a_page_says_what_another_laboratory_needs_to_do_it_again(tmp_path: Path
         assert digest in text
 
 
-def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: Path) -> None:
-    text = page_of(FOUND, tmp_path)
+def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(drawn: tuple[Path, str]) -> None:
+    folder, text = drawn
     assert "relative error of the readings 0.8 % 0.7 to 0.9" in text
     assert "bend (0.3 nats better in total, correlation 0.97)" in text
     assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in text
@@ -90,13 +97,12 @@ def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(tmp_path: 
     assert "its numbers refitted 0.4 -2.7000 +0.1000" in text
     assert "bend above 0.3 %" in text
     assert "sigma_cm Standard deviation of a hit" in text
-    names = {each.name for each in tmp_path.glob("*.png")}
+    names = {each.name for each in folder.glob("*.png")}
     assert names == {"lead.png", "residuals.png", "path.png", "pit.png", "autocorrelation.png", "unknown-1.png"}
 
 
-def test_a_page_begins_with_the_sentence_and_one_picture(tmp_path: Path) -> None:
-    page_of(FOUND, tmp_path)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+def test_a_page_begins_with_the_sentence_and_one_picture(drawn: tuple[Path, str]) -> None:
+    page = (drawn[0] / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<body>") :]
     first = html.unescape(with_words(FOUND).sentence)
     assert first.startswith("Ranges read 0.8 % too long (or it is bend or thermometer offset)")
