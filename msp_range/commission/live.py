@@ -37,6 +37,16 @@ class Armed(ConfigError):
         super().__init__("the vehicle is armed: disarm it and take the propellers off; nothing was changed")
 
 
+class HeartbeatLost(ConfigError):
+    """Nobody knows any more whether the vehicle is armed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the autopilot's heartbeat is lost, so nobody knows whether the vehicle is armed; nothing was changed. "
+            "'msp-range doctor' looks for the reason"
+        )
+
+
 class Live(Protocol):
     """A vehicle whose sensors are being polled."""
 
@@ -45,8 +55,8 @@ class Live(Protocol):
 
         Raises
         ------
-        Armed
-            The vehicle is armed.
+        Armed, HeartbeatLost
+            The vehicle is armed, or nobody knows.
         """
 
     def close(self) -> None:
@@ -104,8 +114,10 @@ class OwnBridge:
         self._kept.records.clear()
         while self._clock.now() < end_s:
             self._bridge.step()
-            if self._bridge.link.autopilot_is_present and self._bridge.link.autopilot_armed:
+            if self._bridge.link.autopilot_armed:
                 raise Armed
+            if not self._bridge.link.autopilot_is_present:
+                raise HeartbeatLost
         return list(self._kept.records)
 
     def close(self) -> None:
@@ -157,8 +169,8 @@ class RunningBridge:
         records: list[Record] = []
         with suppress(TimeoutError):
             for packet in self._packets:
-                if packet.topic == "/status" and packet.message["link"]["armed"]:
-                    raise Armed
+                if packet.topic == "/status" and (armed := packet.message["link"]["armed"]) is not False:
+                    raise Armed if armed else HeartbeatLost
                 records.append(Record(*packet))
                 if self._now() >= end_s:
                     return records

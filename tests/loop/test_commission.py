@@ -190,7 +190,7 @@ def test_several_wrong_values_are_explained_together(tmp_path: Path, name: str) 
         assert found.position_m == pytest.approx(true.position_m, abs=0.021)
 
 
-@pytest.mark.parametrize("walls_cm", [{}, {"front_left": 130}])
+@pytest.mark.parametrize("walls_cm", [pytest.param({}, marks=pytest.mark.slow), {"front_left": 130}])
 def test_a_sensor_that_looks_forward_is_found_with_a_board(tmp_path: Path, walls_cm: dict[str, int]) -> None:
     mounted = at(GOOD, "front_left", ("pitch: -90", "pitch: 0"))
     vehicle = Vehicle(tmp_path, mounted, GOOD, seed=3)
@@ -201,7 +201,9 @@ def test_a_sensor_that_looks_forward_is_found_with_a_board(tmp_path: Path, walls
     assert vehicle.airframe.sensors[0].boresight == pytest.approx((1, 0, 0), abs=1e-9)
 
 
-@pytest.mark.parametrize("signs", [(1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+@pytest.mark.parametrize(
+    "signs", [(-1.0, -1.0), *(pytest.param(each, marks=pytest.mark.slow) for each in [(1.0, -1.0), (-1.0, 1.0)])]
+)
 def test_an_autopilot_that_is_mounted_backwards_is_not_the_file_s_fault(
     tmp_path: Path, signs: tuple[float, float]
 ) -> None:
@@ -247,6 +249,15 @@ def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="disarm"):
             vehicle.do(step)
     assert vehicle.path.read_text() == SWAPPED
+
+
+def test_a_heartbeat_that_is_lost_ends_the_lift(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, WRONG_SIGN, seed=6)
+    with vehicle.session.live() as live:
+        assert live.record(1.0)
+        vehicle.held.is_silent = True
+        with pytest.raises(ConfigError, match="heartbeat is lost"):
+            live.record(20.0)
 
 
 def test_a_change_that_is_refused_leaves_the_step_open(tmp_path: Path) -> None:

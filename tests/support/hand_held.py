@@ -69,6 +69,7 @@ class HandHeld:
         self.board: str | None = None
         """Side of the vehicle at which somebody holds a board half a metre away."""
         self.armed = False
+        self.is_silent = False
         self.parameters: dict[str, float] = {}
         self.returns_distances = True
         self.seed = seed
@@ -196,6 +197,11 @@ class Autopilot(LoopbackAutopilot):
             known[message.param_id] = message.param_value
             self._put_parameter(message.param_id)
         return True
+
+    def receive(self) -> bytes:
+        """What it has sent; nothing while it is silent."""
+        sent = super().receive()
+        return b"" if self._vehicle.is_silent else sent
 
     def flight_s(self) -> float:
         """Time since the vehicle's start [s]."""

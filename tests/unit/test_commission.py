@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from msp_range.cli import app
 from msp_range.clock import SystemClock
 from msp_range.commission.cover import blocked, covered
-from msp_range.commission.live import Armed, RunningBridge
+from msp_range.commission.live import Armed, HeartbeatLost, RunningBridge
 from msp_range.commission.look import axis_of
 from msp_range.commission.motion import Measured, NotMeasured, common_shift, places
 from msp_range.commission.noise import compare_noise
@@ -320,7 +320,7 @@ def bridge_that_says(*packets: tuple[str, Mapping[str, object]]) -> RunningBridg
 def test_a_running_bridge_is_read_through_its_socket() -> None:
     greeting = {"sensors": [{"name": each.name, "address": f"0x{each.address:02x}"} for each in AIRFRAME.sensors]}
     measured = {"time_s": 0.9, "read_s": 0.93, "status": "ok", "range_m": 2.0, "corrected_m": 2.0}
-    disarmed, armed = ({"link": {"armed": is_armed}} for is_armed in (False, True))
+    disarmed, armed, lost = ({"link": {"armed": is_armed}} for is_armed in (False, True, None))
 
     good = bridge_that_says(("/airframe", greeting), ("/range/front_left", measured), ("/status", disarmed))
     good.check_flies(AIRFRAME)
@@ -332,6 +332,12 @@ def test_a_running_bridge_is_read_through_its_socket() -> None:
     with pytest.raises(Armed, match="disarm"):
         up.record(0.1)
     up.close()
+
+    alone = bridge_that_says(("/airframe", greeting), ("/status", lost))
+    alone.check_flies(AIRFRAME)
+    with pytest.raises(HeartbeatLost):
+        alone.record(0.1)
+    alone.close()
 
     old = bridge_that_says(("/airframe", {"sensors": greeting["sensors"][:3]}))
     with pytest.raises(ConfigError, match="reload"):
