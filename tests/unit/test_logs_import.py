@@ -63,7 +63,7 @@ def test_an_ardupilot_log_has_readings_context_and_truth(tmp_path: Path) -> None
 
 def test_the_example_of_the_document_is_what_is_printed(tmp_path: Path) -> None:
     text = (LOGS.parents[2] / "docs" / "logs.md").read_text()
-    shown = text.split("arducopter.BIN --out build/logs/set\n")[1].split("    ...\n")[0]
+    shown = text.split("arducopter.BIN --out build/logs/set\n")[1].split("      ...\n")[0]
     printed = run("import", LOGS / "arducopter.BIN", "--out", tmp_path / "set").output
     lines = {line.strip() for line in printed.splitlines()}
     missing = [line for line in shown.splitlines() if line.strip() not in lines | {""} and "arducopter.BIN" not in line]
