@@ -9,11 +9,12 @@
 # make blind  hide effects in N=200 tables by SEED=1, let the gap workflow find them, write its scores to docs/figures.md
 # make second hide effects in N tables of each kind by a second generator, by SEED=1, and score the gap workflow
 # make others fly N=200 cases of eight flights with an effect on one of four sensors, by SEED=1; the truth is hidden
+# make soak   fly HOURS=24 simulated hours with random faults and MINUTES=20 real ones on a busy computer, into docs/soak.md
 # make faults fly FLIGHTS=700 simulated flights with faults, judged by what the autopilot receives (10 minutes)
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second others faults mavproxy compile clean
+.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -70,6 +71,11 @@ others: .venv/.installed-test compile
 FLIGHTS ?= 700
 faults: .venv/.installed-test compile
 	$(BIN)/python -m tests.faults --flights $(FLIGHTS) --seed $(SEED) --out build/faults
+
+HOURS ?= 24
+MINUTES ?= 20
+soak: .venv/.installed-test compile
+	$(BIN)/python -m tests.soak --hours $(HOURS) --minutes $(MINUTES) --seed $(SEED) --write docs/soak.md
 
 # Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
 compile: .venv/.installed
