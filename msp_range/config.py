@@ -32,7 +32,17 @@ MOST_SENSORS = 117
 """Largest number of sensors on a bus: the number of 7-bit addresses from 0x03 to 0x77. Files with more are refused
 before the models that they name are read."""
 
-Metres = Annotated[float, Field(ge=-50, le=50)]
+FARTHEST_M = 50.0
+"""Lengths beyond this are refused [m]: no vehicle is so large, and 60 is 60 cm written without its point."""
+
+
+def _not_centimetres(value: Any) -> Any:
+    if isinstance(value, int | float) and FARTHEST_M < abs(value) < float("inf"):
+        raise ValueError(f"expected metres, at most {FARTHEST_M:g}: is it written in centimetres or millimetres?")
+    return value
+
+
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M), BeforeValidator(_not_centimetres)]
 _DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
 
 
@@ -134,7 +144,7 @@ class FusedSettings(Section):
     """DISTANCE_SENSOR.id of the stream"""
     sensors: list[Name] | None = None
     """sensors in it; default: all that look down within their beam"""
-    reference_down_m: float = Field(0.0, ge=-50, le=50)
+    reference_down_m: Metres = 0.0
     """how far below the vehicle's reference point the distance starts [m]: RNGFND1_POS_Z, EKF2_RNG_POS_Z"""
 
 

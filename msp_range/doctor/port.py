@@ -8,6 +8,8 @@ from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 from msp_range.mavlink.transport.serial import UARTS
 from msp_range.mavlink.transport.url import SerialUrl
 
+PORTS = ("/dev/serial/by-id/*", "/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*")
+"""Where an autopilot may be: by USB, at a Raspberry Pi's pins, at a Jetson's. ttyS names are there without a port."""
 _CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
 
 
@@ -36,9 +38,11 @@ def _there(computer: Computer, path: str) -> Finding:
             how = f"enable_uart=1 in {config} (or raspi-config: Interface Options, Serial Port)"
             return wrong(step, f"there is no {path}: the serial port is off", f"{how}, then restart the computer")
         return wrong(step, f"there is no {path}, although {config} has enable_uart=1", "restart the computer")
-    others = [*computer.names("/dev/serial/by-id/*"), *computer.names("/dev/ttyACM*"), *computer.names("/dev/ttyUSB*")]
-    there = f"; there is {', '.join(others)}" if others else "; no USB serial port is there"
-    remedy = "name one of these as link.url; names in /dev/serial/by-id stay" if others else "plug the autopilot in"
+    others = [name for pattern in PORTS for name in computer.names(pattern)]
+    there = f"; there is {', '.join(others)}" if others else "; no other serial port is there"
+    remedy = "name one of these as link.url; names in /dev/serial/by-id stay"
+    if not others:
+        remedy = "plug the autopilot in, or switch the computer's serial port on"
     return wrong(step, f"there is no {path}{there}", remedy)
 
 

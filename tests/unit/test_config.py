@@ -123,6 +123,14 @@ def test_what_is_left_out() -> None:
         (lambda c: c.update(sensors="four"), "sensors: found 'four'; expected a list"),
         (lambda c: c.update(polling=[]), "polling: found []; expected a mapping with the keys adaptive, groups, near"),
         (lambda c: c.update(filters=["kalman"]), "filters[0]: found 'kalman'; expected a mapping with the keys"),
+        (
+            lambda c: c["sensors"][1].update(position_m=[0, 60, 0]),
+            "sensors[1].position_m[1]: found 60; expected metres, at most 50: is it written in centimetres or milli",
+        ),
+        (
+            lambda c: c["send"]["fused"].update(reference_down_m=-120),
+            "send.fused.reference_down_m: found -120; expected m",
+        ),
         (lambda c: c["sensors"][3].update(position_m=[0, 0, "x"]), "sensors[3].position_m[2]: found 'x'; expected a v"),
         (lambda c: c["send"].update(sensors="none"), "send.sensors: found 'none'; expected a list or 'all'"),
         (lambda c: c["send"].update(sensors=["Front"]), "send.sensors[0]: found 'Front'; expected text that matches"),

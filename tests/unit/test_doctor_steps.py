@@ -71,6 +71,17 @@ def test_the_port_of_bluetooth_is_not_that_of_the_pins(
         assert "serial:/dev/serial0" in (found[0].remedy or "")
 
 
+def test_a_missing_port_lists_those_that_are_there(files: FakeComputer) -> None:
+    files.write("/proc/device-tree/model", "NVIDIA Jetson Nano Developer Kit\0")
+    files.remove("/dev/serial0")
+    files.remove("/dev/ttyAMA0")
+    (found,) = check_port(seen(files), SerialUrl("/dev/serial0", 57600))
+    assert "no other serial port" in found.text
+    files.device("/dev/ttyTHS1")
+    (found,) = check_port(seen(files), SerialUrl("/dev/serial0", 57600))
+    assert "there is /dev/ttyTHS1" in found.text
+
+
 def test_a_folder_of_the_service_is_not_taken_away_from_it(files: FakeComputer) -> None:
     files.folder("/var/lib/msp-range", 0o755)
     assert check_disk(seen(files), "/var/lib/msp-range").verdict == "wrong"
