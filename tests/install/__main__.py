@@ -156,6 +156,60 @@ def install(machine: Machine, receiver: Receiver) -> None:
     receiver.await_distance()
 
 
+DEVICES = {
+    "i2c-7": ("i2c", 89, 7),
+    "ttyAMA0": ("ttyAMA", 204, 64),
+    "ttyUSB0": ("ttyUSB", 188, 0),
+    "ttyACM0": ("ttyACM", 166, 0),
+    "ttyTHS1": ("ttyTHS", 238, 1),
+}
+"""Device files of I2C buses and serial ports: the name of their driver in the kernel's /proc/devices, major, minor."""
+OTHERS = {"hwrng": (10, 183), "vcs": (7, 0)}
+"""Device files that are none of the service's business."""
+PROBE = """
+import errno, os
+for name in %s:
+    try:
+        os.open(f"/dev/{name}", os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY)
+        print(name, "opened")
+    except OSError as error:
+        print(name, errno.errorcode[error.errno])
+"""
+
+
+def has_devices(machine: Machine, _: Receiver) -> None:
+    """Device files by which the service may reach a device, with the kernel's list of drivers."""
+    for name, (_driver, major, minor) in DEVICES.items():
+        group = "i2c" if name.startswith("i2c") else "dialout"
+        machine.run(f"mknod -m 660 /dev/{name} c {major} {minor} && chgrp {group} /dev/{name}")
+    for name, (major, minor) in OTHERS.items():
+        machine.run(f"mknod -m 666 /dev/{name} c {major} {minor}")
+    (machine.root / "srv/probe.py").write_text(PROBE % [*DEVICES, *OTHERS])
+    # The unit as it is installed, with another program.
+    machine.run(
+        "sed -e 's|^ExecStart=.*|ExecStart=/usr/bin/python3 /srv/probe.py|' -e 's|^Type=.*|Type=oneshot|'"
+        " -e '/^Restart/d' -e '/^WatchdogSec/d' -e '/^RuntimeDirectory/d' -e '/^ExecReload/d'"
+        " /etc/systemd/system/msp-range.service >/etc/systemd/system/probe.service && systemctl daemon-reload"
+    )
+    # This computer has none of these: no driver answers (ENXIO) where the service may open the file.
+    refused = dict.fromkeys([*DEVICES, *OTHERS], "EPERM")
+    expect(probed(machine) == refused, "a device whose driver is loaded later is refused until the next start")
+    lines = "".join(f"\\n{major} {driver}" for driver, major, _minor in DEVICES.values())
+    machine.run(f"sed 's/^Character devices:/&{lines}/' /proc/devices >/root/devices")
+    machine.run("mount --bind /root/devices /proc/devices")
+    allowed = refused | dict.fromkeys(DEVICES, "ENXIO")
+    expect(probed(machine) == allowed, f"it may open {', '.join(DEVICES)}, and not {', '.join(OTHERS)}")
+    machine.run("umount /proc/devices; rm /root/devices /srv/probe.py /etc/systemd/system/probe.service")
+    machine.run(f"rm {' '.join(f'/dev/{name}' for name in [*DEVICES, *OTHERS])}; systemctl daemon-reload")
+
+
+def probed(machine: Machine) -> dict[str, str]:
+    """What became of opening each device file: 'opened', or the error's name."""
+    machine.run("systemctl start probe")
+    lines = machine.run("journalctl -u probe -o cat --no-pager _COMM=python3").stdout.splitlines()
+    return dict(line.split(" ") for line in lines[-len(DEVICES) - len(OTHERS) :])
+
+
 def resident(machine: Machine, pid: str) -> int:
     """Resident memory of a process [MB]."""
     return int(machine.run(f"awk '/VmRSS/ {{print $2}}' /proc/{pid}/status").stdout) // 1024
@@ -331,7 +385,16 @@ def main() -> int:
             + machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout.replace("\n", ", ")
         )
         machine.emulate_sensors(READINGS_CM)
-        for step in (install, is_killed, hangs, loses_its_disk, has_an_invalid_file, is_upgraded, boots_again):
+        for step in (
+            install,
+            has_devices,
+            is_killed,
+            hangs,
+            loses_its_disk,
+            has_an_invalid_file,
+            is_upgraded,
+            boots_again,
+        ):
             say(f"{step.__name__.replace('_', ' ')}: {step.__doc__}")
             step(machine, receiver)
         say(f"is removed: {is_removed.__doc__}")

@@ -23,6 +23,8 @@ PACKAGES = (
 )
 """What the container has: all that the documents ask for, and umockdev for the sensors."""
 START_S = 60.0
+DEVICE_POLICY = ("--capability=CAP_BPF", "--system-call-filter=bpf")
+"""Without these, and a unified hierarchy of control groups, the container's systemd allows a service all devices."""
 HOST_TRUST = (Path("/etc/ssl/certs"), Path("/etc/pip.conf"))
 """Files of this computer without which its pip reaches no packages behind a proxy; read-only in the container."""
 
@@ -62,7 +64,8 @@ class Machine:
         binds = [f"--bind-ro={path}" for path in HOST_TRUST if path.exists()]
         command = ["systemd-nspawn", "--register=no", "--keep-unit", "--boot", f"--directory={self.root}"]
         self._process = subprocess.Popen(
-            [*command, "--machine=msp-range-test", f"--bind-ro={ROOT}:/src", *binds],
+            [*command, *DEVICE_POLICY, "--machine=msp-range-test", f"--bind-ro={ROOT}:/src", *binds],
+            env={**os.environ, "SYSTEMD_NSPAWN_UNIFIED_HIERARCHY": "1"},
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,
