@@ -46,6 +46,11 @@ def test_nothing_is_found_of_sensors_in_order(name: str) -> None:
     assert texts(load_scenario(SCENARIOS / f"{name}.yaml"), 7) == []
 
 
+def test_a_vehicle_that_begins_to_move_over_rough_grass_has_no_noisy_sensor() -> None:
+    """Steps of 14 cm below one sensor, while the others' scatter was still that of a hover."""
+    assert texts(load_scenario(SCENARIOS / "rough_grass.yaml"), 121) == []
+
+
 @pytest.mark.slow
 def test_nothing_is_found_in_ten_hours_of_flights() -> None:
     flown_s, seed = 0.0, 100
