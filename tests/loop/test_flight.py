@@ -107,9 +107,15 @@ def test_a_flight_leaves_nothing_to_the_garbage_collector() -> None:
 
 
 def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> None:
+    scenario = tmp_path / "short.yaml"
+    scenario.write_text(
+        f"name: short\nairframe: {CONFIGS}/quad_pallet.yaml\nduration_s: 15\nflight:\n"
+        "  altitude: [{kind: climb, to_m: 2.0}, {kind: sinusoid, swing_m: 1.0, period_s: 4, cycles: 2}]\n"
+        "  attitude: {sway: {roll_rms_deg: 0.7, pitch_rms_deg: 0.7, period_s: 2.0}}\n"
+    )
     folders = [tmp_path / name for name in ("one", "two", "other")]
     for folder, seed in zip(folders, (5, 5, 6), strict=True):
-        run("fly", SCENARIOS / "sinusoid.yaml", "--seed", seed, "--out", folder)
+        run("fly", scenario, "--seed", seed, "--out", folder)
     summaries = [json.loads((folder / "summary.json").read_text()) for folder in folders]
     for summary in summaries:
         assert summary.pop("wall")["seconds"] > 0
