@@ -15,6 +15,7 @@ import pytest
 from msp_sim.device.device import Fault
 from tests.support.kernel_bus import Sonar, kernel_bus
 from tests.support.service import FUSED_ID, LinkEnd, running_service
+from tests.support.slow import slow
 
 UNIT = Path(__file__).parents[2] / "systemd" / "msp-range.service"
 KERNEL_TIMEOUT_S = 1.0
@@ -111,7 +112,7 @@ def test_an_adapter_that_is_not_there_does_not_restart_the_bridge(
         assert systemd.longest_wait_s() < WATCHDOG_S
 
 
-@pytest.mark.parametrize("ended", [False, True])
+@pytest.mark.parametrize("ended", [True, *slow(False)])
 def test_a_hang_of_the_loop_is_seen(ended: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A driver that does not return: nobody feeds until it does, and whoever ends it reads where it hung."""
     with (

@@ -21,6 +21,7 @@ from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, re
 from msp_lab.filter_study.statistics import delay_samples, error_statistics, mirrored
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
+from tests.support.slow import slow
 
 READINGS = np.random.default_rng(5).normal(300.0, 20.0, (3, 40)).round()
 
@@ -214,7 +215,7 @@ def changes_of(verdict: Verdict) -> list[tuple[str, object]]:
     return [(change.kind, change.value) for change in verdict.changes]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, *slow(2)])
 def test_a_table_made_as_stated_needs_no_explanation(tmp_path: Path, seed: int) -> None:
     text = table_of(
         {"kalman 2": lambda x: kalman(x, 1.0), "moving average 11": lambda x: trailing(x, 11, plain.fmean)}, seed
@@ -226,7 +227,7 @@ def test_a_table_made_as_stated_needs_no_explanation(tmp_path: Path, seed: int) 
 
 @pytest.mark.parametrize(
     ("factor", "seed"),
-    [pytest.param(10.0, 1, marks=pytest.mark.slow), (0.2, 2), (3.0, 3), pytest.param(30.0, 4, marks=pytest.mark.slow)],
+    [(0.2, 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((10.0, 1), (3.0, 3), (30.0, 4)))],
 )
 def test_a_factor_in_a_variance_is_found(tmp_path: Path, factor: float, seed: int) -> None:
     _, verdicts = verdicts_of(table_of({"kalman 2": lambda x: kalman(x, factor)}, seed), tmp_path)
