@@ -54,9 +54,9 @@ def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) 
 
 def level_db(x: float) -> float:
     """20 log10 |2 J1(x) / x| [dB] of x = (pi D / lambda) sin(theta); 0 at 0."""
-    # 2 J1(x) / x = 1 - x^2 / 8 + ..., which is 1 to the last digit.
-    if abs(x) < 1e-8:
-        return 0.0
+    if abs(x) < 1e-4:
+        # 2 J1(x) / x = 1 - x^2 / 8 + ...: here closer than `bessel`, whose 2e-15 are divided by x.
+        return -_DB * x * x / 8.0 if x else 0.0
     ratio = abs(2.0 * bessel(1, abs(x)) / x)
     return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf
 

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.special import jv
@@ -52,13 +52,14 @@ def test_a_small_piston_sends_all_around() -> None:
 
 
 @given(st.floats(0.0, math.pi / 2), st.floats(0.1, 6.0))
+@example(2.0**-24, 0.1015625)
 def test_directivity_is_the_interference_of_the_pistons_points(angle_rad: float, diameter: float) -> None:
     """The Huygens integral over a disk, strip by strip at sin(u) of its radius, by numerical quadrature."""
     k = math.pi * diameter * math.sin(angle_rad)
     strip = quad(lambda u: math.cos(u) ** 2 * math.cos(k * math.sin(u)), 0, math.pi / 2, epsabs=1e-11, limit=200)[0]
     pressure = 4 / math.pi * strip
     assert 10 ** (directivity_db(angle_rad, diameter, 1.0) / 20) == pytest.approx(abs(pressure), abs=1e-8)
-    assert directivity_db(-angle_rad, diameter, 1.0) == directivity_db(angle_rad, diameter, 1.0)
+    assert directivity_db(-angle_rad, diameter, 1.0) == directivity_db(angle_rad, diameter, 1.0) <= 0.0
 
 
 def test_behind_the_piston_is_refused() -> None:
