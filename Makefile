@@ -26,7 +26,7 @@ demo: .venv/.installed compile
 # Tests are rewritten for pytest before they run, which takes a process 8 s unless their bytecode is kept.
 unexport PYTHONDONTWRITEBYTECODE
 
-# As many processes as there are processors; tests/conftest.py says what may run at the same time.
+# tests/conftest.py says how many processes, and what may run at the same time.
 PYTEST := $(BIN)/python -m pytest --numprocesses auto
 
 test: .venv/.installed-test compile mavproxy

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-# Before numpy is imported. Tests have as many processes as there are processors, and matrices are small: more threads
-# only wait for each other, in 15 % more processor time.
+# Before numpy is imported. There are more processes of tests than processors, and matrices are small: more threads only
+# wait for each other, in 15 % more processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 WALL_CLOCK = re.compile(
@@ -37,6 +37,22 @@ def _group(module: str) -> str:
     path = Path(__file__).parents[1] / module
     real_time = {"peers", "sitl"} & {*path.parts} or WALL_CLOCK.search(path.read_text(encoding="utf-8"))
     return "real time" if real_time else module
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One process more than processors: the one with the tests that depend on the wall clock waits half of its time."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Processes that only compute leave the processor to the one with the wall clock, which begins with those tests."""
+    if "PYTEST_XDIST_WORKER" in os.environ and _group(item.nodeid.split("::")[0]) != "real time":
+        _give_way()
+
+
+@cache
+def _give_way() -> None:
+    os.nice(5)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> OneModuleOneProcess:

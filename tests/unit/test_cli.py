@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 import tomllib
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from typer.testing import CliRunner
 
 from msp_lab.cli import app as lab_app
 from msp_range.cli import app
+from msp_range.clock import SystemClock
 from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
 from msp_range.user_errors import report_user_errors
@@ -160,13 +160,13 @@ def test_sample_draws_from_the_model(tmp_path: Path) -> None:
 @pytest.fixture
 def sonar(monkeypatch: pytest.MonkeyPatch) -> EmulatedMB1242:
     """One emulated MB1242 at 0x70 on every bus that a command opens."""
-    device = EmulatedMB1242(0x70, time.monotonic, lambda ping_s: 258)
+    device = EmulatedMB1242(0x70, SystemClock().now, lambda ping_s: 258)
 
     class Bus(EmulatedBus):
         path = Path("/dev/i2c-1")
 
         def __init__(self, bus: int | str) -> None:
-            super().__init__([device], time.monotonic)
+            super().__init__([device], SystemClock().now)
 
     monkeypatch.setattr("msp_range.bus.smbus.KernelBus", Bus)
     return device

@@ -1,0 +1,56 @@
+"""A flight on the system's clock, with a listener on a real link."""
+
+import json
+import socket
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common
+from typer.testing import CliRunner
+
+from msp_range.clock import SystemClock
+from msp_sim.cli import app
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def receive_until_silent(listener: socket.socket, received: list[Any]) -> None:
+    """Parse what arrives, from its first datagram until none has come for the socket's time-out."""
+    parser = common.MAVLink(None)
+    while True:
+        try:
+            received += parser.parse_buffer(listener.recv(65535)) or []
+        except TimeoutError:
+            if received:
+                return
+
+
+@pytest.mark.real_time
+def test_a_flight_in_real_time(tmp_path: Path) -> None:
+    """Five seconds on the system's clock, with a listener on a real link: 10 Hz, and the truth."""
+    short = tmp_path / "short.yaml"
+    altitude = "[{kind: hold, duration_s: 1}, {kind: climb, to_m: 1.5}]"
+    short.write_text(
+        f"name: short\nairframe: {CONFIGS}/quad_pallet.yaml\nduration_s: 5\nflight: {{altitude: {altitude}}}\n"
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(0.5)
+        url = f"udpout:127.0.0.1:{listener.getsockname()[1]}"
+        started_s = SystemClock().now()
+        received: list[Any] = []
+        with ThreadPoolExecutor(1) as reader:
+            reading = reader.submit(receive_until_silent, listener, received)
+            command = ["fly", str(short), "--realtime", "--link", url, "--out", str(tmp_path / "f")]
+            result = CliRunner().invoke(app, command, catch_exceptions=False)
+            assert result.exit_code == 0, result.output
+            assert SystemClock().now() - started_s >= 5
+            reading.result()
+    distances = [m for m in received if m.get_type() == "DISTANCE_SENSOR" and m.get_srcComponent() == 191]
+    heartbeats = {(m.get_srcSystem(), m.get_srcComponent()) for m in received if m.get_type() == "HEARTBEAT"}
+    assert heartbeats == {(1, 1), (1, 191)}
+    assert len(distances) >= 45
+    summary = json.loads((tmp_path / "f" / "summary.json").read_text())
+    assert summary["fused"]["error"]["p95_cm"] < 6
