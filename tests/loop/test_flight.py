@@ -284,6 +284,7 @@ def test_another_model_flies(tmp_path: Path) -> None:
         assert sensor["error_before"]["rms_cm"] < 1.5
 
 
+@pytest.mark.slow
 def test_effects_fly_as_they_are_scored(tmp_path: Path) -> None:
     """Readings of a flight with effects, as the bridge recorded them, follow their model given the recorded context."""
     path = SCENARIOS.parent / "sensors" / "mb1242_in_flight.yaml"

@@ -11,7 +11,7 @@ from tests.fuzz.__main__ import AREAS
 from tests.support import crashing
 
 
-@pytest.mark.parametrize(("seconds", "seed"), [(1.0, 1), pytest.param(4.0, 2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seconds", "seed"), [(0.6, 1), pytest.param(4.0, 2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("area", AREAS)
 def test_changed_input_is_read_or_has_a_line(area: str, seconds: float, seed: int) -> None:
     result = AREAS[area].fuzz(seconds, seed)

@@ -160,6 +160,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
+@pytest.mark.slow
 def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: list[Path], tmp_path: Path) -> None:
     run("compare", *recordings, "--model", MODEL, "--out", tmp_path)
     before = read_findings(tmp_path)

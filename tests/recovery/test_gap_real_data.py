@@ -57,6 +57,7 @@ def test_the_mb1433_is_four_tenths_of_a_second_late() -> None:
     assert findings.verdict == "partly explained"
 
 
+@pytest.mark.slow
 def test_the_tilted_ranger_reads_the_slant_range() -> None:
     findings, data = found("tof_ranger", "util-uwb", "util-uwb/0607__tdoa2-obs-log1.csv")
     slant = {each.name: each for each in findings.effects}["slant_range"]
