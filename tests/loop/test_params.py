@@ -161,6 +161,7 @@ def test_a_value_that_does_not_stay(tmp_path: Path) -> None:
     assert autopilot.set_names == ["RNGFND1_TYPE"]
 
 
+@pytest.mark.slow
 def test_other_autopilots_and_none(tmp_path: Path) -> None:
     port = free_port(socket.SOCK_DGRAM)
     arguments = (str(CONFIGS / "loopback.yaml"), "--compare", "--link", f"udpout:127.0.0.1:{port}")

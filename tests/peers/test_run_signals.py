@@ -93,6 +93,7 @@ def test_sighup_reloads_the_airframe_file(tmp_path: Path) -> None:
     assert not any(Recording(path).cut for path in recordings)
 
 
+@pytest.mark.slow
 def test_sighup_with_a_file_that_is_not_valid_changes_nothing(tmp_path: Path) -> None:
     with flying(tmp_path) as (service, end, airframe):
         good = airframe.read_text()
