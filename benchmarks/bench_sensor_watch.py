@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from msp_range.clock import VirtualClock
-from msp_range.health import Seen, SensorWatch
+from msp_range.health import GroundUse, SensorWatch
 from msp_range.health.neighbours import Sighting, reference
 from msp_range.health.sensor_watch import MOST_NEIGHBOURS
 from msp_sim.flight.flight import Simulation
@@ -51,7 +51,7 @@ class _Idle(SensorWatch):
 def _windows(drawn: Drawn) -> list[list[Sighting]]:
     """Readings of the ground with those around them."""
     seen = [
-        Sighting(time_s, sensor, range_m, STD_M, Seen.GROUND, range_m, None, climb_m_s, None)
+        Sighting(time_s, sensor, range_m, STD_M, GroundUse.GROUND, range_m, None, climb_m_s, None)
         for time_s, sensor, range_m, climb_m_s in zip(
             *(each.tolist() for each in (drawn.time_s, drawn.sensor, drawn.height_m, drawn.climb_m_s)), strict=True
         )

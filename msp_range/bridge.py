@@ -46,16 +46,16 @@ from msp_range.geometry import dot
 from msp_range.health import (
     FUSED,
     BusHealth,
+    GroundUse,
     Health,
     ObservationsBelow,
     OutputWatch,
     Reminder,
     Report,
-    Seen,
     SensorWatch,
     Severity,
 )
-from msp_range.health.finding import Finding
+from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
@@ -83,13 +83,13 @@ m. Smaller changes ``max_distance`` more often, larger calls a distance that the
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
 
-_SEEN = {
-    None: Seen.GROUND,
-    OBJECT: Seen.OTHER,
-    OUTLIER: Seen.OTHER,
-    REPEATED: Seen.REPEATED,
-    SUSPECT: Seen.MISSED,
-    Status.NO_ECHO.value: Seen.MISSED,
+_GROUND_USE = {
+    None: GroundUse.GROUND,
+    OBJECT: GroundUse.OTHER,
+    OUTLIER: GroundUse.OTHER,
+    REPEATED: GroundUse.REPEATED,
+    SUSPECT: GroundUse.MISSED,
+    Status.NO_ECHO.value: GroundUse.MISSED,
 }
 
 
@@ -286,7 +286,7 @@ class Bridge:
         return self._air
 
     @property
-    def sensor_findings(self) -> Sequence[Finding]:
+    def sensor_findings(self) -> Sequence[SensorFinding]:
         """What the sensor watch finds now."""
         return () if self._sensor_watch is None else self._sensor_watch.findings
 
@@ -342,14 +342,16 @@ class Bridge:
     def _compare(self, watch: SensorWatch, fusion: Fusion, outcome: Outcome) -> None:
         """Hold a reading against its sensor's model."""
         reading, climb_m_s = outcome.reading, fusion.climb_m_s
-        seen = Seen.NOTHING if reading.status is Status.AT_MINIMUM else _SEEN.get(outcome.rejected, Seen.NOTHING)
+        use = _GROUND_USE.get(outcome.rejected, GroundUse.NOTHING)
+        if reading.status is Status.AT_MINIMUM:
+            use = GroundUse.NOTHING
         if watch.is_single:
             rate = self._motion.rate(reading.time_s)
             climb_m_s = rate.m_s if rate is not None else 0.0
         watch.update(
             reading.sensor,
             reading.time_s,
-            seen,
+            use,
             fusion.level_height_m,
             reading.std_m,
             reading.raw,

@@ -202,12 +202,12 @@ def commission(
     """
     from msp_range.clock import SystemClock
     from msp_range.commission.command import commission as do
-    from msp_range.commission.operator import Terminal
+    from msp_range.commission.operator import PersonAtTerminal
     from msp_range.commission.session import Session
     from msp_range.doctor.computer import this_computer
 
     clock = SystemClock()
-    operator = Terminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
+    operator = PersonAtTerminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
     session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
     raise typer.Exit(do(session, step, sys.stdout, json_lines))
 

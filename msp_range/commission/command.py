@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from msp_range.commission import edit
-from msp_range.commission.outcome import Outcome, Proposal
+from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.session import Session
-from msp_range.commission.state import VERIFIED, State
+from msp_range.commission.state import VERIFIED, PassedSteps
 from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
 from msp_range.config import load_airframe
 from msp_range.doctor.command import WIDTH, lines_of
 from msp_range.yaml_file import ConfigError
 
-STEPS: dict[str, Callable[[Session], Outcome]] = {
+STEPS: dict[str, Callable[[Session], StepOutcome]] = {
     "wires": wires.run,
     "addresses": addresses.run,
     "bench": bench.run,
@@ -48,7 +48,7 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
             f"{session.path.absolute().parent}: this user may not write there, where changes and what has passed are "
             "kept: use sudo, or a copy of the file in a folder of your own"
         )
-    state = State.of(session.path)
+    state = PassedSteps.of(session.path)
     airframe = session.airframe()
     session.measured.update({name: each["measured"] for name, each in state.steps.items()})
     report: dict[str, Any] = {}
@@ -90,8 +90,8 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
 
 
 def _correct(
-    session: Session, outcome: Outcome, show: Callable[[Sequence[str]], None]
-) -> tuple[list[dict[str, str]], Outcome]:
+    session: Session, outcome: StepOutcome, show: Callable[[Sequence[str]], None]
+) -> tuple[list[dict[str, str]], StepOutcome]:
     """Make the changes that the person agrees to, and compare the same measurements with the new file.
 
     Raises
@@ -141,7 +141,7 @@ def _asked(session: Session, proposal: Proposal) -> str:
     return "\n".join(lines)
 
 
-def _overview(state: State, session: Session, due: Sequence[str]) -> list[str]:
+def _overview(state: PassedSteps, session: Session, due: Sequence[str]) -> list[str]:
     passed = [f"{name} ({state.steps[name]['passed']})" for name in STEPS if name not in due and name in state.steps]
     lines = _wrapped("", f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}")
     return lines + (_wrapped("", f"passed: {', '.join(passed)}") if passed else [])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.commission.samples import Readings, Samples
+from msp_range.commission.samples import Samples, SensorReadings
 
 NEAR_M = 0.35
 """A covered sensor reads less than this [m]: a hand on it gives the shortest report, 0.20 m for an MB1242."""
@@ -35,7 +35,7 @@ class Covered:
     shares: dict[str, float]
 
 
-def near_share(readings: Readings) -> float:
+def near_share(readings: SensorReadings) -> float:
     """Share of the answers that say that something is right in front of the sensor; 0 where there are none."""
     if not readings.status:
         return 0.0

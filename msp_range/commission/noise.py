@@ -11,7 +11,7 @@ from pathlib import Path
 
 from msp_range.commission.edit import Edit, edited
 from msp_range.commission.motion import Measured
-from msp_range.commission.outcome import Outcome, Proposal, shown
+from msp_range.commission.outcome import Proposal, StepOutcome, shown
 from msp_range.config import Airframe
 from msp_range.doctor.finding import right, wrong
 from msp_range.yaml_file import ConfigError
@@ -24,7 +24,7 @@ it. Between sensors that are alike, estimates from 40 readings differ by a fifth
 SIGMA = ("reading_model", "sigma_cm")
 
 
-def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: str, outcome: Outcome) -> None:
+def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: str, outcome: StepOutcome) -> None:
     """Add what the measured noise means for the airframe file.
 
     Parameters
@@ -68,7 +68,7 @@ def _cm(measured: Measured) -> str:
     return shown(Measured(100 * measured.value, 100 * measured.half_width), "cm", 1)
 
 
-def _propose(airframe: Airframe, model: str, sigma_cm: float, text: str, outcome: Outcome) -> None:
+def _propose(airframe: Airframe, model: str, sigma_cm: float, text: str, outcome: StepOutcome) -> None:
     name = f"{Path(model).stem}_{sigma_cm:g}cm.yaml"
     try:
         content = edited(airframe.files[model], [Edit(SIGMA, sigma_cm)])

@@ -26,7 +26,7 @@ class Motion(Enum):
     BOARD = "a board half a metre in front of one side"
 
 
-class Operator(Protocol):
+class Person(Protocol):
     """The person."""
 
     def begin(self, text: str) -> None:
@@ -42,7 +42,7 @@ class Operator(Protocol):
         """Ask for a measured height [m]; None: there is no further one."""
 
 
-class Terminal:
+class PersonAtTerminal:
     """A person at a terminal.
 
     Parameters

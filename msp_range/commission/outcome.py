@@ -30,7 +30,7 @@ class Proposal:
 
 
 @dataclass
-class Outcome:
+class StepOutcome:
     """Outcome of one step.
 
     Attributes
@@ -52,7 +52,7 @@ class Outcome:
     proposals: list[Proposal] = field(default_factory=list)
     measured: dict[str, Any] = field(default_factory=dict)
     complete: bool = True
-    again: "Callable[[Airframe], Outcome] | None" = None
+    again: "Callable[[Airframe], StepOutcome] | None" = None
 
     @property
     def passed(self) -> bool:

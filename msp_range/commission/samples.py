@@ -29,7 +29,7 @@ class Record(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Readings:
+class SensorReadings:
     """The readings of one sensor in the order of their times.
 
     Attributes
@@ -80,7 +80,7 @@ class Samples:
         Rows of (time [s], fused distance [m], height [m]), shape (k, 3).
     """
 
-    readings: Mapping[str, Readings]
+    readings: Mapping[str, SensorReadings]
     attitude: Array
     fused: Array
 
@@ -135,10 +135,10 @@ def samples_of(records: Iterable[Record]) -> Samples:
     )
 
 
-def _readings(messages: list[Mapping[str, Any]]) -> Readings:
+def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
     messages = sorted(messages, key=lambda message: float(message["time_s"]))
     latencies_s = [each["read_s"] - each["time_s"] for each in messages if np.isfinite(_distance_m(each))]
-    return Readings(
+    return SensorReadings(
         np.array([each["time_s"] for each in messages], dtype=float),
         np.array([_distance_m(each) for each in messages], dtype=float),
         tuple("suspect" if each.get("suspect") else each["status"] for each in messages),

@@ -8,7 +8,7 @@ from pathlib import Path
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
 from msp_range.commission.live import Live, OwnBridge, RunningBridge
-from msp_range.commission.operator import Operator
+from msp_range.commission.operator import Person
 from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.computer import Computer
 from msp_range.mavlink.transport import Transport, open_transport
@@ -42,7 +42,7 @@ class Session:
     path: Path
     computer: Computer
     clock: Clock
-    operator: Operator
+    operator: Person
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport
     recording: Path | None = None

@@ -53,7 +53,7 @@ def hash_of(step: str, airframe: Airframe) -> str:
 
 
 @dataclass
-class State:
+class PassedSteps:
     """The passed steps of one airframe file.
 
     Attributes
@@ -68,7 +68,7 @@ class State:
     steps: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, airframe_file: Path) -> "State":
+    def of(cls, airframe_file: Path) -> "PassedSteps":
         """The state next to an airframe file; empty where there is none.
 
         Raises

@@ -32,7 +32,7 @@ SCATTER_M = 0.30
 """Readings that lie further apart [m] are reported: a still sensor scatters by 1 to 3 cm."""
 
 
-class Ping(NamedTuple):
+class TimedPing(NamedTuple):
     """One ping: what it answered, None where it did not, and the times of answer and echo after the ping [s]."""
 
     decoded: Decoded | None
@@ -67,7 +67,7 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
     """All steps on the bus. Takes some 2 s for each sensor."""
     findings, present = _addresses(airframe, bus, clock)
     polled = polled_sensors(airframe, bus)
-    alone: dict[str, list[Ping]] = {}
+    alone: dict[str, list[TimedPing]] = {}
     for sensor in present:
         pings = [_ping(polled[sensor.name], clock, SILENCE_S) for _ in range(READINGS)]
         # Clock faults now and then would look like two sensors with different answers.
@@ -161,12 +161,12 @@ def _recognised(sensor: SensorSettings, bus: Bus, clock: Clock) -> Finding | Non
     return wrong(f"sensor {sensor.name}", f"0x{sensor.address:02x}: {found.answer}", remedy)
 
 
-def _ping(sensor: PolledSensor, clock: Clock, silence_s: float) -> Ping:
+def _ping(sensor: PolledSensor, clock: Clock, silence_s: float) -> TimedPing:
     clock.sleep_until(clock.now() + silence_s)
     return _answer(sensor, clock, _start(sensor, clock))
 
 
-def _count(pings: Sequence[Ping], status: Status) -> int:
+def _count(pings: Sequence[TimedPing], status: Status) -> int:
     return sum(each.decoded is not None and each.decoded.status is status for each in pings)
 
 
@@ -180,9 +180,9 @@ def _start(sensor: PolledSensor, clock: Clock) -> float | None:
     return start_s
 
 
-def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> Ping:
+def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> TimedPing:
     if pinged_s is None:
-        return Ping(None, 0.0, 0.0)
+        return TimedPing(None, 0.0, 0.0)
     timing = sensor.timing
     clock.sleep_until(pinged_s + timing.first_answer_s)
     while True:
@@ -191,19 +191,19 @@ def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> Ping:
             decoded = sensor.device.answer()
         except BusError:
             if now_s >= pinged_s + timing.deadline_s:
-                return Ping(None, now_s - pinged_s, 0.0)
+                return TimedPing(None, now_s - pinged_s, 0.0)
             clock.sleep_until(min(now_s + POLL_INTERVAL_S, pinged_s + timing.deadline_s))
             continue
         answered_s = clock.now() - pinged_s
         decoded = decoded.arrived_after(answered_s)
-        return Ping(decoded, answered_s, sensor.reading(0.0, decoded).time_s)
+        return TimedPing(decoded, answered_s, sensor.reading(0.0, decoded).time_s)
 
 
-def _ranges(pings: Sequence[Ping]) -> list[float]:
+def _ranges(pings: Sequence[TimedPing]) -> list[float]:
     return [each.range_m for each in pings if each.range_m is not None]
 
 
-def _readings(sensor: SensorSettings, pings: Sequence[Ping]) -> Finding:
+def _readings(sensor: SensorSettings, pings: Sequence[TimedPing]) -> Finding:
     step = f"readings of {sensor.name}"
     answers = [each.decoded for each in pings if each.decoded is not None]
     statuses = {each.status for each in answers}
@@ -243,7 +243,7 @@ def _shown(decoded: Decoded) -> str:
 
 
 def _crosstalk(
-    airframe: Airframe, polled: dict[str, PolledSensor], clock: Clock, alone: dict[str, list[Ping]]
+    airframe: Airframe, polled: dict[str, PolledSensor], clock: Clock, alone: dict[str, list[TimedPing]]
 ) -> Finding:
     """Compare what each reads alone with what it reads in the airframe's polling order."""
     step = "crosstalk"

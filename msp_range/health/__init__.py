@@ -3,7 +3,7 @@
 from msp_range.health.below import Observation, ObservationsBelow
 from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
-from msp_range.health.neighbours import Seen
+from msp_range.health.neighbours import GroundUse
 from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
 from msp_range.health.sensor_watch import Expected, SensorWatch

@@ -10,7 +10,7 @@ MOST_TIMES = 99.0
 """Larger ratios are shown as this one."""
 
 
-class Finding(NamedTuple):
+class SensorFinding(NamedTuple):
     """What a sensor does otherwise than its model.
 
     Attributes
@@ -22,7 +22,7 @@ class Finding(NamedTuple):
 
     Examples
     --------
-    >>> Finding("front_left", "short", 5.2).text
+    >>> SensorFinding("front_left", "short", 5.2).text
     'Range front_left: 5x expected short readings'
     """
 

@@ -22,7 +22,7 @@ MOST_CLIMB_ERROR_M_S = 0.6
 fused climb lags behind a hard start by half of this."""
 
 
-class Seen(Enum):
+class GroundUse(Enum):
     """What a reading was for the fused ground."""
 
     GROUND = "ground"
@@ -67,14 +67,14 @@ class Sighting(NamedTuple):
     sensor: int
     common_m: float | None
     std_m: float
-    seen: Seen
+    seen: GroundUse
     height_m: float | None
     raw: int | None
     climb_m_s: float
     down: Vector | None
 
 
-class Reference(NamedTuple):
+class ReferenceHeight(NamedTuple):
     """The height by the others.
 
     Attributes
@@ -90,7 +90,7 @@ class Reference(NamedTuple):
     climb_m_s: float
 
 
-def reference(window: Sequence[Sighting], middle: int, scale: float) -> Reference | None:
+def reference(window: Sequence[Sighting], middle: int, scale: float) -> ReferenceHeight | None:
     """The height at the time of the window's reading ``middle`` by the other sensors; None where they do not agree.
 
     Parameters
@@ -144,4 +144,4 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
     share = early_s / (early_s + late_s)
     bend_m = 0.5 * ACCELERATION_M_S2 * early_s * late_s
     variance_m2 *= (1.0 - share) * (1.0 - share) / befores + share * share / count
-    return Reference(before_m + slope * early_s, variance_m2 + bend_m * bend_m, slope)
+    return ReferenceHeight(before_m + slope * early_s, variance_m2 + bend_m * bend_m, slope)

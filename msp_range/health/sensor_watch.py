@@ -31,8 +31,8 @@ from typing import NamedTuple
 
 from msp_range.geometry import Vector
 from msp_range.health.evidence import Evidence, Occurrences
-from msp_range.health.finding import Finding, Kind
-from msp_range.health.neighbours import Seen, Sighting, reference
+from msp_range.health.finding import Kind, SensorFinding
+from msp_range.health.neighbours import GroundUse, Sighting, reference
 
 FALSE_ALARM_H = 1000.0
 """Mean flying time between two false findings of a vehicle, at least [h]. Ten times as much finds a sensor with 10 %
@@ -161,7 +161,7 @@ class _Sensor:
         self.missed = Occurrences(readings / WEIGHTS["missed"], ODDS)
         self.repeats = Occurrences(readings / WEIGHTS["repeats"], REPEAT_ODDS)
         self.wider, self.shifted = Evidence(readings / WEIGHTS["wider"]), Evidence(readings / WEIGHTS["shifted"])
-        self.findings: dict[Kind, Finding] = {}
+        self.findings: dict[Kind, SensorFinding] = {}
         # Slow means of its readings: how many there were, offset from the others [m], and mean square of e.
         self.readings, self.offset_m, self.scale = 0, 0.0, 1.0
         # The reading before: normalised difference and its time, difference [m], answer and its time, and the height by
@@ -205,7 +205,7 @@ class SensorWatch:
         self._product, self._square = 0.0, 1.0
         # Sum of the offsets [m], and of the mean squares of the sensors that are not found to be wider.
         self._offsets_m, self._scales, self._in_order = 0.0, float(count), count
-        self.findings: list[Finding] = []
+        self.findings: list[SensorFinding] = []
 
     @property
     def is_single(self) -> bool:
@@ -216,7 +216,7 @@ class SensorWatch:
         self,
         name: str,
         time_s: float,
-        seen: Seen,
+        seen: GroundUse,
         height_m: float | None,
         std_m: float | None,
         raw: int | None,
@@ -239,9 +239,9 @@ class SensorWatch:
             Straight down, a unit vector in body FRD; None where the attitude is not known.
         """
         own = self._of[name]
-        if height_m is None and seen is not Seen.MISSED:
-            seen = Seen.NOTHING
-        common_m = height_m - own.offset_m if height_m is not None and seen is Seen.GROUND else None
+        if height_m is None and seen is not GroundUse.MISSED:
+            seen = GroundUse.NOTHING
+        common_m = height_m - own.offset_m if height_m is not None and seen is GroundUse.GROUND else None
         std_m = own.expected.spread * (std_m or 0.0)
         sighting = Sighting(time_s, own.index, common_m, std_m, seen, height_m, raw, climb_m_s, down)
         if self._middle == 0:
@@ -251,7 +251,7 @@ class SensorWatch:
         window.append(sighting)
         if len(window) > 2 * self._middle:
             sighting = window[self._middle]
-            if sighting.seen is not Seen.NOTHING:
+            if sighting.seen is not GroundUse.NOTHING:
                 self._compare(self._sensors[sighting.sensor], sighting)
             del window[0]
 
@@ -287,9 +287,9 @@ class SensorWatch:
         own.time_s, own.raw = time_s, sighting.raw
         if own.findings:
             self._settle(own)
-        if seen is Seen.REPEATED:
+        if seen is GroundUse.REPEATED:
             return
-        if height_m is None or seen is Seen.MISSED:
+        if height_m is None or seen is GroundUse.MISSED:
             self._confirm_short(own)
             own.seen_m, own.x, own.x_s = None, 0.0, -math.inf
             return
@@ -308,7 +308,7 @@ class SensorWatch:
             else:
                 self._confirm_short(own)
         own.seen_m = off_m
-        is_ground = seen is Seen.GROUND
+        is_ground = seen is GroundUse.GROUND
         # Two large differences in a row that are alike: a stone or an edge below the sensor.
         step = STEP * limit
         has_stepped = own.x * x > step * step and abs(own.x - x) < step
@@ -368,7 +368,7 @@ class SensorWatch:
 
     def _echo(self, own: _Sensor, sighting: Sighting, range_m: float) -> None:
         """An echo from ground in range, or none."""
-        if sighting.seen is not Seen.MISSED:
+        if sighting.seen is not GroundUse.MISSED:
             own.missed.nones += 1
         elif self._faces(own, sighting.down) and own.missed.happens(
             _missed(own.expected, range_m), [each.missed for each in own.others]
@@ -377,7 +377,7 @@ class SensorWatch:
 
     def _repeat(self, own: _Sensor, sighting: Sighting, moved_m: float) -> None:
         """The same answer where the height has changed, or another one."""
-        if moved_m < FOLLOWS_M or moved_m < FOLLOWS * sighting.std_m or sighting.seen is Seen.MISSED:
+        if moved_m < FOLLOWS_M or moved_m < FOLLOWS * sighting.std_m or sighting.seen is GroundUse.MISSED:
             return
         if sighting.raw is None or sighting.raw != own.raw:
             own.repeats.nones += 1
@@ -416,7 +416,7 @@ class SensorWatch:
         """Begin or end a finding."""
         sign = -1
         if evidence.is_found:
-            finding = Finding(own.name, kind, math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio)
+            finding = SensorFinding(own.name, kind, math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio)
             own.findings[kind] = finding
             self.findings.append(finding)
         else:

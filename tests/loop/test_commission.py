@@ -15,7 +15,7 @@ from msp_range.clock import VirtualClock
 from msp_range.commission.command import commission
 from msp_range.commission.samples import Record, samples_of
 from msp_range.commission.session import Session
-from msp_range.commission.state import State
+from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps.flight import compare as compare_flight
 from msp_range.commission.steps.flight import hovering
 from msp_range.config import Airframe, load_airframe
@@ -306,9 +306,9 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
     # The addresses are changed by hand: what was seen of them no longer counts, what was seen of the wires does.
     corrected = vehicle.path.read_text()
     vehicle.path.write_text(SWAPPED)
-    assert State.of(vehicle.path).next_step(vehicle.airframe) == "addresses"
+    assert PassedSteps.of(vehicle.path).next_step(vehicle.airframe) == "addresses"
     vehicle.path.write_text(corrected + "\n# a comment\n")
-    assert State.of(vehicle.path).next_step(vehicle.airframe) == "hover"
+    assert PassedSteps.of(vehicle.path).next_step(vehicle.airframe) == "hover"
 
     vehicle.session.recording = flown(tmp_path, vehicle)
     assert vehicle.commission() == 0

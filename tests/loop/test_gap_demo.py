@@ -35,6 +35,6 @@ def test_an_earlier_demonstration_is_replaced_only_when_asked(tmp_path: Path) ->
 
 
 def test_what_was_not_named_is_reported_so() -> None:
-    assert not demo.Comparison("rotor_noise", "growth", 3.0).holds
-    assert not demo.Comparison("rotor_noise", "growth", 3.0, 2.0, 1.0, 2.9).holds
-    assert demo.Comparison("rotor_noise", "growth", 3.0, 2.0, 1.0, 3.1).holds
+    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0).holds
+    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0, 2.0, 1.0, 2.9).holds
+    assert demo.HiddenNumber("rotor_noise", "growth", 3.0, 2.0, 1.0, 3.1).holds

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from msp_range.geometry import Vector
-from msp_range.health import Expected, Seen, SensorWatch
-from msp_range.health.finding import Finding
+from msp_range.health import Expected, GroundUse, SensorWatch
+from msp_range.health.finding import SensorFinding
 
 SLOT_S, NAMES = 0.1, ("a", "b", "c", "d")
 TURN_S = SLOT_S * len(NAMES)
@@ -131,17 +131,17 @@ def _correlated(draws: np.random.Generator, n: int, correlation: float) -> NDArr
     return np.asarray(lfilter([math.sqrt(1.0 - correlation**2)], [1.0, -correlation], white))
 
 
-def feed(watch: SensorWatch, drawn: Drawn) -> Iterator[tuple[float, Finding]]:
+def feed(watch: SensorWatch, drawn: Drawn) -> Iterator[tuple[float, SensorFinding]]:
     """Update a watch with all readings, and yield each new finding with its time [s]."""
-    known: list[Finding] = []
+    known: list[SensorFinding] = []
     off_m = np.abs(drawn.range_m - drawn.height_m)
     rows = (drawn.time_s, drawn.sensor, drawn.range_m, off_m, drawn.climb_m_s, np.sin(drawn.lean_rad))
     for time_s, index, range_m, far_m, climb_m_s, sine in zip(*(each.tolist() for each in rows), strict=True):
         down: Vector = (sine, 0.0, math.sqrt(1.0 - sine * sine))
         if math.isnan(range_m):
-            watch.update(NAMES[index], time_s, Seen.MISSED, None, None, 765, climb_m_s, down)
+            watch.update(NAMES[index], time_s, GroundUse.MISSED, None, None, 765, climb_m_s, down)
         else:
-            seen = Seen.GROUND if far_m < USED_M else Seen.OTHER
+            seen = GroundUse.GROUND if far_m < USED_M else GroundUse.OTHER
             watch.update(NAMES[index], time_s, seen, range_m, STD_M, round(100 * range_m), climb_m_s, down)
         if watch.findings != known:
             yield from ((time_s, finding) for finding in watch.findings if finding not in known)

@@ -11,7 +11,7 @@ from msp_lab.campaigns.collect import Arranged, Decision, Place, collect_reading
 from msp_lab.campaigns.plan import Point, make_plan
 from msp_lab.campaigns.simulated_bench import AutoOperator, Draw, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
-from msp_lab.campaigns.watch import Outlier, Watch
+from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.reading import Reading
 from msp_sim.device.device import Fault
 
@@ -112,12 +112,12 @@ class Told(AutoOperator):
         return Arranged(answer) if isinstance(answer, Decision) else answer
 
     def on_reading(
-        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+        self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
         super().on_reading(point, watches, reading, outlier)
         return self._looked(reading)
 
-    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+    def review(self, point: Point, watches: Mapping[str, PointWatch]) -> Decision:
         return self._judged.pop(0) if self._judged else Decision.GO
 
     def on_trouble(self, text: str) -> Decision:

@@ -22,8 +22,8 @@ from msp_range.commission.live import Armed, HeartbeatLost, RunningBridge
 from msp_range.commission.look import axis_of
 from msp_range.commission.motion import Measured, NotMeasured, common_shift, places
 from msp_range.commission.noise import compare_noise
-from msp_range.commission.operator import Terminal
-from msp_range.commission.outcome import Outcome
+from msp_range.commission.operator import PersonAtTerminal
+from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.flight import hovering
@@ -249,7 +249,7 @@ def test_noise_is_that_of_the_steps_between_readings() -> None:
 
 def test_one_noisy_sensor_is_a_fault_of_its_own_and_all_of_them_are_the_model_s() -> None:
     quiet, loud = Measured(0.019, 0.003), Measured(0.05, 0.006)
-    one, all_of_them = Outcome(), Outcome()
+    one, all_of_them = StepOutcome(), StepOutcome()
     compare_noise(AIRFRAME, {name: loud if name == NAMES[2] else quiet for name in NAMES}, "in flight", one)
     compare_noise(AIRFRAME, dict.fromkeys(NAMES, loud), "in flight", all_of_them)
     assert ["rear_left" in each.text for each in one.findings if each.verdict is Verdict.WRONG] == [True]
@@ -276,11 +276,11 @@ def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:
 def test_without_a_terminal_no_question_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     out = io.StringIO()
-    person = Terminal(False, (), out)
+    person = PersonAtTerminal(False, (), out)
     for ask in (lambda: person.begin("a"), lambda: person.agrees("b"), lambda: person.height_m("c")):
         with pytest.raises(ConfigError, match="--yes"):
             ask()
-    hurried = Terminal(True, (0.8,), out)
+    hurried = PersonAtTerminal(True, (0.8,), out)
     hurried.begin("a")
     assert hurried.agrees("b")
     assert [hurried.height_m("c"), hurried.height_m("c")] == [0.8, None]

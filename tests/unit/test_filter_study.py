@@ -15,7 +15,7 @@ import pytest
 
 from msp_lab.cli import app
 from msp_lab.filter_study.candidates import changepoint, oracle
-from msp_lab.filter_study.explain import Verdict, explain_rows
+from msp_lab.filter_study.explain import FilterResult, explain_rows
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
 from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, report_readings, truth
 from msp_lab.filter_study.statistics import delay_samples, error_statistics, mirrored
@@ -203,14 +203,14 @@ def table_of(filters: dict[str, Callable[[list[float]], list[float]]], seed: int
     return "\n".join(lines) + "\n"
 
 
-def verdicts_of(text: str, folder: Path) -> tuple[bool, dict[str, Verdict]]:
+def verdicts_of(text: str, folder: Path) -> tuple[bool, dict[str, FilterResult]]:
     path = folder / "table.csv"
     path.write_text(text, encoding="utf-8")
     reverse, verdicts = explain_rows(read_table(path))
     return reverse, {verdict.filter: verdict for verdict in verdicts}
 
 
-def changes_of(verdict: Verdict) -> list[tuple[str, object]]:
+def changes_of(verdict: FilterResult) -> list[tuple[str, object]]:
     assert verdict.changes is not None
     return [(change.kind, change.value) for change in verdict.changes]
 

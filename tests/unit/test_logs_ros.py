@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.logs.log import Log
+from msp_lab.logs.log import VehicleLog
 from msp_lab.logs.opening import open_log
 from msp_range.recording.error import RecordingError
 from tests.support.flight_logs import height_m, write_bag
@@ -15,7 +15,7 @@ def nothing(share: float) -> None:
     pass
 
 
-def check(log: Log) -> None:
+def check(log: VehicleLog) -> None:
     (ranger,) = log.rangers
     assert ranger.name == "sonar_down"
     assert ranger.maximum_cm == pytest.approx(765.0, abs=1e-3)

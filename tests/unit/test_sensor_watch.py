@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from msp_range.assembly import expected_of, sensor_watch_of
-from msp_range.health import Expected, Seen, SensorWatch
+from msp_range.health import Expected, GroundUse, SensorWatch
 from msp_range.health.evidence import Evidence, Occurrences
-from msp_range.health.finding import LONGEST_TEXT, Finding, Kind
+from msp_range.health.finding import LONGEST_TEXT, Kind, SensorFinding
 from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
@@ -64,7 +64,7 @@ def test_what_others_show_too_is_no_finding() -> None:
 def test_every_text_fits_a_statustext_with_the_longest_name(kind: Kind, size: float) -> None:
     if size < 0.0 and kind != "shifted":
         return
-    longest, usual = Finding("a" * 32, kind, size).text, Finding("front_left", kind, size).text
+    longest, usual = SensorFinding("a" * 32, kind, size).text, SensorFinding("front_left", kind, size).text
     assert len(longest) <= LONGEST_TEXT
     assert len(usual) <= LONGEST_TEXT
     assert usual.startswith("Range front_left: ")
@@ -76,7 +76,7 @@ def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None
 
     def seen(i: int, sensor: int, off_m: float = 0.0) -> Sighting:
         height_m = 2.0 + climb_m_s * i * SLOT_S + off_m
-        return Sighting(i * SLOT_S, sensor, height_m, STD_M, Seen.GROUND, height_m, None, climb_m_s, DOWN)
+        return Sighting(i * SLOT_S, sensor, height_m, STD_M, GroundUse.GROUND, height_m, None, climb_m_s, DOWN)
 
     window = [seen(0, 3), seen(1, 1, 5.0), seen(2, 0), seen(3, 1, 5.0), seen(4, 2), seen(5, 1, 5.0), seen(6, 3)]
     found = reference(window, 3, 1.0)
@@ -144,7 +144,7 @@ def fly(
     off_m: Callable[[str, float], float | None],
     seconds: float,
     names: tuple[str, ...] = NAMES,
-    seen: Seen = Seen.OTHER,
+    seen: GroundUse = GroundUse.OTHER,
     down: tuple[float, float, float] = DOWN,
     climb_m_s: float = 0.0,
 ) -> set[tuple[str, Kind]]:
@@ -155,10 +155,10 @@ def fly(
         name, time_s = names[i % len(names)], i * SLOT_S
         off = off_m(name, time_s)
         if off is None:
-            watch.update(name, time_s, Seen.MISSED, None, None, 765, climb_m_s, down)
+            watch.update(name, time_s, GroundUse.MISSED, None, None, 765, climb_m_s, down)
         else:
             height_m = 2.0 + climb_m_s * time_s + off + STD_M * draws.standard_normal()
-            kind = Seen.GROUND if abs(off) < 0.15 else seen
+            kind = GroundUse.GROUND if abs(off) < 0.15 else seen
             raw = round(100 * height_m)
             watch.update(name, time_s, kind, height_m, STD_M, raw, climb_m_s, down)
         found |= {(each.sensor, each.kind) for each in watch.findings}
@@ -206,7 +206,7 @@ def test_a_sensor_that_repeats_old_readings_while_the_vehicle_climbs_is_found(na
             old_m = reading_m if name == "a" else old_m
         else:
             reading_m = old_m
-        seen = Seen.GROUND if abs(reading_m - height_m) < 0.15 else Seen.REPEATED
+        seen = GroundUse.GROUND if abs(reading_m - height_m) < 0.15 else GroundUse.REPEATED
         watch.update(name, time_s, seen, reading_m, STD_M, round(100 * reading_m), climb_m_s, DOWN)
         found |= {(each.sensor, each.kind) for each in watch.findings}
     assert ("a", "repeats") in found
@@ -256,8 +256,8 @@ def test_an_uneven_turn_or_a_dead_sensor_does_no_harm() -> None:
     watch = SensorWatch(dict.fromkeys(NAMES, MODEL), TURN_S)
     for i in range(2000):
         name = NAMES[i % 3]
-        watch.update(name, SLOT_S * (i // 2), Seen.GROUND, 2.0, STD_M, 200, 0.0, DOWN)
-        watch.update("d", SLOT_S * (i // 2), Seen.NOTHING, None, None, None, 0.0, DOWN)
+        watch.update(name, SLOT_S * (i // 2), GroundUse.GROUND, 2.0, STD_M, 200, 0.0, DOWN)
+        watch.update("d", SLOT_S * (i // 2), GroundUse.NOTHING, None, None, None, 0.0, DOWN)
     assert watch.findings == []
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from msp_lab.campaigns.terminal import histogram
-from msp_lab.campaigns.watch import FIRST_LOOK, Outlier, Watch
+from msp_lab.campaigns.watch import FIRST_LOOK, Outlier, PointWatch
 from msp_range.reading import Reading, Status
 
 
@@ -14,8 +14,8 @@ def reading(reading_cm: int) -> Reading:
     return Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm, suspect=reading_cm == 255)
 
 
-def watched(*readings_cm: int, expected_cm: float = 120.0) -> tuple[Watch, list[Outlier]]:
-    watch = Watch("a", (expected_cm, expected_cm))
+def watched(*readings_cm: int, expected_cm: float = 120.0) -> tuple[PointWatch, list[Outlier]]:
+    watch = PointWatch("a", (expected_cm, expected_cm))
     return watch, [found for each in readings_cm if (found := watch.update(reading(each))) is not None]
 
 

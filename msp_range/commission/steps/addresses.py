@@ -3,7 +3,7 @@
 from msp_range.commission.cover import Covered, blocked, covered, exchanged
 from msp_range.commission.edit import Address, Edit
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Outcome, Proposal
+from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import samples_of
 from msp_range.commission.session import Session
 from msp_range.config import Airframe
@@ -18,7 +18,7 @@ of it (upside down, or across two chairs). You will be asked to cover each senso
 names that you have written on them or on their wires, and keep the other hand and the arm away from the others."""
 
 
-def run(session: Session) -> Outcome:
+def run(session: Session) -> StepOutcome:
     """Cover every sensor once, and those again that were not clear."""
     airframe = session.airframe()
     names = [sensor.name for sensor in airframe.sensors]
@@ -30,7 +30,7 @@ def run(session: Session) -> Outcome:
         closed = blocked(samples_of(live.record(FREE_S)))
         if closed:
             remedy = "give every sensor 0.6 m of free space, then again; 'msp-range doctor' if one does not answer"
-            return Outcome(
+            return StepOutcome(
                 [wrong("cover", f"without a hand there is something in front of {', '.join(closed)}", remedy)]
             )
         for name in [*names, *names]:
@@ -43,7 +43,7 @@ def run(session: Session) -> Outcome:
     return compare(airframe, {name: each.name for name, each in found.items()})
 
 
-def compare(airframe: Airframe, answered: dict[str, str | None]) -> Outcome:
+def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     """What the answers mean for the airframe file.
 
     Parameters
@@ -51,7 +51,7 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> Outcome:
     answered
         Name of the sensor that was covered -> name under which it answered by ``airframe``; None where it is not clear.
     """
-    outcome = Outcome()
+    outcome = StepOutcome()
     known = {name: other for name, other in answered.items() if other is not None}
     unclear = [name for name in answered if name not in known]
     for name in unclear:
@@ -90,7 +90,7 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> Outcome:
         )
     )
 
-    def again(changed: Airframe) -> Outcome:
+    def again(changed: Airframe) -> StepOutcome:
         name_at = {sensor.address: sensor.name for sensor in changed.sensors}
         return compare(changed, {name: other and name_at[address[other]] for name, other in answered.items()})
 

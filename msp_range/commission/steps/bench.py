@@ -8,7 +8,7 @@ from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Outcome, Proposal, shown
+from msp_range.commission.outcome import Proposal, StepOutcome, shown
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.still import (
@@ -42,7 +42,7 @@ at least 0.5 m higher also shows whether the air temperature is right."""
 QUESTION = "How high is the reference point above the floor now? Then take your hands off."
 
 
-def run(session: Session) -> Outcome:
+def run(session: Session) -> StepOutcome:
     """Measure at each height that the person gives."""
     operator = session.operator
     operator.begin(TEXT)
@@ -63,7 +63,7 @@ def run(session: Session) -> Outcome:
     return compare(session.airframe(), stands, stands[0].samples if stands else loose[0])
 
 
-def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: Airframe | None = None) -> Outcome:
+def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: Airframe | None = None) -> StepOutcome:
     """What the stands mean for the airframe file.
 
     Parameters
@@ -78,7 +78,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
         The file as it was then; None: the same.
     """
     flown = flown or airframe
-    outcome = Outcome(again=lambda changed: compare(changed, stands, still, flown))
+    outcome = StepOutcome(again=lambda changed: compare(changed, stands, still, flown))
     tilts = [tilt_rad(each.samples) for each in stands]
     if any(each > LEVEL_RAD for each in tilts):
         text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
@@ -115,7 +115,7 @@ def _vertical(sensor: SensorSettings) -> float:
     return slant * math.cos(sensor.tilt_from_down_rad) + 1.0 - slant
 
 
-def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome: Outcome) -> None:
+def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome: StepOutcome) -> None:
     first = median_ranges_m(stands[0].samples)
     wrong_by: dict[str, float] = {}
     for i, sensor in enumerate(airframe.sensors):
@@ -155,7 +155,7 @@ def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
     return bias_then_c.get(source, 0.0) - bias_c.get(source, 0.0)
 
 
-def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source: str, outcome: Outcome) -> None:
+def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source: str, outcome: StepOutcome) -> None:
     if measured is None:
         outcome.findings.append(unknown("air temperature", "one height does not show it", "measure at a second height"))
         return

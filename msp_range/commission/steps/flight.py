@@ -7,8 +7,8 @@ import numpy as np
 
 from msp_range.commission.motion import NotMeasured, Places, places
 from msp_range.commission.noise import compare_noise
-from msp_range.commission.outcome import Outcome, Proposal
-from msp_range.commission.samples import Array, Readings, Record, Samples, samples_of
+from msp_range.commission.outcome import Proposal, StepOutcome
+from msp_range.commission.samples import Array, Record, Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.lift import compare_places
 from msp_range.config import Airframe, load_airframe_from
@@ -28,7 +28,7 @@ OFF_M = 0.06
 """Median difference of a sensor from the ground of all [m] that is reported: three times a place's accuracy."""
 
 
-def hover(session: Session) -> Outcome:
+def hover(session: Session) -> StepOutcome:
     """Whether there is a recording of a hover with this airframe, and whether distances came all the time."""
     airframe = session.airframe()
     path = _recording(session, airframe)
@@ -37,9 +37,9 @@ def hover(session: Session) -> Outcome:
             "no recording: fly a hover of half a minute at 1.5 to 3 m over flat ground in a mode that does not rely on "
             "the range finder (Stabilize, Manual), with 'msp-range run' recording"
         )
-        return Outcome([unknown("hover", text, "then again, or name the file: --recording FLIGHT.mcap")])
+        return StepOutcome([unknown("hover", text, "then again, or name the file: --recording FLIGHT.mcap")])
     recording = Recording(path)
-    outcome = Outcome(measured={"recording": str(path)})
+    outcome = StepOutcome(measured={"recording": str(path)})
     if load_airframe_from(recording.files, path).model_dump() != airframe.model_dump():
         text = f"{path.name} was flown with another airframe file than the present one"
         outcome.findings.append(
@@ -65,17 +65,17 @@ def hover(session: Session) -> Outcome:
     return outcome
 
 
-def review(session: Session) -> Outcome:
+def review(session: Session) -> StepOutcome:
     """What the hover's recording says of each sensor."""
     airframe = session.airframe()
     name = session.measured.get("hover", {}).get("recording")
     path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
     if path is None:
-        return Outcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
+        return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
     records = [Record(*each) for each in Recording(path)]
     part = hovering(samples_of(records))
     if part is None:
-        return Outcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
+        return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
     outcome = compare(airframe, part)
     reported = Counter(
         str(message["text"]) for topic, _, message in records if topic == "/health" and "text" in message
@@ -98,9 +98,9 @@ def _is_bad(text: str, records: list[Record]) -> bool:
     )
 
 
-def compare(airframe: Airframe, part: Samples) -> Outcome:
+def compare(airframe: Airframe, part: Samples) -> StepOutcome:
     """What a hover means for the airframe file."""
-    outcome = Outcome(again=lambda changed: compare(changed, part))
+    outcome = StepOutcome(again=lambda changed: compare(changed, part))
     for sensor in airframe.downward:
         readings = part.readings.get(sensor.name)
         if readings is None:
@@ -118,7 +118,7 @@ def compare(airframe: Airframe, part: Samples) -> Outcome:
     return outcome
 
 
-def _rates(name: str, readings: Readings, outcome: Outcome) -> None:
+def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
     """Shares of missed and rejected readings."""
     step = f"flight of {name}"
     total = len(readings.status)
@@ -143,9 +143,9 @@ def _rates(name: str, readings: Readings, outcome: Outcome) -> None:
         outcome.findings.append(right(step, text))
 
 
-def _residuals(airframe: Airframe, found: Places, outcome: Outcome) -> None:
+def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     """Places and noise as the flight shows them; tilts are small, so that only large errors sideways are seen."""
-    in_flight = Outcome()
+    in_flight = StepOutcome()
     compare_places(airframe, found, in_flight)
     outcome.proposals += [Proposal(f"in flight: {each.text}", each.edits) for each in in_flight.proposals]
     for name in found.elsewhere:
@@ -188,7 +188,7 @@ def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
     for name, each in samples.readings.items():
         kept = inside(each.time_s)
         if kept.any():
-            readings[name] = Readings(
+            readings[name] = SensorReadings(
                 each.time_s[kept],
                 each.range_m[kept],
                 tuple(word for word, is_kept in zip(each.status, kept, strict=True) if is_kept),

@@ -10,7 +10,7 @@ from msp_range.commission.edit import Edit
 from msp_range.commission.look import Axis, axis_of
 from msp_range.commission.motion import Measured, NotMeasured, Places, places
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Outcome, Proposal, shown
+from msp_range.commission.outcome import Proposal, StepOutcome, shown
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.config import Airframe, SensorSettings
@@ -79,7 +79,7 @@ class Recorded:
     boards: Mapping[str, Samples]
 
 
-def run(session: Session) -> Outcome:
+def run(session: Session) -> StepOutcome:
     """Guide the person through the motions."""
     operator = session.operator
     operator.begin(TEXT)
@@ -146,9 +146,9 @@ def _returned(records: list[Record]) -> tuple[tuple[float, float], ...]:
     )
 
 
-def compare(airframe: Airframe, recorded: Recorded) -> Outcome:
+def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
     """What the motions mean for the airframe file."""
-    outcome = Outcome(again=lambda changed: compare(changed, recorded))
+    outcome = StepOutcome(again=lambda changed: compare(changed, recorded))
     outcome.findings += attitude_signs(recorded)
     if any(each.verdict is not Verdict.RIGHT for each in outcome.findings):
         outcome.complete = False
@@ -224,7 +224,7 @@ def _attitude_deg(part: Samples) -> np.ndarray[tuple[int], np.dtype[np.float64]]
     return median
 
 
-def compare_places(airframe: Airframe, found: Places, outcome: Outcome, dim: Sequence[str] = ()) -> None:
+def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim: Sequence[str] = ()) -> None:
     """Add what the measured places mean for the airframe file, but for sensors that see little of the floor."""
     mirrored: dict[int, list[str]] = {0: [], 1: []}
     for i, sensor in enumerate(airframe.sensors):
@@ -265,7 +265,7 @@ def compare_places(airframe: Airframe, found: Places, outcome: Outcome, dim: Seq
     _exchanged(airframe, found, outcome)
 
 
-def _exchanged(airframe: Airframe, found: Places, outcome: Outcome) -> None:
+def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     """Say so where two sensors sit at each other's place."""
     places_m = {sensor.name: sensor.position_m for sensor in airframe.sensors}
 
@@ -287,7 +287,7 @@ def _exchanged(airframe: Airframe, found: Places, outcome: Outcome) -> None:
                 )
 
 
-def _axes(airframe: Airframe, recorded: Recorded, found: Places, outcome: Outcome) -> list[str]:
+def _axes(airframe: Airframe, recorded: Recorded, found: Places, outcome: StepOutcome) -> list[str]:
     """Add what the echoes say of the directions; names of sensors that see little of the floor."""
     without_floor, shares = [], {}
     for i, sensor in enumerate(airframe.sensors):
@@ -355,7 +355,7 @@ def _rotation(i: int, sensor: SensorSettings, pitch: int, yaw: int) -> tuple[Edi
     return tuple(edits)
 
 
-def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], outcome: Outcome) -> None:
+def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], outcome: StepOutcome) -> None:
     """Where a sensor looks that sees the floor at no tilt: to the side where it saw the board."""
     step = f"direction of {sensor.name}"
     seen = [side for side, samples in boards.items() if _sees_board(samples, sensor.name)]
@@ -380,7 +380,7 @@ def _sees_board(samples: Samples, name: str) -> bool:
     return len(range_m) > 0 and float(near.mean()) > 0.5
 
 
-def _lag(found: Places, outcome: Outcome) -> None:
+def _lag(found: Places, outcome: StepOutcome) -> None:
     lag = Measured(1e3 * found.lag.value, 1e3 * found.lag.half_width)
     outcome.measured["attitude_later_s"] = round(found.lag.value, 3)
     text = f"the attitude is {shown(lag, 'ms', 0)} later than the readings"
@@ -391,7 +391,7 @@ def _lag(found: Places, outcome: Outcome) -> None:
         outcome.findings.append(right("delay of the attitude", text))
 
 
-def _came_back(airframe: Airframe, recorded: Recorded, outcome: Outcome) -> None:
+def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> None:
     """Whether the autopilot's own distance followed the lift."""
     if airframe.send.fused is None or not len(recorded.all.fused):
         return

@@ -1,6 +1,6 @@
 """The autopilot's parameters, as `msp-range params` has them, with the latency that was measured."""
 
-from msp_range.commission.outcome import Outcome
+from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.session import Session
 from msp_range.doctor.autopilot import DELAY_MS
 from msp_range.doctor.finding import right, unknown, wrong
@@ -15,7 +15,7 @@ SYNCHRONISED_S = 2.0
 DELAY = "EKF2_RNG_DELAY"
 
 
-def run(session: Session) -> Outcome:
+def run(session: Session) -> StepOutcome:
     """Compare the autopilot's parameters, and set each that differs and that the person agrees to."""
     airframe = session.airframe()
     session.operator.begin(
@@ -31,10 +31,10 @@ def run(session: Session) -> Outcome:
     try:
         if not client.connect(CONNECT_S):
             remedy = "sudo systemctl stop msp-range if the service runs; else 'msp-range doctor' looks for the reason"
-            return Outcome([wrong("autopilot", f"{airframe.link.url}: none is received", remedy)])
+            return StepOutcome([wrong("autopilot", f"{airframe.link.url}: none is received", remedy)])
         firmware, settings = wanted(airframe, client, session.port)
         changes = differences(client, settings) + _delay(session, client)
-        outcome = Outcome(measured={"firmware": str(firmware)})
+        outcome = StepOutcome(measured={"firmware": str(firmware)})
         undo = session.path.with_name(undo_path(session.clock).name)
         shown: list[str] = []
         done = write(client, changes, session.operator.agrees, undo, airframe.vehicle, shown.append)
@@ -56,7 +56,7 @@ def run(session: Session) -> Outcome:
             )
         return outcome
     except ConfigError as error:
-        return Outcome([wrong("parameters", str(error), "then again; what was set stays set")])
+        return StepOutcome([wrong("parameters", str(error), "then again; what was set stays set")])
     finally:
         transport.close()
 

@@ -16,7 +16,7 @@ from msp_lab.campaigns.bench import Bench, rangings
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import Point, changes
 from msp_lab.campaigns.store import Store
-from msp_lab.campaigns.watch import Outlier, Watch
+from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.reading import Reading
 from msp_range.yaml_file import ConfigError
 
@@ -54,11 +54,11 @@ class Operator(Protocol):
         """Set a point up. AGAIN reads the point before once more, SKIP leaves this one for later."""
 
     def on_reading(
-        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+        self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
         """Receive each reading when it arrives; STOP ends the session, everything else continues."""
 
-    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+    def review(self, point: Point, watches: Mapping[str, PointWatch]) -> Decision:
         """Review a point that has been read; AGAIN reads it once more, STOP ends the session."""
 
     def on_trouble(self, text: str) -> Decision:
@@ -175,13 +175,15 @@ class _Session:
                 return decision
             anew = True
 
-    def _read(self, point: Point, columns: dict[str, float | str], *, anew: bool) -> tuple[Decision, dict[str, Watch]]:
+    def _read(
+        self, point: Point, columns: dict[str, float | str], *, anew: bool
+    ) -> tuple[Decision, dict[str, PointWatch]]:
         attempt = self._store.next_attempt(point, again=anew)
         bus, passed_over = self._bench.begin(point, attempt.number, columns, attempt.rangings)
         self._store.begin(point, attempt, resumed=passed_over > 0)
         nearest_cm = float(columns["true_range_cm"])
         slant_cm = nearest_cm / cos(radians(float(columns["incidence_deg"])))
-        watches = {name: Watch(name, (nearest_cm, slant_cm)) for name in point.setup.sensors}
+        watches = {name: PointWatch(name, (nearest_cm, slant_cm)) for name in point.setup.sensors}
         clock = self._bench.clock
         end_s = self._end_s(point, nearest_cm)
         silent, reports = Counter[str](), 0

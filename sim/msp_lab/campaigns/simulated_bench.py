@@ -17,7 +17,7 @@ from msp_lab.campaigns.bench import Columns
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.collect import Arranged, Decision, Place
 from msp_lab.campaigns.plan import Point, reading_s, setup_s
-from msp_lab.campaigns.watch import Outlier, Watch
+from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.bus import Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
@@ -268,7 +268,7 @@ class AutoOperator:
         return Arranged(Decision.STOP if self._stopped() else Decision.GO)
 
     def on_reading(
-        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+        self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
         """Count the reading."""
         if reading.status.is_fault:
@@ -282,7 +282,7 @@ class AutoOperator:
                 return Decision.STOP
         return Decision.GO
 
-    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+    def review(self, point: Point, watches: Mapping[str, PointWatch]) -> Decision:
         """Accept the point."""
         return Decision.GO
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.collect import Arranged, Decision, Place
 from msp_lab.campaigns.plan import Point, reading_s, setup_s
-from msp_lab.campaigns.watch import Outlier, Watch
+from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.clock import Clock
 from msp_range.reading import Reading, Status
 
@@ -101,7 +101,7 @@ class Terminal:
         return arranged
 
     def on_reading(
-        self, point: Point, watches: Mapping[str, Watch], reading: Reading, outlier: Outlier | None
+        self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
     ) -> Decision:
         """Update the histogram, and show outliers and faults at once."""
         self._has_read = True
@@ -120,7 +120,7 @@ class Terminal:
             return Decision.STOP
         return Decision.GO
 
-    def review(self, point: Point, watches: Mapping[str, Watch]) -> Decision:
+    def review(self, point: Point, watches: Mapping[str, PointWatch]) -> Decision:
         """Show the histogram; ask only if something looks wrong."""
         self._end_live()
         self._console.print(self._screen(point, watches))
@@ -228,7 +228,7 @@ class Terminal:
             before = point
         return f"about {duration(left_s)} left"
 
-    def _screen(self, point: Point, watches: Mapping[str, Watch]) -> RenderableType:
+    def _screen(self, point: Point, watches: Mapping[str, PointWatch]) -> RenderableType:
         lines: list[RenderableType] = []
         for watch in watches.values():
             share = min(watch.read / point.readings, 1.0)
@@ -244,7 +244,7 @@ class Terminal:
             self._live = None
 
 
-def histogram(watch: Watch) -> Table:
+def histogram(watch: PointWatch) -> Table:
     """Return the readings of a point by centimetre about their median, the others in one line above and one below."""
     table = Table.grid(padding=(0, 1))
     for label, count, style in _bars(watch):
@@ -254,7 +254,7 @@ def histogram(watch: Watch) -> Table:
     return table
 
 
-def _bars(watch: Watch) -> Iterator[tuple[str, int, str]]:
+def _bars(watch: PointWatch) -> Iterator[tuple[str, int, str]]:
     median_cm = watch.median_cm
     if median_cm is not None:
         reach = MAX_ROWS // 2

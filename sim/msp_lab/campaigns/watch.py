@@ -38,7 +38,7 @@ class Outlier:
     why: str
 
 
-class Watch:
+class PointWatch:
     """Readings of one sensor at one point.
 
     Parameters
@@ -51,7 +51,7 @@ class Watch:
     Examples
     --------
     >>> from msp_range.reading import Reading, Status
-    >>> watch = Watch("a", (120.0, 120.0))
+    >>> watch = PointWatch("a", (120.0, 120.0))
     >>> for reading_cm in [120, 121, 120, 119, 120, 120, 121, 120, 187]:
     ...     noticed = watch.update(Reading(0.0, "a", Status.OK, reading_cm / 100, raw=reading_cm))
     >>> noticed

@@ -29,7 +29,7 @@ SEARCH_SEED = 20_240
 
 
 @dataclass(frozen=True)
-class Setting:
+class StudiedFilter:
     """A filter in a study.
 
     Attributes
@@ -104,13 +104,13 @@ def _unscaled(values: Array) -> Array:
     return np.where(_POSITIVE, np.exp(np.where(_POSITIVE, values, 0.0)), values)
 
 
-def find_bands(setting: Setting, seeds: int) -> Mapping[str, Band]:
+def find_bands(setting: StudiedFilter, seeds: int) -> Mapping[str, Band]:
     """Return the bands of one setting in all scenarios from ``seeds`` runs of each, the same for every setting."""
     return {name: band_in(setting, name, seeds) for name in NAMES}
 
 
 @lru_cache(maxsize=8192)
-def band_in(setting: Setting, name: str, seeds: int) -> Band:
+def band_in(setting: StudiedFilter, name: str, seeds: int) -> Band:
     """Return the band in one scenario."""
     return band(_values(setting, name, seeds))
 
@@ -125,7 +125,7 @@ def band(values: Array) -> Band:
     )
 
 
-def _values(setting: Setting, name: str, seeds: int) -> Array:
+def _values(setting: StudiedFilter, name: str, seeds: int) -> Array:
     """Statistics of one setting in one scenario, shape (5, seeds)."""
     runs = _runs(name, seeds, setting.noise_factor)
     error_cm = apply(setting.variant, runs.reading_cm) - runs.true_cm

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
-from msp_lab.filter_study.bands import Setting
+from msp_lab.filter_study.bands import StudiedFilter
 from msp_lab.filter_study.scenarios import FIXED_CM
 
 Kind = Literal["q_factor", "noise_factor", "start_cm", "delay", "window", "centred", "boundary", "sign"]
@@ -39,7 +39,7 @@ class ImplementationChange:
     kind: Kind
     value: Any
 
-    def made_in(self, setting: Setting) -> Setting:
+    def made_in(self, setting: StudiedFilter) -> StudiedFilter:
         """Return the setting with this change."""
         if self.kind == "noise_factor":
             return replace(setting, noise_factor=self.value)
@@ -77,14 +77,14 @@ class ImplementationChange:
 Changes = tuple[ImplementationChange, ...]
 
 
-def all_made(changes: Changes, setting: Setting) -> Setting:
+def all_made(changes: Changes, setting: StudiedFilter) -> StudiedFilter:
     """Return the setting with all changes."""
     for change in changes:
         setting = change.made_in(setting)
     return setting
 
 
-def single(base: Setting, each_factor: int = 1) -> Iterator[ImplementationChange]:
+def single(base: StudiedFilter, each_factor: int = 1) -> Iterator[ImplementationChange]:
     """Yield every single change; of factors, every `each_factor`-th."""
     variant = base.variant
     factors = FACTORS[::each_factor]
@@ -106,7 +106,7 @@ def single(base: Setting, each_factor: int = 1) -> Iterator[ImplementationChange
     yield ImplementationChange("sign", None)
 
 
-def double(base: Setting) -> Iterator[Changes]:
+def double(base: StudiedFilter) -> Iterator[Changes]:
     """Yield every pair of changes of different kinds; of factors, four per decade."""
     for one, other in combinations(single(base, each_factor=2), 2):
         if one.kind != other.kind:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from msp_lab.filter_study.bands import WIDTH, Band, Setting, band_in, find_bands
+from msp_lab.filter_study.bands import WIDTH, Band, StudiedFilter, band_in, find_bands
 from msp_lab.filter_study.changes import ROUND, Changes, ImplementationChange, all_made, double, single
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.table import Row, Table
@@ -36,7 +36,7 @@ Rows = Mapping[str, Row]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FilterResult:
     """Result for one filter.
 
     Attributes
@@ -69,18 +69,18 @@ class Verdict:
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
 
 
-def explain_rows(table: Table) -> tuple[bool, list[Verdict]]:
+def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:
     """Return whether the table's errors are truth less estimate, and a verdict for every filter in it."""
     of_filter: dict[str, dict[str, Row]] = {}
     for row in table.values():
         of_filter.setdefault(row.filter, {})[row.scenario] = row
     reverse = _is_reversed(of_filter)
     return reverse, [
-        _verdict(name, rows, Setting(AS_REPORTED[name], reversed=reverse)) for name, rows in of_filter.items()
+        _verdict(name, rows, StudiedFilter(AS_REPORTED[name], reversed=reverse)) for name, rows in of_filter.items()
     ]
 
 
-def misfit(setting: Setting, rows: Rows, seeds: int, near: float = math.inf) -> tuple[float, float]:
+def misfit(setting: StudiedFilter, rows: Rows, seeds: int, near: float = math.inf) -> tuple[float, float]:
     """-2 log likelihood of all values, taken as normal around their middles, and their largest distance in spreads.
 
     Both are infinite as soon as a row is farther away than ``near``.
@@ -104,7 +104,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
     for reverse in (False, True):
         unfit, total = 0, 0.0
         for name, rows in of_filter.items():
-            base = Setting(AS_REPORTED[name], reversed=reverse)
+            base = StudiedFilter(AS_REPORTED[name], reversed=reverse)
             unfit += misfit(base, rows, SEEDS)[1] > WIDTH
             lags = (change for change in single(base) if change.kind in _LAGS)
             late = [change for change in lags if change.kind != "delay" or change.value > 0]
@@ -117,10 +117,10 @@ _LAGS = ("delay", "q_factor", "window", "centred")
 """Changes that move the mean error where the range changes."""
 
 
-def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
+def _verdict(name: str, rows: Rows, base: StudiedFilter) -> FilterResult:
     before = find_bands(base, SEEDS)
     if misfit(base, rows, SEEDS)[1] <= WIDTH:
-        return Verdict(name, rows, before, (), before, 1)
+        return FilterResult(name, rows, before, (), before, 1)
     searches: tuple[Iterable[Changes], ...] = (((change,) for change in single(base)), double(base))
     tried: list[Changes] = [()]
     for search in searches:
@@ -128,16 +128,16 @@ def _verdict(name: str, rows: Rows, base: Setting) -> Verdict:
         tried += found
         changes = _best(found, base, rows)
         if changes is not None:
-            return Verdict(name, rows, before, changes, find_bands(all_made(changes, base), SEEDS), len(tried))
+            return FilterResult(name, rows, before, changes, find_bands(all_made(changes, base), SEEDS), len(tried))
     alone = {scenario: _best_alone(tried, base, {scenario: row}) for scenario, row in rows.items()}
     singles = [each for each in tried if len(each) == 1]
     nearest: Changes = min(singles, key=lambda each: misfit(all_made(each, base), rows, SEARCH_SEEDS)[0])
     nearest = _refined(nearest, base, rows)
     after = find_bands(all_made(nearest, base), SEEDS)
-    return Verdict(name, rows, before, None, after, len(tried), nearest, alone)
+    return FilterResult(name, rows, before, None, after, len(tried), nearest, alone)
 
 
-def _best(found: Sequence[Changes], base: Setting, rows: Rows) -> Changes | None:
+def _best(found: Sequence[Changes], base: StudiedFilter, rows: Rows) -> Changes | None:
     """Of equally many changes, those that fit all rows best; None: none fits."""
     fits = [(misfit(all_made(changes, base), rows, SEARCH_SEEDS, NEAR * WIDTH), changes) for changes in found]
     near = sorted((each for each in fits if each[0][1] < math.inf), key=lambda each: each[0][0])
@@ -147,7 +147,7 @@ def _best(found: Sequence[Changes], base: Setting, rows: Rows) -> Changes | None
     return min(fitting, key=lambda each: each[0][0])[1] if fitting else None
 
 
-def _best_alone(tried: Sequence[Changes], base: Setting, row: Rows) -> Changes | None:
+def _best_alone(tried: Sequence[Changes], base: StudiedFilter, row: Rows) -> Changes | None:
     """The fewest, then the best changes that fit one row."""
     for count in range(3):
         changes = _best([each for each in tried if len(each) == count], base, row)
@@ -156,7 +156,7 @@ def _best_alone(tried: Sequence[Changes], base: Setting, row: Rows) -> Changes |
     return None
 
 
-def _refined(changes: Changes, base: Setting, rows: Rows) -> Changes:
+def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
     """Set each factor to the value that fits best, or to a round one that fits as well."""
     for index, change in enumerate(changes):
         if not change.is_factor:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.filter_study.bands import Setting, find_bands
+from msp_lab.filter_study.bands import StudiedFilter, find_bands
 from msp_lab.filter_study.draw import draw_figures
-from msp_lab.filter_study.explain import SEEDS, Verdict
+from msp_lab.filter_study.explain import SEEDS, FilterResult
 from msp_lab.filter_study.goals import check_goals
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.scenarios import NAMES
@@ -19,7 +19,9 @@ from msp_lab.filter_study.study import Study
 from msp_lab.filter_study.table import COLUMNS
 
 
-def publish_study(folder: Path, results: Study, reverse: bool, verdicts: Sequence[Verdict], seed: int) -> list[Path]:
+def publish_study(
+    folder: Path, results: Study, reverse: bool, verdicts: Sequence[FilterResult], seed: int
+) -> list[Path]:
     """Write all files of a study and return their paths."""
     table, figures = folder / "table.csv", folder / "filters.json"
     with table.open("w", encoding="utf-8", newline="") as file:
@@ -27,13 +29,13 @@ def publish_study(folder: Path, results: Study, reverse: bool, verdicts: Sequenc
         writer.writerow(COLUMNS)
         for scenario in NAMES:
             for name, variant in AS_REPORTED.items():
-                middle = find_bands(Setting(variant), SEEDS)[scenario].middle
+                middle = find_bands(StudiedFilter(variant), SEEDS)[scenario].middle
                 writer.writerow([scenario, name, *(f"{each:.3f}" for each in middle)])
     figures.write_text(json.dumps(_figures(results, reverse, verdicts), indent=2) + "\n", encoding="utf-8")
     return [table, figures, *draw_figures(folder, seed)]
 
 
-def _figures(results: Study, reverse: bool, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+def _figures(results: Study, reverse: bool, verdicts: Sequence[FilterResult]) -> dict[str, Any]:
     noises = {"report_noise": results.report_noise, "outlier_readings": results.outliers}
     return {
         "rms_cm": {
@@ -56,7 +58,7 @@ def _figures(results: Study, reverse: bool, verdicts: Sequence[Verdict]) -> dict
     }
 
 
-def _explanation(verdict: Verdict) -> dict[str, Any]:
+def _explanation(verdict: FilterResult) -> dict[str, Any]:
     return {
         "filter": verdict.filter,
         "explained": verdict.changes is not None,

@@ -9,7 +9,7 @@ from rich.table import Column
 from rich.table import Table as Shown
 
 from msp_lab.filter_study.bands import WIDTH, Band
-from msp_lab.filter_study.explain import Verdict
+from msp_lab.filter_study.explain import FilterResult
 from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
 from msp_lab.filter_study.statistics import STATISTICS
@@ -20,7 +20,7 @@ HEADINGS = ("RMS", "90th %", "median", "mean", "variance")
 TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random ranges"}
 
 
-def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[str, Mapping[str, float]]) -> None:
+def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Mapping[str, Mapping[str, float]]) -> None:
     """Print one table per scenario: the value, its band as stated, and the gap before and after the explanation.
 
     Parameters
@@ -59,7 +59,7 @@ def print_tables(console: Console, verdicts: Sequence[Verdict], delays: Mapping[
     )
 
 
-def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Verdict]) -> None:
+def print_explanations(console: Console, reverse: bool, verdicts: Sequence[FilterResult]) -> None:
     """Print what was found about columns and signs, and the explanation of each filter's rows."""
     swapped = [f"{row.filter} ({row.scenario})" for verdict in verdicts for row in verdict.rows.values() if row.swapped]
     if swapped:
@@ -74,7 +74,7 @@ def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Verdi
             console.print(line, highlight=False)
 
 
-def _explanation(verdict: Verdict) -> Iterable[str]:
+def _explanation(verdict: FilterResult) -> Iterable[str]:
     if verdict.changes == ():
         yield f"{verdict.filter}: within the bands as stated"
         return

@@ -38,7 +38,7 @@ gentle flights rotor noise would look like a larger spread, and prop wash like m
 
 
 @dataclass(frozen=True)
-class Comparison:
+class HiddenNumber:
     """One number of a hidden effect, and what was found of it.
 
     Attributes
@@ -130,17 +130,17 @@ def fly(folder: Path, scenario_file: Path, model: Path, seed: int) -> Path:
     return path
 
 
-def comparisons(findings: GapFindings) -> Iterator[Comparison]:
+def comparisons(findings: GapFindings) -> Iterator[HiddenNumber]:
     """What was hidden, each number with what was found of it."""
     for hidden in HIDDEN:
         name = hidden["name"]
         found: FoundEffect | None = next((each for each in findings.effects if each.name == name), None)
         for parameter, value in hidden["parameters"].items():
             if found is None or parameter not in found.parameters:
-                yield Comparison(name, parameter, value)
+                yield HiddenNumber(name, parameter, value)
             else:
                 fitted = found.parameters[parameter]
-                yield Comparison(name, parameter, value, fitted.value, fitted.low, fitted.high, fitted.unit)
+                yield HiddenNumber(name, parameter, value, fitted.value, fitted.low, fitted.high, fitted.unit)
 
 
 def run(folder: Path, seed: int, steps: Steps) -> GapFindings:

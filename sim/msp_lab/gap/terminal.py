@@ -9,7 +9,7 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsed
 from rich.table import Table
 from rich.text import Text
 
-from msp_lab.gap.demo import Comparison
+from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings, Measure
 from msp_lab.gap.labels import and_list, effect_label, parameter_words, slice_label
 from msp_lab.gap.model_file import MODEL
@@ -53,7 +53,7 @@ class ProgressBar(Bar):
         self._last = what
 
 
-def print_comparisons(found: Iterable[Comparison]) -> None:
+def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
     table = Table(box=box.SIMPLE_HEAD)
     for heading in ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it"):

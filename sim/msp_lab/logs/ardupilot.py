@@ -1,4 +1,4 @@
-"""An ArduPilot dataflash log (.BIN) as a `Log`.
+"""An ArduPilot dataflash log (.BIN) as a `VehicleLog`.
 
 What the messages hold: https://ardupilot.org/copter/docs/logmessages.html. The height above the terrain (XKF5.HAGL) is
 not used: it always is the range finder's, since EKF3's estimator of the terrain has no other source.
@@ -18,10 +18,10 @@ from msp_lab.logs.log import (
     CLIMB,
     THROTTLE,
     TILT,
-    Log,
     Ranger,
-    Reference,
     Series,
+    TruthSource,
+    VehicleLog,
     negative,
     readings_cm,
     series,
@@ -54,7 +54,7 @@ WANTED = {
 """Messages and fields that are read; names of old versions next to today's."""
 
 
-def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> Log:
+def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> VehicleLog:
     """Read a log.
 
     Parameters
@@ -85,8 +85,8 @@ def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> Log:
     }
     references = [*_references(found, parameters)]
     if field and (column := _first(found, message, field)) is not None:
-        references.append(Reference("column", column))
-    return Log(
+        references.append(TruthSource("column", column))
+    return VehicleLog(
         path,
         f"ArduPilot dataflash log, {_version(found)}",
         tuple(_rangers(found, parameters)),
@@ -135,25 +135,25 @@ def _ranger(
     return Ranger(prefix, series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
 
 
-def _references(found: Messages, parameters: Mapping[str, float]) -> list[Reference]:
+def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource]:
     references = []
     if (simulated := _first(found, "SIM", "Alt")) is not None:
-        references.append(Reference("simulator", simulated))
+        references.append(TruthSource("simulator", simulated))
     gps = found.get("GPS", {})
     if (altitude := _first(found, "GPS", "Alt")) is not None and (gps.get("Status", np.zeros(1)) == _RTK_FIXED).any():
         fixed = _first(found, "GPS", "Status")
         assert fixed is not None
         values = np.where(fixed.values == _RTK_FIXED, altitude.values, np.nan)
         references.append(
-            Reference("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
+            TruthSource("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
         )
     if (seen := _up(found, "VISP", "PZ")) is not None:
-        references.append(Reference("mocap", seen))
+        references.append(TruthSource("mocap", seen))
     for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):
         if (height := _up(found, message, "PD")) is not None:
-            references.append(Reference("ekf", height, refused=refused))
+            references.append(TruthSource("ekf", height, refused=refused))
     if (pressure := _first(found, "BARO", "Alt")) is not None:
-        references.append(Reference("barometer", pressure))
+        references.append(TruthSource("barometer", pressure))
     return references
 
 

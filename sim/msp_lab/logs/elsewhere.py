@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.logs.clocks import clock_difference_s
-from msp_lab.logs.log import Log, Reference, Series, series
+from msp_lab.logs.log import Series, TruthSource, VehicleLog, series
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import Truth, choose
 from msp_range.recording.csv_rows import csv_rows, short_list
@@ -22,7 +22,7 @@ _UNITS_S = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """Times larger than this are since 1970 in a smaller unit than seconds; 1e11 s would be the year 5138."""
 
 
-def reference_of(path: Path, truth: Truth, log: Log) -> tuple[Reference, float]:
+def reference_of(path: Path, truth: Truth, log: VehicleLog) -> tuple[TruthSource, float]:
     """The reference of a log in another file, and by how much its clock differs [s].
 
     Raises
@@ -33,7 +33,7 @@ def reference_of(path: Path, truth: Truth, log: Log) -> tuple[Reference, float]:
     if kind_of(path) == ".csv":
         if truth.kind != "column":
             raise RecordingError(f"{path}: of a CSV file --truth needs the column: column:NAME*FACTOR@{path.name}")
-        reference = Reference("column", _column(path, truth))
+        reference = TruthSource("column", _column(path, truth))
     else:
         found = choose(open_log(path, lambda share: None, field=truth.field), truth)
         if found is None:

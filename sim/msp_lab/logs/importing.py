@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import Log, Reference
+from msp_lab.logs.log import TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import OTHERS, Truth, choose
 from msp_lab.readings.column_map import ColumnMap
@@ -272,7 +272,12 @@ def _column(data: MeasuredData, name: str) -> Any:
 
 
 def _account(
-    run: str, log: Log, reference: Reference | None, joined: Sequence[Joined], notes: Iterable[str], truth: Truth
+    run: str,
+    log: VehicleLog,
+    reference: TruthSource | None,
+    joined: Sequence[Joined],
+    notes: Iterable[str],
+    truth: Truth,
 ) -> Imported:
     times = [each.data["time_s"] for each in joined if len(each.data)]
     recorded = any(TRUE_RANGE in each.ranger.columns for each in joined)

@@ -1,8 +1,8 @@
 """Readings of a log with their true range and context, in the columns of the CSV form.
 
-A `Log` and a reference enter; for each range finder a table leaves, and how it fits the reference. A height above level
-ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the beam is
-multiplied by the cosine of the tilt.
+A `VehicleLog` and a reference enter; for each range finder a table leaves, and how it fits the reference. A height
+above level ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the
+beam is multiplied by the cosine of the tilt.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msp_lab.logs.alignment import Alignment, align, reference_std_cm
-from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Log, Ranger, Reference
+from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.truth import second
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
@@ -56,7 +56,9 @@ class Joined:
     is_shifted: bool = False
 
 
-def join(log: Log, reference: Reference | None, rng: np.random.Generator, *, shift: bool = False) -> list[Joined]:
+def join(
+    log: VehicleLog, reference: TruthSource | None, rng: np.random.Generator, *, shift: bool = False
+) -> list[Joined]:
     """Join the readings of every range finder with reference and context.
 
     Parameters
@@ -76,7 +78,9 @@ def join(log: Log, reference: Reference | None, rng: np.random.Generator, *, shi
     return joined
 
 
-def _join(log: Log, ranger: Ranger, reference: Reference | None, rng: np.random.Generator, shift: bool) -> Joined:
+def _join(
+    log: VehicleLog, ranger: Ranger, reference: TruthSource | None, rng: np.random.Generator, shift: bool
+) -> Joined:
     time_s = ranger.series.time_s
     columns: dict[str, Column] = {
         "time_s": time_s,
@@ -105,7 +109,7 @@ def _join(log: Log, ranger: Ranger, reference: Reference | None, rng: np.random.
     return Joined(ranger, MeasuredData(known), alignment, error, shift and alignment is not None and alignment.has_lag)
 
 
-def _expected_cm(log: Log, reference: Reference, time_s: Array) -> Array:
+def _expected_cm(log: VehicleLog, reference: TruthSource, time_s: Array) -> Array:
     """Perpendicular distance by the reference, apart from a constant where it does not know the ground [cm]."""
     found_cm = 100.0 * reference.series.at(time_s)
     if reference.along_beam and TILT in log.context:
@@ -114,8 +118,8 @@ def _expected_cm(log: Log, reference: Reference, time_s: Array) -> Array:
 
 
 def _error(
-    log: Log,
-    reference: Reference,
+    log: VehicleLog,
+    reference: TruthSource,
     time_s: Array,
     answered_cm: Array,
     alignment: Alignment | None,
@@ -135,8 +139,8 @@ def _error(
 
 
 def _true(
-    log: Log,
-    reference: Reference,
+    log: VehicleLog,
+    reference: TruthSource,
     at_s: Array,
     alignment: Alignment | None,
     error: ReferenceError | None,

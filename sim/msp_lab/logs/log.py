@@ -1,7 +1,7 @@
 """A flight log, whatever program wrote it: range finders, what is known of the flight, and possible references.
 
-Each format has a file of its own that makes a `Log`; everything after that is the same for all of them. Units are those
-of the names, times are seconds on the log's own clock.
+Each format has a file of its own that makes a `VehicleLog`; everything after that is the same for all of them. Units
+are those of the names, times are seconds on the log's own clock.
 """
 
 from collections.abc import Mapping
@@ -110,7 +110,7 @@ class Ranger:
 
 
 @dataclass(frozen=True)
-class Reference:
+class TruthSource:
     """A possible true range.
 
     Attributes
@@ -138,7 +138,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Log:
+class VehicleLog:
     """What a log holds that matters here.
 
     Attributes
@@ -161,7 +161,7 @@ class Log:
     form: str
     rangers: tuple[Ranger, ...]
     context: Mapping[str, Series]
-    references: tuple[Reference, ...]
+    references: tuple[TruthSource, ...]
     notes: tuple[str, ...] = ()
 
 

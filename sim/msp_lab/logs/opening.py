@@ -12,7 +12,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
 
 if TYPE_CHECKING:
-    from msp_lab.logs.log import Log
+    from msp_lab.logs.log import VehicleLog
     from msp_lab.readings.column_map import ColumnMap
 
 FORMATS = {
@@ -45,7 +45,7 @@ def open_log(
     field: str = "",
     column_map: "ColumnMap | None" = None,
     maximum_cm: float = float("inf"),
-) -> "Log":
+) -> "VehicleLog":
     """Read a log of any format.
 
     Parameters
@@ -77,7 +77,7 @@ def open_log(
         return read_recording(path)
     require("logs", f"Reading a {FORMATS[kind]}")
     module, function = _READERS[kind]
-    log: Log = getattr(importlib.import_module(f"msp_lab.logs.{module}"), function)(path, progress, field)
+    log: VehicleLog = getattr(importlib.import_module(f"msp_lab.logs.{module}"), function)(path, progress, field)
     return log
 
 

@@ -1,4 +1,4 @@
-"""A PX4 ULog (.ulg) as a `Log`.
+"""A PX4 ULog (.ulg) as a `VehicleLog`.
 
 What topics hold: https://docs.px4.io/main/en/msg_docs/. Whether EKF2 fuses the range into its height is in its flags
 (estimator_status_flags.cs_rng_hgt); where they are missing its parameters say whether it may. Its height above the
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from msp_lab.logs.fused import by_px4
-from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Log, Ranger, Reference, Series, readings_cm, series
+from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Ranger, Series, TruthSource, VehicleLog, readings_cm, series
 from msp_range.input_file import open_input
 from msp_range.recording.error import RecordingError
 
@@ -49,7 +49,7 @@ _EVERY_BYTES = 2**20
 _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
     """Read a log.
 
     Parameters
@@ -91,14 +91,14 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
     }
     references = _references(found, parameters)
     if field and (column := _field(found, topic, field)) is not None:
-        references.append(Reference("column", column))
+        references.append(TruthSource("column", column))
     notes = []
     if log.file_corruption:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
         lost_s = sum(each.duration for each in log.dropouts) / 1e3
         notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.1f} s in all.")
-    return Log(
+    return VehicleLog(
         path,
         f"PX4 ULog, {_version(log)}",
         tuple(_rangers(found)),
@@ -154,22 +154,22 @@ def _rangers(found: _Topics) -> list[Ranger]:
     return rangers
 
 
-def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[Reference]:
+def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSource]:
     references = []
     if (simulated := _field(found, "vehicle_local_position_groundtruth", "z", -1.0)) is not None:
-        references.append(Reference("simulator", simulated))
+        references.append(TruthSource("simulator", simulated))
     if (rtk := _rtk(found)) is not None:
-        references.append(Reference("rtk", rtk, std=_field(found, "vehicle_gps_position", "epv")))
+        references.append(TruthSource("rtk", rtk, std=_field(found, "vehicle_gps_position", "epv")))
     for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry"):
         seen = _field(found, topic, "position[2]", -1.0) or _field(found, topic, "z", -1.0)
         if seen is not None:
-            references.append(Reference("mocap", seen))
+            references.append(TruthSource("mocap", seen))
     if (height := _field(found, "vehicle_local_position", "z", -1.0)) is not None:
         flags = _field(found, "estimator_status_flags", "cs_rng_hgt")
         kept, refused = _without_fused(height, flags, parameters)
-        references.append(Reference("ekf", kept, refused=refused))
+        references.append(TruthSource("ekf", kept, refused=refused))
     if (pressure := _field(found, "vehicle_air_data", "baro_alt_meter")) is not None:
-        references.append(Reference("barometer", pressure))
+        references.append(TruthSource("barometer", pressure))
     return references
 
 

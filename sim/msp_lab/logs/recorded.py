@@ -1,11 +1,11 @@
-"""Our own recordings (MCAP) and CSV tables as a `Log`: their readings have their context with them already."""
+"""Our own recordings (MCAP) and CSV tables as a `VehicleLog`: their readings have their context with them already."""
 
 import os
 from pathlib import Path
 
 import numpy as np
 
-from msp_lab.logs.log import TILT, Array, Log, Ranger, Series, series, tilt_deg
+from msp_lab.logs.log import TILT, Array, Ranger, Series, VehicleLog, series, tilt_deg
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_range.recording.columns import BRIDGE_COLUMNS
 from msp_range.recording.csv_form import MeasuredData, read_csv
@@ -19,7 +19,7 @@ LARGEST_RECORDING_BYTES = 200 * 2**20
 of an hour with four sensors has 20 MB."""
 
 
-def read_recording(path: Path) -> Log:
+def read_recording(path: Path) -> VehicleLog:
     """Read a recording of the bridge, of a simulator or of a bench.
 
     Raises
@@ -40,10 +40,10 @@ def read_recording(path: Path) -> Log:
     if angles:
         rows = np.array([(each.time_s, each.roll_rad, each.pitch_rad) for _, each in angles])
         context[TILT] = series("/attitude", rows[:, 0], tilt_deg(rows[:, 1], rows[:, 2]))
-    return Log(path, "recording of msp-range", tuple(rangers_of(path, data)), context, (), lost)
+    return VehicleLog(path, "recording of msp-range", tuple(rangers_of(path, data)), context, (), lost)
 
 
-def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> Log:
+def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> VehicleLog:
     """Read a CSV file in the project's form, or with a map anybody's.
 
     Raises
@@ -61,7 +61,7 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> L
                 raise
             raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
     notes = (column_map.note,) if column_map is not None and column_map.note else ()
-    return Log(path, "CSV table", tuple(rangers_of(path, data)), {}, (), notes)
+    return VehicleLog(path, "CSV table", tuple(rangers_of(path, data)), {}, (), notes)
 
 
 def rangers_of(path: Path, data: MeasuredData) -> list[Ranger]:

@@ -1,4 +1,4 @@
-"""A ROS 1 or 2 bag (.bag, .db3, .mcap, or a folder with metadata.yaml) as a `Log`.
+"""A ROS 1 or 2 bag (.bag, .db3, .mcap, or a folder with metadata.yaml) as a `VehicleLog`.
 
 Range finders are topics of sensor_msgs/Range; what else is used is known by its type, and where one type serves several
 purposes by the topic's name. Times are those of the header, where it has one. Axes: x forward, y left, z up (REP 103);
@@ -15,7 +15,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Log, Ranger, Reference, Series, readings_cm, series
+from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Ranger, Series, TruthSource, VehicleLog, readings_cm, series
 from msp_range.recording.error import RecordingError
 
 _EXTERNAL = re.compile(r"vicon|vrpn|mocap|motion_capture|optitrack|qualisys|ground_?truth|gazebo", re.IGNORECASE)
@@ -69,7 +69,7 @@ class _Topic:
         return series(f"{self.name}.{field}" if field else self.name, np.array(self._time_s), found)
 
 
-def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
     """Read a bag.
 
     Parameters
@@ -109,8 +109,8 @@ def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> 
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RecordingError(f"{path}: cannot be read as a ROS bag: {reason}") from None
     references = _references(topics)
-    references += [Reference("column", found.series(field)) for found in columns.values()]
-    return Log(path, "ROS bag", tuple(_rangers(topics)), _context(topics), tuple(references), tuple(notes))
+    references += [TruthSource("column", found.series(field)) for found in columns.values()]
+    return VehicleLog(path, "ROS bag", tuple(_rangers(topics)), _context(topics), tuple(references), tuple(notes))
 
 
 def _messages(
@@ -176,7 +176,7 @@ def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
     return {name: each for name, each in found.items() if len(each)}
 
 
-def _references(topics: Mapping[str, _Topic]) -> list[Reference]:
+def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:
     references = []
     for each in topics.values():
         if each.kind == "NavSatFix":
@@ -184,11 +184,11 @@ def _references(topics: Mapping[str, _Topic]) -> list[Reference]:
             fixed = (each["status.status"] == _GBAS) & (std_m > 0.0) & (std_m < _RTK_STD_M)
             if fixed.any():
                 altitude = each.series("altitude", np.where(fixed, each["altitude"], np.nan))
-                references.append(Reference("rtk", altitude, std=each.series("position_covariance", std_m)))
+                references.append(TruthSource("rtk", altitude, std=each.series("position_covariance", std_m)))
         elif each.kind in _POSES and each[each.fields[0]].size:
             if _EXTERNAL.search(each.name):
-                references.append(Reference("mocap", each.series(each.fields[0])))
+                references.append(TruthSource("mocap", each.series(each.fields[0])))
             elif _OWN.search(each.name):
                 refused = "the bag does not say whether the range is fused into it"
-                references.append(Reference("ekf", each.series(each.fields[0]), refused=refused))
+                references.append(TruthSource("ekf", each.series(each.fields[0]), refused=refused))
     return references

@@ -1,4 +1,4 @@
-"""A ground station's log of MAVLink messages (.tlog) as a `Log`.
+"""A ground station's log of MAVLink messages (.tlog) as a `VehicleLog`.
 
 Before each frame are the microseconds since 1970 at which it arrived, in eight bytes; those are the times here, since
 senders have different clocks. Frames of other messages are stepped over by their length; those that matter are decoded
@@ -19,10 +19,10 @@ from msp_lab.logs.log import (
     THROTTLE,
     TILT,
     Array,
-    Log,
     Ranger,
-    Reference,
     Series,
+    TruthSource,
+    VehicleLog,
     negative,
     readings_cm,
     series,
@@ -83,7 +83,7 @@ class _Columns:
         return np.array(self.values[name])
 
 
-def read_telemetry(path: Path, progress: Callable[[float], None], extra: str = "") -> Log:
+def read_telemetry(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
     """Read a log.
 
     Parameters
@@ -138,8 +138,8 @@ def read_telemetry(path: Path, progress: Callable[[float], None], extra: str = "
         notes.append(f"{bad} bytes that belong to no message are left out.")
     references = _references(flight, parameters)
     if field and message in flight:
-        references.append(Reference("column", _series(flight, message, field)))
-    return Log(
+        references.append(TruthSource("column", _series(flight, message, field)))
+    return VehicleLog(
         path, "telemetry log (MAVLink)", tuple(_rangers(distances)), _context(flight), tuple(references), tuple(notes)
     )
 
@@ -250,24 +250,24 @@ def _context(flight: Mapping[str, _Columns]) -> dict[str, Series]:
     return found
 
 
-def _references(flight: Mapping[str, _Columns], parameters: Mapping[str, float]) -> list[Reference]:
+def _references(flight: Mapping[str, _Columns], parameters: Mapping[str, float]) -> list[TruthSource]:
     references = []
     for message, factor in (("SIM_STATE", 1.0), ("HIL_STATE_QUATERNION", 0.001)):
         if message in flight:
-            references.append(Reference("simulator", _series(flight, message, "alt", factor)))
+            references.append(TruthSource("simulator", _series(flight, message, "alt", factor)))
     gps = flight.get("GPS_RAW_INT")
     if gps is not None and (gps["fix_type"] == RTK_FIXED).any():
         altitude = _series(flight, "GPS_RAW_INT", "alt", 0.001)
         fixed = _series(flight, "GPS_RAW_INT", "fix_type").values == RTK_FIXED
         height = Series(altitude.source, altitude.time_s, np.where(fixed, altitude.values, np.nan))
         std = _series(flight, "GPS_RAW_INT", "v_acc", 0.001)
-        references.append(Reference("rtk", height, std=std if (std.values > 0.0).any() else None))
+        references.append(TruthSource("rtk", height, std=std if (std.values > 0.0).any() else None))
     for message in ("ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE"):
         if message in flight:
-            references.append(Reference("mocap", negative(_series(flight, message, "z"))))
+            references.append(TruthSource("mocap", negative(_series(flight, message, "z"))))
     if "GLOBAL_POSITION_INT" in flight:
         height = _series(flight, "GLOBAL_POSITION_INT", "relative_alt", 0.001)
-        references.append(Reference("ekf", height, refused=by_any(parameters)))
+        references.append(TruthSource("ekf", height, refused=by_any(parameters)))
     return references
 
 

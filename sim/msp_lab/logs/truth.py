@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from msp_lab.logs.log import Log, Reference, Series
+from msp_lab.logs.log import Series, TruthSource, VehicleLog
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
@@ -93,7 +93,7 @@ def parse_truth(text: str) -> Truth:
     )
 
 
-def choose(log: Log, truth: Truth) -> Reference | None:
+def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
     """The reference that is asked for; None for what needs none.
 
     Raises
@@ -127,18 +127,18 @@ def choose(log: Log, truth: Truth) -> Reference | None:
     return found
 
 
-def second(log: Log, first: Reference) -> Reference | None:
+def second(log: VehicleLog, first: TruthSource) -> TruthSource | None:
     """Another reference whose errors are independent of the first one's; None where there is none."""
     if first.kind not in INDEPENDENT:
         return None
     return next((each for each in log.references if each.kind in INDEPENDENT - {first.kind} and not each.refused), None)
 
 
-def _other_sensor(log: Log, name: str) -> Reference:
+def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
     ranger = next((each for each in log.rangers if each.name == name), None)
     if ranger is None:
         there = ", ".join(each.name for each in log.rangers) or "none"
         raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {there}")
     series = ranger.series
     range_m = np.where(series.values < ranger.maximum_cm, series.values / 100.0, np.nan)
-    return Reference("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True)
+    return TruthSource("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True)
