@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from msp_lab.design.cli import app as design_app
 from msp_lab.gap.cli import app as gap_app
 from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
@@ -303,6 +304,7 @@ def filters(
 
 app.add_typer(import_app)
 app.add_typer(gap_app)
+app.add_typer(design_app)
 
 
 def main() -> None:

@@ -1,0 +1,154 @@
+"""What a gap run left open: questions with their possible answers.
+
+The findings of ``gap.json`` enter, questions leave. A question has two answers or more, each an effect or none; an
+experiment decides it if the readings of the experiment fit one answer and not the others.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from msp_lab.gap.findings import NUMBERS, FoundEffect, GapFindings, UnknownEffect
+from msp_lab.gap.labels import effect_label
+from msp_lab.gap.model_file import MODEL
+from msp_range.yaml_file import ConfigError
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import Effect
+
+OPEN_VERDICTS = frozenset({"absorbed", "partly explained", "unexplained"})
+"""Verdicts that leave something without a name: effects that could not be tested may be its cause. With another verdict
+nothing points to them, and no session is designed for them."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One possible answer.
+
+    Attributes
+    ----------
+    name, of
+        Effect of the catalogue, and the sensor, run or target that it is of; None: none of the effects, only the
+        model's own numbers.
+    """
+
+    name: str | None
+    of: str | None = None
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        return "none of them" if self.name is None else effect_label(self.name, self.of)
+
+    @property
+    def effect(self) -> Effect | None:
+        """The catalogue's entry."""
+        return None if self.name is None else CATALOGUE[self.name]
+
+
+NONE = Answer(None)
+
+
+@dataclass(frozen=True)
+class Question:
+    """What the readings could not decide.
+
+    Attributes
+    ----------
+    kind
+        Why not: alternatives fit as well; an effect is only suggested; a number of the model absorbed it; its column is
+        not recorded.
+    answers
+        Two or more.
+    why
+        What is missing, in a sentence.
+    """
+
+    kind: Literal["indistinguishable", "suggested", "absorbed", "not testable"]
+    answers: tuple[Answer, ...]
+    why: str
+
+    @property
+    def label(self) -> str:
+        """The answers in words."""
+        names = [each.label for each in self.answers if each.name is not None]
+        return " or ".join([*names, *(["none"] if len(names) == 1 else [])])
+
+    @property
+    def folder(self) -> str:
+        """A name for files."""
+        return "-or-".join(each.name or "none" for each in self.answers[:3])
+
+    @property
+    def columns(self) -> frozenset[str]:
+        """Context columns that the answers depend on."""
+        return frozenset(column for each in self.answers if each.effect for column in each.effect.columns)
+
+
+def questions_of(findings: GapFindings) -> tuple[Question, ...]:
+    """What a gap run left open, what is nearest to a name first.
+
+    Parameters
+    ----------
+    findings
+        Of a run up to the step `name` or later.
+    """
+    found: dict[frozenset[Answer], Question] = {}
+    for question in _all(findings):
+        known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
+        if known and len(question.answers) > 1:
+            found.setdefault(frozenset(question.answers), question)
+    return tuple(found.values())
+
+
+def open_questions(findings: GapFindings, folder: Path) -> tuple[Question, ...]:
+    """`questions_of` the findings of a folder.
+
+    Raises
+    ------
+    ConfigError
+        The run did not come to names, or it left nothing open.
+    """
+    if findings.verdict is None:
+        raise ConfigError(f"{folder / NUMBERS}: the run did not end; run 'msp-lab add {folder}' first")
+    questions = questions_of(findings)
+    if not questions:
+        raise ConfigError(
+            f"{folder / NUMBERS}: nothing to decide, everything was decided ({findings.verdict}): "
+            f"fly with the model, {folder / MODEL}"
+        )
+    return questions
+
+
+def _all(findings: GapFindings) -> Iterator[Question]:
+    named = {(each.name, each.of) for each in findings.effects if each.verdict == "named"}
+    for effect in findings.effects:
+        if effect.verdict != "named":
+            yield _of_effect(effect)
+    for cause in findings.causes:
+        state = "hardly varied" if cause.recorded else "is not recorded"
+        yield Question("absorbed", (Answer(cause.effect), NONE), f"{cause.number} changed, and {cause.column} {state}")
+    for unknown in findings.unknown:
+        yield from _of_unknown(unknown)
+    if findings.verdict in OPEN_VERDICTS:
+        for each in findings.not_testable:
+            if each.name in CATALOGUE and CATALOGUE[each.name].per is None and (each.name, None) not in named:
+                missing = " and ".join(each.columns)
+                are = "are" if len(each.columns) > 1 else "is"
+                yield Question("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
+
+
+def _of_effect(effect: FoundEffect) -> Question:
+    answers = [Answer(effect.name, effect.of), *(Answer(each.name, each.of) for each in effect.alternatives)]
+    if effect.verdict == "suggested":
+        why = effect.doubt or "held-out runs do not confirm it"
+        return Question("suggested", (*dict.fromkeys(answers), NONE), why)
+    losses = ", ".join(f"{each.name} {each.loss_nats:.1f}" for each in effect.alternatives)
+    return Question("indistinguishable", tuple(dict.fromkeys(answers)), f"nats behind {effect.name}: {losses}")
+
+
+def _of_unknown(unknown: UnknownEffect) -> Iterator[Question]:
+    over = " and ".join(unknown.variables)
+    for name, column in unknown.likely_causes:
+        why = f"a curve of {unknown.channel} over {over} has no name, and {column} is not recorded"
+        yield Question("not testable", (Answer(name), NONE), why)
