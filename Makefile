@@ -2,6 +2,7 @@
 # make test   run the quick tests (3 minutes on two processors)
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
+# make docs   build the site of the documents into build/site/html; a broken link or a missing page fails
 # make test-install  install on a Debian with a real systemd, break, upgrade and remove it (as root; 5 minutes)
 # make bench  run all benchmarks, and write the table in docs/figures.md
 # make fuzz   feed damaged files and link bytes to every reader, SECONDS=600 per area by SEED=1; failures are kept in build/fuzz
@@ -14,7 +15,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo gap-demo test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
+.PHONY: demo gap-demo docs test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
@@ -37,6 +38,9 @@ test-all: .venv/.installed-test compile mavproxy
 
 test-install: .venv/.installed-test
 	$(BIN)/python -m tests.install
+
+docs: .venv/.installed-test
+	$(BIN)/python docs/site/build.py
 
 lint: .venv/.installed-test
 	$(BIN)/ruff format --check .
@@ -95,7 +99,7 @@ compile: .venv/.installed
 	@touch $@
 
 .venv/.installed-test: pyproject.toml .venv/.installed
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,test,bench]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,docs,test,bench]'
 	@touch $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.

@@ -1,4 +1,4 @@
-"""Tables that `make bench` and `make blind` write into docs/figures.md."""
+"""Documents: tables that `make bench` and `make blind` write, the list of all pages, and the length of lines."""
 
 import re
 from pathlib import Path
@@ -48,3 +48,10 @@ def test_lines_of_documents_are_at_most_120_long(path: Path) -> None:
     """But for tables, and for what a program prints."""
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         assert len(line) <= 120 or line.startswith(("|", "      ")), f"{path}:{number}"
+
+
+def test_every_document_is_in_a_list_of_the_first_page() -> None:
+    """What `make docs` refuses, found without building the site."""
+    index = Path("docs/index.md").read_text(encoding="utf-8")
+    pages = [each.relative_to("docs").as_posix() for each in Path("docs").rglob("*.md") if each.name != "index.md"]
+    assert [page for page in pages if f"]({page})" not in index] == []

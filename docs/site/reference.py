@@ -1,0 +1,199 @@
+"""Pages of the reference, written from the code: commands, configuration files, tables, recordings and effects."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import typer
+
+from msp_lab.campaigns.campaign import Campaign
+from msp_lab.campaigns.flights import FlightCampaign
+from msp_lab.cli import app as msp_lab
+from msp_lab.readings.column_map import ColumnMap
+from msp_range.cli import app as msp_range
+from msp_range.config import Airframe
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS
+from msp_range.recording.topics import RANGE_PREFIX, TOPICS, TRUTH_PREFIX, schema_of
+from msp_range.yaml_file import Section
+from msp_sim.cli import app as msp_sim
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.listing import as_data
+from msp_sim.flight.scenario import Scenario
+
+FILES: dict[str, tuple[str, type[Section], str]] = {
+    "airframe": ("Airframe file", Airframe, "The vehicle: sensors, link, streams. `msp-range schema airframe`."),
+    "sensor": ("Sensor model file", SensorModel, "A sensor and how it reads. `msp-range schema sensor`."),
+    "scenario": ("Scenario file", Scenario, "A simulated flight, for `msp-sim fly`."),
+    "campaign": ("Campaign file", Campaign, "A campaign at the bench, for `msp-lab collect`."),
+    "flights": ("Flight campaign file", FlightCampaign, "A campaign of flights, for `msp-lab collect`."),
+    "map": ("Column map", ColumnMap, "Where the columns of somebody else's table are, for `--map`."),
+}
+
+
+def pages() -> dict[str, str]:
+    """Every page's text by its name."""
+    commands = {f"cli-{app.info.name}": _commands(app) for app in (msp_range, msp_sim, msp_lab)}
+    files = {f"file-{name}": _file(*each) for name, each in FILES.items()}
+    return {**commands, **files, "form-csv": _csv(), "form-mcap": _mcap(), "effects": _effects()}
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def _text(words: str) -> str:
+    """A sentence of a docstring or description, with nothing in it that Markdown would take for its own."""
+    return " ".join(words.split()).replace("*", "\\*").replace("<", "&lt;").replace("$", "\\$").replace("[", "\\[")
+
+
+# Commands
+
+
+def _commands(app: typer.Typer) -> str:
+    program: Any = typer.main.get_command(app)
+    name = app.info.name
+    context = program.context_class(program, info_name=name)
+    parts = [f"# `{name}`: commands and options", _text(program.help)]
+    for command in program.commands.values():
+        if command.hidden:
+            continue
+        of_command = command.context_class(command, info_name=command.name, parent=context)
+        usage = " ".join(command.get_usage(of_command).split()).removeprefix("Usage: ")
+        parts += [f"## {name} {command.name}", f"    {usage}"]
+        parts += [_text(each) for each in command.help.split("\n\n")]
+        records = [each.get_help_record(of_command) for each in command.get_params(of_command)]
+        rows = [(f"`{record[0]}`", _text(record[1])) for record in records if record is not None]
+        parts.append(_table(("argument or option", "meaning"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+# Files
+
+
+def _file(title: str, section: type[Section], sentence: str) -> str:
+    schema = section.model_json_schema()
+    sections = {section.__name__: schema, **schema.get("$defs", {})}
+    parts = [f"# {title}", sentence]
+    for name, each in sections.items():
+        parts += [f"## {name}", _text(each.get("description", ""))]
+        if "properties" not in each:
+            parts.append(_kind(each))
+            continue
+        needed = each.get("required", ())
+        rows = [
+            (f"`{key}`", _kind(what), _default(what, key in needed), _text(what.get("description", "")))
+            for key, what in each["properties"].items()
+        ]
+        parts.append(_table(("key", "value", "default", "meaning"), rows) if rows else "It has no keys.")
+    return "\n\n".join(parts) + "\n"
+
+
+def _default(what: Mapping[str, Any], is_needed: bool) -> str:
+    if is_needed:
+        return "required"
+    value = what.get("default")
+    return "" if value is None or isinstance(value, dict) else f"`{json.dumps(value)}`"
+
+
+def _kind(what: Mapping[str, Any]) -> str:
+    """What a value may be, in words: type, limits, choices, and the section that it is."""
+    if "$ref" in what:
+        name = what["$ref"].split("/")[-1]
+        return f"[{name}](#{name.lower()})"
+    for key in ("anyOf", "oneOf", "allOf"):
+        if key in what:
+            return " or ".join(dict.fromkeys(_kind(each) for each in what[key] if each.get("type") != "null"))
+    if "const" in what:
+        return f"`{what['const']}`"
+    if "enum" in what:
+        return ", ".join(f"`{each}`" for each in what["enum"])
+    if what.get("type") == "array":
+        inside = [_kind(each) for each in what.get("prefixItems", [])] or [_kind(what.get("items", {}))]
+        return "list of " + ", ".join(inside)
+    if what.get("type") == "object" and isinstance(what.get("additionalProperties"), dict):
+        return "name: " + _kind(what["additionalProperties"])
+    return " ".join([what.get("type", "any value"), *_limits(what)])
+
+
+def _limits(what: Mapping[str, Any]) -> Iterator[str]:
+    words = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+    for key, word in words.items():
+        if key in what:
+            yield f"{word} {what[key]:g}"
+
+
+# Tables and recordings
+
+
+def _csv() -> str:
+    groups = {
+        "Readings": (BASE_COLUMNS, "Every table has `reading_cm`; the others where they are known."),
+        "Context": (CONTEXT_COLUMNS, "What effects depend on. Any other column is context of your own."),
+        "What the bridge made of it": (BRIDGE_COLUMNS, "Written by `msp-range export`."),
+    }
+    parts = ["# CSV form", "The columns of a table of readings, one row a reading, a header first."]
+    for title, (columns, sentence) in groups.items():
+        rows = [(f"`{name}`", _text(meaning)) for name, meaning in columns.items()]
+        parts += [f"## {title}", sentence, _table(("column", "content"), rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _mcap() -> str:
+    topics = [RANGE_PREFIX + "<sensor>", TRUTH_PREFIX + "<sensor>", *TOPICS]
+    parts = [
+        "# MCAP form",
+        "A recording holds JSON messages on these topics, each with its JSON Schema. An absent key is unknown.",
+    ]
+    for topic in topics:
+        schema = json.loads(schema_of(topic)[1])
+        rows = [
+            (f"`{key}`", each.get("type", ""), _text(each.get("description", "")))
+            for key, each in schema["properties"].items()
+        ]
+        title = _text(topic)
+        parts += [f"## {title}", _text(schema["description"]), _table(("key", "type", "content"), rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+# Effects
+
+
+def _effects() -> str:
+    parts = [
+        "# Effects",
+        "What a sensor model file may name under `effects:`, as `msp-lab effects` prints it: physical causes with "
+        "bounded parameters. [How to add one of your own](../developing.md#a-new-effect).",
+    ]
+    for effect in as_data(CATALOGUE):
+        requires = [*effect["requires"], *([f"{effect['per']} (one of them)"] if effect["per"] else [])]
+        changes = ", ".join(effect["channels"])
+        parts += [
+            f"## {effect['name']}",
+            _text(effect["sentence"]),
+            f"- Physics: {_text(effect['physics'])}",
+            f"- Source: {_text(effect['source'])}",
+            f"- Changes: {changes}. Requires: {_text(', '.join(requires)) or 'nothing'}.",
+            f"- Experiment that shows it alone: {_text(effect['experiment'])}.",
+        ]
+        if effect["equivalent_causes"]:
+            parts.append(f"- Equivalent causes: {_text(', '.join(effect['equivalent_causes']))}.")
+        rows = [
+            (
+                f"`{name}`",
+                each["unit"],
+                f"{each['low']:g} to {each['high']:g}",
+                _number(each["neutral"]),
+                _number(each["default"]),
+                _text(each["meaning"]),
+            )
+            for name, each in effect["parameters"].items()
+        ]
+        if rows:
+            parts.append(_table(("parameter", "unit", "bounds", "no effect at", "default", "meaning"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
