@@ -14,6 +14,7 @@ detectors whose weights sum to 1, so a detector of weight w reports at A / w. L 
 where it is bounded: that keeps the bound.
 """
 
+import math
 from collections.abc import Sequence
 
 RECOVERS_READINGS = 10_000.0
@@ -59,7 +60,7 @@ class Evidence:
     @property
     def ratio(self) -> float:
         """What was found since the likeliest beginning of the change, over what was expected."""
-        return self._found / self._expected if self._expected > 0.0 else 0.0
+        return self._found / self._expected if self._expected > 0.0 else math.inf
 
     def update(self, likelihood_ratio: float, expected: float, found: float) -> bool:
         """Update with a reading; True where the report begins or ends with it.
@@ -90,9 +91,11 @@ class Evidence:
         return True
 
     def update_many(self, likelihood_ratio: float, expected: float, count: int) -> None:
-        """Update an alternative that is not found with ``count`` readings of a ratio below 1 that count nothing."""
+        """Update an alternative that is not found with ``count`` readings of a ratio up to 1 that count nothing."""
         product = likelihood_ratio**count
-        self._sum = product * self._sum + likelihood_ratio * (1.0 - product) / (1.0 - likelihood_ratio)
+        # The ratio is 1 where the model says that something never happens.
+        terms = (1.0 - product) / (1.0 - likelihood_ratio) if likelihood_ratio < 1.0 else count
+        self._sum = product * self._sum + likelihood_ratio * terms
         self._since *= product
         self._expected += count * expected
 

@@ -88,6 +88,8 @@ BAROMETER_M_S = 0.3
 """A single sensor's repeats count as far as the barometer's climb is more than this [m/s], its error."""
 MOST_NEIGHBOURS = 3
 """Readings before and after one among which its reference is looked for: a turn of four sensors."""
+MOST_LOG_ODDS = 600.0
+"""Growth with range of the log odds of a missed echo, at most: what the exponential function bears."""
 WEIGHTS_M = 3.0
 """Range to which the share of missed echoes in a model file refers [m]: `sensor_model.WEIGHTS_RANGE_CM`."""
 
@@ -371,7 +373,7 @@ class SensorWatch:
         if sighting.seen is not GroundUse.MISSED:
             own.missed.nones += 1
         elif self._faces(own, sighting.down) and own.missed.happens(
-            _missed(own.expected, range_m), [each.missed for each in own.others]
+            missed_share(own.expected, range_m), [each.missed for each in own.others]
         ):
             self._report(own, "missed", own.missed.evidence)
 
@@ -434,9 +436,7 @@ class SensorWatch:
         return down[0] * x + down[1] * y + down[2] * z > own.expected.facing_cosine
 
 
-def _missed(expected: Expected, range_m: float) -> float:
+def missed_share(expected: Expected, range_m: float) -> float:
     """Share of missed echoes at a range."""
-    if expected.missed_growth_per_m == 0.0:
-        return expected.missed
-    odds = expected.missed / (1.0 - expected.missed) * math.exp(expected.missed_growth_per_m * (range_m - WEIGHTS_M))
-    return odds / (1.0 + odds)
+    missed, growth = expected.missed, expected.missed_growth_per_m * (range_m - WEIGHTS_M)
+    return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))

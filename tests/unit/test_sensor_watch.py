@@ -12,6 +12,7 @@ from msp_range.health import Expected, GroundUse, SensorWatch
 from msp_range.health.evidence import Evidence, Occurrences
 from msp_range.health.finding import LONGEST_TEXT, Kind, SensorFinding
 from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
+from msp_range.health.sensor_watch import missed_share
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from tests.sensor_watch.drawn import MODEL, NAMES, SLOT_S, STD_M, TURN_S, Fault, Ground, draw, feed, watch_of
@@ -34,7 +35,7 @@ def test_a_report_without_a_change_takes_as_many_readings_as_its_threshold_on_av
     assert 300.0 < np.mean(times) < 900.0
 
 
-def test_readings_in_which_nothing_happens_count_as_if_each_had_been_told() -> None:
+def test_readings_in_which_nothing_happens_count_as_if_each_had_been_reported() -> None:
     one_by_one, at_once = Evidence(1e9), Evidence(1e9)
     for evidence in (one_by_one, at_once):
         for _ in range(5):
@@ -44,6 +45,28 @@ def test_readings_in_which_nothing_happens_count_as_if_each_had_been_told() -> N
     at_once.update_many(0.9, 0.1, 40)
     assert at_once.update(6.0, 0.1, 1.0) is one_by_one.update(6.0, 0.1, 1.0) is False
     assert at_once._sum == pytest.approx(one_by_one._sum)
+
+
+def test_what_never_happens_by_the_model_is_found_when_it_does() -> None:
+    """A weight of 0 in a model file: all readings in which nothing happens are as likely by both."""
+    never = Occurrences(1000.0, 6.0)
+    for _ in range(5):
+        never.nones += 10
+        if never.happens(0.0, []):
+            break
+    assert never.evidence.is_found
+    assert Finding("front", "short", never.evidence.ratio).text == "Range front: 99x expected short readings"
+
+
+@pytest.mark.parametrize(("missed", "growth_per_m", "range_m", "expected"), [
+    (0.02, 0.0, 6.0, 0.02), (0.5, 1.0, 4.0, 0.731), (0.0, 0.7, 6.0, 0.0), (1.0, 0.7, 6.0, 1.0),
+    (0.1, 100.0, 30.0, 1.0), (0.1, -100.0, 30.0, 0.0),
+])  # fmt: skip
+def test_the_share_of_missed_echoes_grows_with_range(
+    missed: float, growth_per_m: float, range_m: float, expected: float
+) -> None:
+    model = Expected(0.01, missed, 0.01, growth_per_m, 0.0, 1.0, 0.2, 40.0)
+    assert missed_share(model, range_m) == pytest.approx(expected, abs=1e-3)
 
 
 def test_what_others_show_too_is_no_finding() -> None:
