@@ -15,6 +15,7 @@ from msp_range.commission.state import VERIFIED, PassedSteps
 from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
 from msp_range.config import load_airframe
 from msp_range.doctor.command import WIDTH, lines_of
+from msp_range.input_file import making
 from msp_range.yaml_file import ConfigError
 
 STEPS: dict[str, Callable[[Session], StepOutcome]] = {
@@ -129,7 +130,8 @@ def _make(path: Path, text: str) -> None:
         edit.save(path, text)
         return
     try:
-        path.write_text(text, encoding="utf-8")
+        with making(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from msp_range.input_file import making
 from msp_range.yaml_file import ConfigError, read_config
 from msp_range.yaml_loader import load_yaml
 
@@ -59,18 +60,17 @@ def save(path: Path, text: str) -> Path:
     """
     try:
         backup = _free_name(path)
-        backup.write_bytes(path.read_bytes())
-        # Written whole under another name first: after a power cut there is the old file or the new one.
-        new = path.with_name(f".{path.name}.new")
-        with new.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        before = path.stat()
-        if (new.stat().st_uid, new.stat().st_gid) != (before.st_uid, before.st_gid):
-            os.chown(new, before.st_uid, before.st_gid)  # root edits a file that the service's user has to read
-        new.chmod(before.st_mode & 0o777)
-        new.replace(path)
+        with making(path, replacing=True) as new:
+            with new.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())  # after a power cut there is the old file or the new one
+            before = path.stat()
+            if (new.stat().st_uid, new.stat().st_gid) != (before.st_uid, before.st_gid):
+                os.chown(new, before.st_uid, before.st_gid)  # root edits a file that the service's user has to read
+            new.chmod(before.st_mode & 0o777)
+            with making(backup) as kept:
+                kept.write_bytes(path.read_bytes())
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be changed: {error.strerror}. Use sudo, or a copy of the file that you may write"

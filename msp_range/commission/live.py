@@ -15,7 +15,7 @@ from msp_range.commission.samples import Record
 from msp_range.config import Airframe
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport
-from msp_range.watch.client import packets
+from msp_range.watch.client import LONGEST_PACKET, packets
 from msp_range.watch.view import autopilot_message
 from msp_range.yaml_file import ConfigError
 
@@ -28,6 +28,7 @@ CONNECT_S = 6.0
 SILENT_S = 2.0
 """A running bridge that says nothing for so long hangs [s]: it sends its status twice a second."""
 AUTOPILOT_TOPIC = "/autopilot"
+ENDED = "the running bridge ended or hangs: start it again, or stop the service, then again"
 
 
 class Armed(ConfigError):
@@ -152,10 +153,14 @@ class RunningBridge:
         Raises
         ------
         ConfigError
-            It was started with another file, or before the file was changed.
+            It was started with another file, or before the file was changed, or sends nothing.
         """
-        greeting = next(self._packets, None)
-        flown = {} if greeting is None else {each["name"]: each["address"] for each in greeting.message["sensors"]}
+        greeting = None
+        with suppress(TimeoutError):
+            greeting = next(self._packets, None)
+        if greeting is None:
+            raise ConfigError(ENDED)
+        flown = {each["name"]: each["address"] for each in greeting.message["sensors"]}
         if flown != {sensor.name: f"0x{sensor.address:02x}" for sensor in airframe.sensors}:
             raise ConfigError(
                 "the running bridge has other sensors or addresses than the file: sudo systemctl reload msp-range if "
@@ -174,18 +179,15 @@ class RunningBridge:
                 records.append(Record(*packet))
                 if self._now() >= end_s:
                     return records
-        raise ConfigError("the running bridge ended or hangs: start it again, or stop the service, then again")
+        raise ConfigError(ENDED)
 
     def _skip_old(self) -> None:
         """Drop what has waited in the socket since the last time."""
         self._connection.setblocking(False)
-        try:
-            while self._connection.recv(1 << 20):
+        with suppress(BlockingIOError, ConnectionResetError):
+            while self._connection.recv(LONGEST_PACKET):
                 pass
-        except BlockingIOError:
-            pass
-        finally:
-            self._connection.settimeout(SILENT_S)
+        self._connection.settimeout(SILENT_S)
 
     def close(self) -> None:
         """Leave the socket."""

@@ -10,6 +10,9 @@ from msp_range.yaml_file import ConfigError
 
 WIDTH = 80
 """Of lines on the terminal."""
+LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
+"""Heights over the floor that a sensor can measure and a person too [m]; another number is in another unit."""
+EXPECTED_HEIGHT = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}, such as 0.85"
 
 
 class Motion(Enum):
@@ -53,9 +56,17 @@ class PersonAtTerminal:
         Heights that were given on the command line, in the order in which they are asked for.
     out
         Where texts go.
+
+    Raises
+    ------
+    ConfigError
+        A height cannot be one.
     """
 
     def __init__(self, accepts_all: bool, heights_m: tuple[float, ...], out: TextIO) -> None:
+        for height_m in heights_m:
+            if not LEAST_HEIGHT_M <= height_m <= MOST_HEIGHT_M:
+                raise ConfigError(f"--height {height_m:g}: {EXPECTED_HEIGHT}")
         self._accepts_all = accepts_all
         self._heights = list(heights_m)
         self._out = out
@@ -101,9 +112,9 @@ class PersonAtTerminal:
                 height_m = float(answer)
             except ValueError:
                 height_m = 0.0
-            if 0.1 <= height_m <= 10.0:
+            if LEAST_HEIGHT_M <= height_m <= MOST_HEIGHT_M:
                 return height_m
-            self._show(f"found {answer!r}; expected metres between 0.1 and 10, such as 0.85")
+            self._show(f"found {answer!r}; {EXPECTED_HEIGHT}")
 
     def _answer(self, question: str) -> str:
         if not sys.stdin.isatty():

@@ -13,7 +13,7 @@ from typing import Any
 
 from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
-from msp_range.input_file import read_text
+from msp_range.input_file import making, read_text
 from msp_range.params.settings import Firmware, settings
 from msp_range.yaml_file import ConfigError
 
@@ -79,7 +79,11 @@ class PassedSteps:
         path = airframe_file.with_suffix(".commission.json")
         try:
             steps = json.loads(read_text(path, LARGEST_BYTES))["steps"]
-            known = {name: each for name, each in steps.items() if {"passed", "hash", "measured"} <= each.keys()}
+            known = {
+                name: each
+                for name, each in steps.items()
+                if {"passed", "hash"} <= each.keys() and isinstance(each.get("measured"), dict)
+            }
         except FileNotFoundError:
             return cls(path)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -108,6 +112,7 @@ class PassedSteps:
             "measured": measured,
         }
         try:
-            self.path.write_text(json.dumps({"steps": self.steps}, indent=2) + "\n", encoding="utf-8")
+            with making(self.path, replacing=True) as unfinished:
+                unfinished.write_text(json.dumps({"steps": self.steps}, indent=2) + "\n", encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None

@@ -3,6 +3,7 @@
 import json
 import socket
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,8 +42,9 @@ def connect(paths: Sequence[Path]) -> socket.socket | None:
 
 def packets(connection: socket.socket) -> Iterator[Packet]:
     """All packets until the bridge ends."""
-    while packet := connection.recv(LONGEST_PACKET):
-        yield Packet.parsed(packet)
+    with suppress(ConnectionResetError):  # it ended before it had read a mark
+        while packet := connection.recv(LONGEST_PACKET):
+            yield Packet.parsed(packet)
 
 
 def read_once(connection: socket.socket) -> Iterator[Packet]:

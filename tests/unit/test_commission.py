@@ -1,5 +1,6 @@
 """What commissioning measures, on numbers made here from the geometry alone; and the person at the terminal."""
 
+import errno
 import io
 import json
 import math
@@ -16,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_range.cli import app
-from msp_range.clock import SystemClock
+from msp_range.clock import SystemClock, VirtualClock
 from msp_range.commission.cover import blocked, covered
 from msp_range.commission.live import Armed, HeartbeatLost, RunningBridge
 from msp_range.commission.look import axis_of
@@ -25,6 +26,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Record, Samples, samples_of
+from msp_range.commission.state import State
 from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.flight import hovering
 from msp_range.commission.still import Stand, levels, noise_m
@@ -292,6 +294,9 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
     asked = CliRunner().invoke(app, ["commission", str(path), "--step", "bench"])
     assert asked.exit_code == 3
     assert "--yes" in asked.stderr
+    centimetres = CliRunner().invoke(app, ["commission", str(path), "--yes", "--height", "72"])
+    assert centimetres.exit_code == 3
+    assert "--height 72: expected metres" in centimetres.stderr
     (tmp_path / "airframe.commission.json").write_text("[]")
     damaged = CliRunner().invoke(app, ["commission", str(path)])
     assert damaged.exit_code == 3
@@ -299,6 +304,28 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
     forbidden = CliRunner().invoke(app, ["commission", str(path)])
     assert "use sudo" in forbidden.stderr
+
+
+def test_what_has_passed_is_kept_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "airframe.yaml"
+    kept = tmp_path / "airframe.commission.json"
+    State.of(path).save("wires", AIRFRAME, {"a": 1}, VirtualClock())
+    before = kept.read_text()
+
+    def full(path: Path, text: str, **options: object) -> int:
+        with path.open("w") as file:
+            file.write(text[:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        State.of(path).save("bench", AIRFRAME, {"b": 2}, VirtualClock())
+    assert kept.read_text() == before
+    assert [*tmp_path.iterdir()] == [kept]
+    monkeypatch.undo()
+    # A step whose entry is damaged is due again.
+    kept.write_text(before.replace('{\n        "a": 1\n      }', "null"))
+    assert State.of(path).next_step(AIRFRAME) == "wires"
 
 
 def bridge_that_says(*packets: tuple[str, Mapping[str, object]]) -> RunningBridge:
@@ -338,6 +365,18 @@ def test_a_running_bridge_is_read_through_its_socket() -> None:
     with pytest.raises(HeartbeatLost):
         alone.record(0.1)
     alone.close()
+
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    silent = RunningBridge(theirs, SystemClock().now)
+    theirs.settimeout(0.01)
+    with pytest.raises(ConfigError, match="hangs"):
+        silent.check_flies(AIRFRAME)
+    silent = RunningBridge(theirs, SystemClock().now)
+    theirs.send(b"a mark that is not read")
+    ours.close()
+    with pytest.raises(ConfigError, match="ended"):
+        silent.check_flies(AIRFRAME)
+    silent.close()
 
     old = bridge_that_says(("/airframe", {"sensors": greeting["sensors"][:3]}))
     with pytest.raises(ConfigError, match="reload"):

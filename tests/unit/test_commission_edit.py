@@ -1,5 +1,6 @@
 """Changing values of a YAML file: comments stay, the rest stays, a backup is kept."""
 
+import errno
 import os
 from pathlib import Path
 from typing import Any
@@ -73,3 +74,17 @@ def test_every_change_keeps_the_file_as_it_was(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o640
     assert path.stat().st_gid == group
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_full_disk_leaves_the_file_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "airframe.yaml"
+    path.write_text("bus: 1\n")
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        change(path, [Edit(("bus",), 2)])
+    assert path.read_text() == "bus: 1\n"
+    assert [*tmp_path.iterdir()] == [path]

@@ -78,10 +78,11 @@ def review(session: Session) -> StepOutcome:
         return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
     outcome = compare(airframe, part)
     reported = Counter(
-        str(message["text"]) for topic, _, message in records if topic == "/health" and "text" in message
+        str(message["text"])
+        for topic, _, message in records
+        if topic == "/health" and "text" in message and message.get("severity") in ("error", "warning")
     )
-    bad = Counter({text: count for text, count in reported.items() if _is_bad(text, records)})
-    for text, count in bad.most_common(8):
+    for text, count in reported.most_common(8):
         remedy = "docs/flying.md explains the texts"
         outcome.findings.append(
             unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
@@ -89,13 +90,6 @@ def review(session: Session) -> StepOutcome:
     sent = Counter(str(message["name"]) for topic, _, message in records if topic == "/mavlink/sent")
     outcome.measured["sent"] = dict(sent)
     return outcome
-
-
-def _is_bad(text: str, records: list[Record]) -> bool:
-    return any(
-        topic == "/health" and message.get("text") == text and message.get("severity") in ("error", "warning")
-        for topic, _, message in records
-    )
 
 
 def compare(airframe: Airframe, part: Samples) -> StepOutcome:
