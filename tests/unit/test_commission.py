@@ -26,7 +26,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Record, Samples, samples_of
-from msp_range.commission.state import State
+from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.flight import hovering
 from msp_range.commission.still import Stand, levels, noise_m
@@ -309,7 +309,7 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
 def test_what_has_passed_is_kept_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "airframe.yaml"
     kept = tmp_path / "airframe.commission.json"
-    State.of(path).save("wires", AIRFRAME, {"a": 1}, VirtualClock())
+    PassedSteps.of(path).save("wires", AIRFRAME, {"a": 1}, VirtualClock())
     before = kept.read_text()
 
     def full(path: Path, text: str, **options: object) -> int:
@@ -319,13 +319,13 @@ def test_what_has_passed_is_kept_whole_or_as_it_was(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(ConfigError, match="No space left"):
-        State.of(path).save("bench", AIRFRAME, {"b": 2}, VirtualClock())
+        PassedSteps.of(path).save("bench", AIRFRAME, {"b": 2}, VirtualClock())
     assert kept.read_text() == before
     assert [*tmp_path.iterdir()] == [kept]
     monkeypatch.undo()
     # A step whose entry is damaged is due again.
     kept.write_text(before.replace('{\n        "a": 1\n      }', "null"))
-    assert State.of(path).next_step(AIRFRAME) == "wires"
+    assert PassedSteps.of(path).next_step(AIRFRAME) == "wires"
 
 
 def bridge_that_says(*packets: tuple[str, Mapping[str, object]]) -> RunningBridge:

@@ -70,3 +70,9 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
     with pytest.raises(RecordingError, match=r"bad\.bin: no dataflash log"):
         read_ardupilot(path, nothing)
     assert capfd.readouterr().err == ""
+
+
+def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
+    (tmp_path / "plane.bin").write_bytes(LOG.read_bytes().replace(b"ArduCopter V4", b"ArduPlane V44"))
+    copter, plane = (read_ardupilot(path, nothing).context["throttle"] for path in (LOG, tmp_path / "plane.bin"))
+    np.testing.assert_allclose(100.0 * plane.values, copter.values)

@@ -12,11 +12,13 @@ from typer.testing import CliRunner, Result
 from msp_lab.cli import app
 from msp_lab.logs import px4
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
-from msp_lab.logs.log import Series
+from msp_lab.logs.join import join
+from msp_lab.logs.log import Ranger, Series, TruthSource, VehicleLog
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
+from tests.support.flight_logs import telemetry, write_telemetry
 from tests.support.measured import MODEL, readings
 
 LOGS = Path(__file__).parents[1] / "data" / "logs"
@@ -117,6 +119,24 @@ def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 1.0}) != ""
 
 
+@pytest.mark.parametrize(
+    ("log", "name", "damaged"),
+    [
+        ("px4.ulg", b"max_distance", b"max_distancf"),
+        ("arducopter.BIN", b"TimeUS,Instance,Dist", b"TimeUR,Instance,Dist"),
+        ("arducopter.BIN", b"PARMQNff", b"PARMQfff"),
+    ],
+)
+def test_a_log_with_a_damaged_definition_is_a_line(tmp_path: Path, log: str, name: bytes, damaged: bytes) -> None:
+    content = (LOGS / log).read_bytes()
+    path = tmp_path / log
+    assert name in content
+    path.write_bytes(content.replace(name, damaged))
+    done = run("import", path, "--truth", "ekf", "--out", tmp_path / "set")
+    assert done.exit_code == 3, done.output
+    assert done.output.count("\n") == 1
+
+
 @pytest.mark.parametrize("size", [16, 300, 37_302])
 def test_a_log_that_is_cut_in_its_definitions_is_a_line(tmp_path: Path, size: int) -> None:
     (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:size])
@@ -181,6 +201,38 @@ def test_the_other_sensors_are_the_truth(tmp_path: Path) -> None:
     data = read_dataset(tmp_path / "set", ["far"])
     assert set(data["reference"]) == {"others"}
     assert np.nanmedian(np.abs(data["reading_cm"] - data["true_range_cm"])) < 1.5
+
+
+def test_forward_sensors_are_no_reference_for_each_other(tmp_path: Path) -> None:
+    forward = [each for each in telemetry() if getattr(each[2], "orientation", 0) != 25]
+    path = write_telemetry(tmp_path / "forward.tlog", forward)
+    done = run("import", path, "--truth", "others", "--out", tmp_path / "set")
+    assert done.exit_code == 3, done.output
+    assert "no range finder that looks down" in done.output
+
+
+def test_without_a_datum_and_too_few_readings_there_is_no_truth() -> None:
+    """An altitude above the sea is no range."""
+    time_s = np.arange(30.0)
+    ranger = Ranger("down", Series("a", time_s, np.full(30, 300.0)))
+    altitude = TruthSource("rtk", Series("GPS.Alt", time_s, np.full(30, 584.0)))
+    (joined,) = join(VehicleLog(Path("a"), "", (ranger,), {}, (altitude,)), altitude, np.random.default_rng(1))
+    assert "true_range_cm" not in joined.data
+
+
+def test_the_same_sensor_of_another_log_is_a_reference(tmp_path: Path) -> None:
+    mine, other = (write_telemetry(tmp_path / name, telemetry()) for name in ("mine.tlog", "other.tlog"))
+    (found,) = imported(mine, "--truth", f"sensor:distance_sensor_10@{other}", "--out", tmp_path / "set")
+    down, forward = found["rangers"]
+    assert (down["with_truth"], forward["with_truth"]) == (598, 0)
+
+
+def test_folders_with_a_dot_tell_logs_of_one_name_apart(tmp_path: Path) -> None:
+    for folder in ("v1.0", "v1.1"):
+        (tmp_path / folder).mkdir()
+        write_csv(tmp_path / folder / "bench.csv", readings(100, runs=1))
+    found = imported(*sorted(tmp_path.glob("v*/bench.csv")), "--out", tmp_path / "set")
+    assert [each["run"] for each in found] == ["v1.0/bench", "v1.1/bench"]
 
 
 def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def test_what_never_happens_by_the_model_is_found_when_it_does() -> None:
         if never.happens(0.0, []):
             break
     assert never.evidence.is_found
-    assert Finding("front", "short", never.evidence.ratio).text == "Range front: 99x expected short readings"
+    assert SensorFinding("front", "short", never.evidence.ratio).text == "Range front: 99x expected short readings"
 
 
 @pytest.mark.parametrize(("missed", "growth_per_m", "range_m", "expected"), [

@@ -78,7 +78,7 @@ def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> VehicleLo
     context = {
         TILT: _attitude(found),
         CLIMB: _up(found, "XKF1", "VD") or _up(found, "NKF1", "VD"),
-        THROTTLE: _first(found, "CTUN", "ThO"),
+        THROTTLE: _throttle(found),
         "air_temperature_c": _first(found, "ARSP", "Temp"),
         "board_temperature_c": _first(found, "BARO", "Temp"),
         "vibration_m_s2": _vibration(found),
@@ -98,6 +98,8 @@ def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> VehicleLo
 
 def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
     rfnd = found.get("RFND", {})
+    if not _has_time(rfnd):
+        return []
     if "Dist1" in rfnd:  # before 4.0
         pairs = [(rfnd[f"Dist{n}"], rfnd.get(f"Orient{n}"), n) for n in (1, 2) if f"Dist{n}" in rfnd]
         return [
@@ -164,6 +166,13 @@ def _attitude(found: Messages) -> Series | None:
     return Series("ATT", roll.time_s, tilt_deg(np.radians(roll.values), np.radians(pitch.values)))
 
 
+def _throttle(found: Messages) -> Series | None:
+    throttle = _first(found, "CTUN", "ThO")
+    if throttle is None or not _version(found).startswith("ArduPlane"):
+        return throttle
+    return Series(throttle.source, throttle.time_s, throttle.values / 100.0)  # Plane logs per cent
+
+
 def _vibration(found: Messages) -> Series | None:
     axes = [_first(found, "VIBE", f"Vibe{axis}") for axis in "XYZ"]
     known = [each for each in axes if each is not None]
@@ -175,7 +184,7 @@ def _vibration(found: Messages) -> Series | None:
 def _first(found: Messages, message: str, field: str) -> Series | None:
     """A field of a message, of its first instance or core where there are several."""
     fields = found.get(message, {})
-    if field not in fields or not ("TimeUS" in fields or "TimeMS" in fields):
+    if field not in fields or not _has_time(fields):
         return None
     time_s, values = _time_s(fields), fields[field]
     instance = next((fields[name] for name in ("I", "C", "IMU") if name in fields), None)
@@ -188,6 +197,10 @@ def _up(found: Messages, message: str, field: str) -> Series | None:
     """A field that counts downwards, upwards."""
     down = _first(found, message, field)
     return None if down is None else negative(down)
+
+
+def _has_time(fields: Mapping[str, NDArray[Any]]) -> bool:
+    return "TimeUS" in fields or "TimeMS" in fields
 
 
 def _time_s(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink import dfindexer
-from pymavlink.DFReader import DFFormat
+from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
 
 from msp_range.input_file import open_input
 from msp_range.recording.error import RecordingError
@@ -35,6 +35,8 @@ few lost sectors has thousands; a larger number reads on through what has hardly
 _FMT, _FMT_BYTES = 0x80, 89
 """The format message has this type and length in every log; its own type, length, name, format and field names follow
 after 3 bytes of header (AP_Logger, LogStructure.h)."""
+TEXTS = ("Name", "Message")
+"""Fields that are texts, of all that are read; the others are numbers."""
 _FIELD = re.compile(r"\d*[a-zA-Z]")
 
 
@@ -132,13 +134,12 @@ def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
     found = {}
     for at in {piece[at + 3]: at for at in places if at + _FMT_BYTES <= len(piece)}.values():
         kind, length = piece[at + 3], piece[at + 4]
-        name, form, fields = (piece[at + a : at + b] for a, b in ((5, 9), (9, 25), (25, 89)))
-        try:
-            texts = [each.split(b"\0")[0].decode("ascii") for each in (name, form, fields)]
-            with contextlib.redirect_stdout(None):
-                made = DFFormat(kind, texts[0], length, texts[1], texts[2])
-        except Exception:  # pymavlink raises plain Exception for a format letter that it does not know
+        name, form, fields = (
+            piece[at + a : at + b].split(b"\0")[0].decode("ascii", "replace") for a, b in ((5, 9), (9, 25), (25, 89))
+        )
+        if not set(form) <= FORMAT_TO_STRUCT.keys():
             continue
+        made = DFFormat(kind, name, length, form, fields)
         if 3 + _layout(made).itemsize <= length and len(made.columns) == len(made.msg_mults):
             found[kind] = made
     return found
@@ -166,6 +167,9 @@ def _take(
     for index, name in enumerate(form.columns):
         if name in fields:
             values = rows[f"f{index}"]
-            if values.dtype.kind != "S":
-                values = values.astype(float) * (form.msg_mults[index] or 1.0)
+            if (values.dtype.kind == "S") != (name in TEXTS):
+                continue  # the letter of its format is damaged
+            if name not in TEXTS:
+                with np.errstate(invalid="ignore"):  # bytes that are not a number
+                    values = values.astype(float) * (form.msg_mults[index] or 1.0)
             found.setdefault(form.name, {}).setdefault(name, []).append(values)

@@ -48,7 +48,7 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog) -> tuple[TruthSource
     except RecordingError as error:
         raise RecordingError(f"{log.path} and {path}: {error}") from None
     std = None if reference.std is None else _later(reference.std, difference_s)
-    return replace(reference, series=_later(reference.series, difference_s), std=std), difference_s
+    return replace(reference, series=_later(reference.series, difference_s), std=std, ranger=""), difference_s
 
 
 def _later(found: Series, by_s: float) -> Series:

@@ -200,7 +200,7 @@ def import_logs(
     """
     for path in paths:
         kind_of(path)
-    names = _run_names(paths)
+    names = file_names(paths)
     known = origin(out)
     taken = [name for name in names if name in known]
     if taken:
@@ -234,11 +234,6 @@ def import_logs(
     return found
 
 
-def _run_names(paths: Sequence[Path]) -> list[str]:
-    """The files' names without their endings; as much of the path as is needed where two are called alike."""
-    return [name.rsplit(".", 1)[0] if "." in name else name for name in file_names(paths)]
-
-
 def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:
     """Tables by run and sensor: a CSV file or a recording of a bench may have several runs."""
     found: dict[str, dict[str, MeasuredData]] = {}
@@ -252,19 +247,16 @@ def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, Measured
 
 def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[list[Joined], list[str]]:
     """The same readings with the other range finders as reference."""
-    columns = dict.fromkeys(name for each in joined for name in each.data.columns)
-    whole = MeasuredData(
-        {name: np.concatenate([_column(each.data, name) for each in joined if each.ranger.is_down]) for name in columns}
-    )
+    down = [each for each in joined if each.ranger.is_down]
+    if not down:
+        raise RecordingError(f"{path}: no range finder that looks down, to compare with others")
+    columns = dict.fromkeys(name for each in down for name in each.data.columns)
+    whole = MeasuredData({name: np.concatenate([_column(each.data, name) for each in down]) for name in columns})
     recording = Recording(path) if kind_of(path) == ".mcap" else None
     data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
-    found = [
-        Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name)))
-        for each in joined
-        if each.ranger.is_down
-    ]
-    said = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
-    return found, [f"Each sensor reads more than the others by, and this is taken off: {said}."]
+    found = [Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name))) for each in down]
+    listed = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
+    return found, [f"Each sensor reads more than the others by, and this is taken off: {listed}."]
 
 
 def _column(data: MeasuredData, name: str) -> Any:

@@ -95,8 +95,7 @@ def _join(
     columns |= ranger.columns
     alignment = error = None
     # Of a sensor that looks elsewhere a height says nothing, and a sensor is no reference for itself.
-    is_itself = reference is not None and reference.series.source == f"{ranger.name}: {ranger.series.source}"
-    if reference is not None and not is_itself and (ranger.is_down or reference.kind == "column"):
+    if reference is not None and reference.ranger != ranger.name and (ranger.is_down or reference.kind == "column"):
         answered = np.where(ranger.series.values < ranger.maximum_cm, ranger.series.values, np.nan)
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
         lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
@@ -148,8 +147,8 @@ def _true(
 ) -> Mapping[str, Column]:
     """Columns of the true range at these times."""
     true_cm = _expected_cm(log, reference, at_s)
-    if not reference.has_datum and alignment is not None:
-        true_cm = true_cm + alignment.offset_cm
+    if not reference.has_datum:  # with too few readings to align it nothing is known of the range
+        true_cm = true_cm + (alignment.offset_cm if alignment is not None else np.nan)
     rate_cm_s = (
         _expected_cm(log, reference, at_s + RATE_STEP_S) - _expected_cm(log, reference, at_s - RATE_STEP_S)
     ) / (2.0 * RATE_STEP_S)

@@ -127,6 +127,8 @@ class TruthSource:
         Standard deviation of its error as the log states it [m].
     refused
         Why it is no independent reference; empty: it is one.
+    ranger
+        The range finder of the same log whose readings it is; empty: none.
     """
 
     kind: str
@@ -135,6 +137,7 @@ class TruthSource:
     along_beam: bool = False
     std: Series | None = None
     refused: str = ""
+    ranger: str = ""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 from pyulog import ULog
+from pyulog.core import ULogException
 
 from msp_lab.logs.fused import by_px4
 from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Ranger, Series, TruthSource, VehicleLog, readings_cm, series
@@ -73,11 +74,17 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
             log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if field else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    except (TypeError, ValueError, KeyError, IndexError, struct.error, UnicodeDecodeError, EOFError) as error:
+    except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:
         raise RecordingError(f"{path}: no ULog, or damaged at its beginning: {error}") from None
-    except Exception as error:  # pyulog raises plain Exception for a wrong beginning
-        raise RecordingError(f"{path}: cannot be read: {str(error) or type(error).__name__}") from None
     progress(1.0)
+    try:
+        return _log(path, log, topic, field)
+    except KeyError as error:
+        raise RecordingError(f"{path}: damaged at its beginning: a topic has no field {error}") from None
+
+
+def _log(path: Path, log: ULog, topic: str, field: str) -> VehicleLog:
+    """What was read, as a `VehicleLog`; raises KeyError where a topic lacks a field that every version has."""
     found: dict[str, Mapping[str, NDArray[Any]]] = {}
     for each in log.data_list:
         found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = each.data
@@ -108,6 +115,10 @@ def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> 
     )
 
 
+class _ReadWithoutEnd(Exception):
+    """pyulog goes back in the file again and again."""
+
+
 class _Watched:
     """A file that reports how far it is read, and raises where it is read without end."""
 
@@ -128,7 +139,7 @@ class _Watched:
             self._next = self._read + _EVERY_BYTES
             self._progress(min(1.0, self._read / max(self._size, 1)))
             if self._read > MOST_READ * (self._size + _EVERY_BYTES):
-                raise RuntimeError("the definitions at its beginning are damaged")
+                raise _ReadWithoutEnd("its definitions are read again and again")
         return content
 
 

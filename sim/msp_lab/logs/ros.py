@@ -90,48 +90,47 @@ def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> 
     topics: dict[str, _Topic] = {}
     columns: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            for each in reader.connections:
-                if each.msgtype in _FIELDS:
-                    topics[each.topic] = _Topic(each.topic, each.msgtype, _FIELDS[each.msgtype])
-                if field and each.topic == topic:
-                    columns[each.topic] = _Topic(each.topic, each.msgtype, (field,))
-            wanted = [each for each in reader.connections if each.topic in topics or each.topic in columns]
-            if wanted:
-                for time_s, connection, message in _messages(path, reader, wanted, progress, notes):
-                    for found in (topics, columns):
-                        if connection.topic in found:
-                            found[connection.topic].add(time_s, message)
-    except RecordingError:
-        raise
-    except Exception as error:  # of rosbags, its storage, and types that damaged definitions make
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordingError(f"{path}: cannot be read as a ROS bag: {reason}") from None
+    names = [topic] if field else []
+    for time_s, name, kind, message in _messages(path, names, progress, notes):
+        try:
+            if kind in _FIELDS:
+                topics.setdefault(name, _Topic(name, kind, _FIELDS[kind])).add(time_s, message)
+            if name in names:
+                columns.setdefault(name, _Topic(name, kind, (field,))).add(time_s, message)
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
     references = _references(topics)
     references += [TruthSource("column", found.series(field)) for found in columns.values()]
     return VehicleLog(path, "ROS bag", tuple(_rangers(topics)), _context(topics), tuple(references), tuple(notes))
 
 
 def _messages(
-    path: Path, reader: Any, wanted: list[Any], progress: Callable[[float], None], notes: list[str]
-) -> Iterator[tuple[float, Any, Any]]:
-    """Messages with their time since the bag's beginning [s]; where the bag is damaged, those before, and a note."""
-    start_ns, length_ns = reader.start_time, max(reader.duration, 1)
+    path: Path, names: list[str], progress: Callable[[float], None], notes: list[str]
+) -> Iterator[tuple[float, str, str, Any]]:
+    """Time since the bag's beginning [s], topic, type and message, of these topics and of those with `_FIELDS`.
+
+    Where the bag is damaged, the messages before that, and a note.
+    """
     count = 0
     try:
-        for connection, arrived_ns, content in reader.messages(connections=wanted):
-            message = reader.deserialize(content, connection.msgtype)
-            stamp = getattr(getattr(message, "header", None), "stamp", None)
-            sent_ns = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-            count += 1
-            if count % 1000 == 0:
-                progress(min(1.0, (arrived_ns - start_ns) / length_ns))
-            yield ((sent_ns or arrived_ns) - start_ns) / 1e9, connection, message
-    except Exception as error:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            wanted = [each for each in reader.connections if each.msgtype in _FIELDS or each.topic in names]
+            if not wanted:
+                return
+            start_ns, length_ns = reader.start_time, max(reader.duration, 1)
+            for connection, arrived_ns, content in reader.messages(connections=wanted):
+                message: Any = reader.deserialize(content, connection.msgtype)
+                stamp = getattr(getattr(message, "header", None), "stamp", None)
+                sent_ns = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                count += 1
+                if count % 1000 == 0:
+                    progress(min(1.0, (arrived_ns - start_ns) / length_ns))
+                yield ((sent_ns or arrived_ns) - start_ns) / 1e9, connection.topic, connection.msgtype, message
+    except Exception as error:  # whatever rosbags, its storage, or types that damaged definitions make raise
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         if not count:
-            raise
-        notes.append(f"The bag is damaged after {count} messages ({error}); those before are here.")
+            raise RecordingError(f"{path}: cannot be read as a ROS bag: {reason}") from None
+        notes.append(f"The bag is damaged after {count} messages ({reason}); those before are here.")
 
 
 def _field(message: Any, path: str) -> float:

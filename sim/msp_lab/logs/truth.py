@@ -141,4 +141,4 @@ def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
         raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {there}")
     series = ranger.series
     range_m = np.where(series.values < ranger.maximum_cm, series.values / 100.0, np.nan)
-    return TruthSource("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True)
+    return TruthSource("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True, ranger=name)
