@@ -1,8 +1,11 @@
 """Run every benchmark, print one table, and write it: into docs/figures.md, and as ``results.json`` in this folder.
 
+With names (``python -m benchmarks start page``) only these run, and nothing is written.
+
 Each figure is {key, value, unit, goal, met}.
 """
 
+import argparse
 import json
 import os
 import platform
@@ -48,6 +51,7 @@ PARTS = (
     bench_start,
     bench_page,
 )
+BY_NAME = {part.__name__.removeprefix("benchmarks.bench_"): part for part in PARTS}
 RESULTS = Path(__file__).parent / "results.json"
 
 
@@ -66,14 +70,20 @@ def as_markdown(figures: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Run all benchmarks, print the table, and write both files."""
+    """Run the benchmarks and print the table; if all ran, write both files."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=(__doc__ or "").partition("\n\nEach")[0])
+    parser.add_argument("name", nargs="*", help=f"one or more of {', '.join(BY_NAME)}; all if none is given")
+    names = parser.parse_args().name
+    for name in names:
+        if name not in BY_NAME:
+            parser.error(f"no benchmark is called {name!r}; there are {', '.join(BY_NAME)}")
     console = Console()
     figures = []
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("measuring", total=len(PARTS))
-        for part in PARTS:
-            progress.update(task, description=part.__name__.removeprefix("benchmarks.bench_"))
-            figures += part.run()
+        task = progress.add_task("measuring", total=len(names or BY_NAME))
+        for name in names or BY_NAME:
+            progress.update(task, description=name)
+            figures += BY_NAME[name].run()
             progress.advance(task)
     table = Table(box=box.SIMPLE_HEAD)
     for heading in ("figure", "value", "unit", "goal", "met"):
@@ -82,6 +92,8 @@ def main() -> None:
         met = {True: "yes", False: "NO", None: ""}[figure["met"]]
         table.add_row(figure["key"], f"{figure['value']:g}", figure["unit"], figure["goal"] or "", met)
     console.print(table)
+    if names:
+        return
     RESULTS.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     replace_section(FIGURES, "bench", as_markdown(figures))
     for path in (RESULTS, FIGURES):
