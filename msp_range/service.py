@@ -51,7 +51,7 @@ def reporter(log: Log) -> Report:
     return report
 
 
-def tell_systemd(state: str) -> None:
+def notify_systemd(state: str) -> None:
     """Send a state such as READY=1 to systemd; without systemd, or with its socket full or gone, nothing happens.
 
     WATCHDOG=1 comes from the polling loop. A locked-up bus, an unplugged adapter, a full disk or a silent autopilot do
@@ -112,7 +112,7 @@ def serve(
     watch: Watch | None = None,
 ) -> None:
     """Step the bridge until ``stopped`` contains a signal or the airframe has changed."""
-    tell_systemd("READY=1")
+    notify_systemd("READY=1")
     next_feed_s = clock.now()
     next_note_s = clock.now() + 1.0
     next_summary_s = clock.now() + SUMMARY_INTERVAL_S
@@ -125,7 +125,7 @@ def serve(
             return
         now_s = clock.now()
         if bridge.completed_s >= next_feed_s:
-            tell_systemd("WATCHDOG=1")
+            notify_systemd("WATCHDOG=1")
             next_feed_s = now_s + FEED_INTERVAL_S
         if watch is not None:
             watch.service(now_s)
@@ -143,7 +143,7 @@ def serve(
             next_summary_s += SUMMARY_INTERVAL_S
             log.info("still flying", **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
-    tell_systemd("STOPPING=1")
+    notify_systemd("STOPPING=1")
 
 
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:

@@ -1,8 +1,8 @@
 """Where each sensor looks, from the tilts at which it gets an echo of the floor.
 
-An ultrasonic sensor hears a flat floor while the angle between its axis and straight down is smaller than its beam's
-half angle, and reads the same distance wherever it looks within that. So the distances do not show the axis, and the
-echoes do: over many tilts they outline a cone around it. The half angle itself is uncertain, so its scale is fitted
+An ultrasonic sensor gets an echo of a flat floor while the angle between its axis and straight down is smaller than its
+beam's half angle, and reads the same distance wherever it looks within that. So the distances do not show the axis, and
+the echoes do: over many tilts they outline a cone around it. The half angle itself is uncertain, so its scale is fitted
 too.
 """
 
@@ -16,8 +16,8 @@ from msp_range.commission.motion import Places
 from msp_range.commission.samples import Array, Samples
 
 FARTHEST_DEG, STEP_DEG = 60.0, 3.0
-"""Axes up to the first angle from straight down are tried, this far apart [deg]. A sensor further away hears the floor
-at no tilt of a hand."""
+"""Axes up to the first angle from straight down are tried, this far apart [deg]. A sensor further away gets an echo
+of the floor at no tilt of a hand."""
 SCALES = np.array([0.7, 0.85, 1.0, 1.15, 1.35, 1.6])
 SCALE_STD = 0.2
 """Factors on the half angle that are tried, and the standard deviation of their logarithm: it differs between floors,
@@ -108,7 +108,7 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
     if used.sum() < 12:
         return Axis(None, np.nan, False, np.nan, 0.0)
     down, floor_m = down[used], floor_m[used]
-    heard = np.abs(np.nan_to_num(readings.range_m[used], nan=-1.0) - floor_m) <= OF_FLOOR_M
+    has_echo = np.abs(np.nan_to_num(readings.range_m[used], nan=-1.0) - floor_m) <= OF_FLOOR_M
     half_angle = np.degrees(beam.half_angle_rad(floor_m))
     candidates = np.vstack([AXES, from_file])
     off = np.degrees(np.arccos(np.clip(candidates @ down.T, -1.0, 1.0)))
@@ -116,11 +116,11 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
     for scale in SCALES:
         inside = 1 / (1 + np.exp(-(scale * half_angle - off) / EDGE_DEG))
         share = LEAST + (MOST - LEAST) * inside
-        likelihood = np.where(heard, np.log(share), np.log(1 - share)).sum(axis=1)
+        likelihood = np.where(has_echo, np.log(share), np.log(1 - share)).sum(axis=1)
         best = np.maximum(best, likelihood - 0.5 * (np.log(scale) / SCALE_STD) ** 2)
     grid, of_file = best[:-1], best[-1]
-    if heard.mean() < 2 * LEAST:
-        return Axis(None, np.nan, True, np.nan, float(heard.mean()))
+    if has_echo.mean() < 2 * LEAST:
+        return Axis(None, np.nan, True, np.nan, float(has_echo.mean()))
     top = max(float(grid.max()), float(of_file))
     likely = AXES[grid >= top - INTERVAL]
     # Where whole regions are as likely (no tilt left the beam), their middle.
@@ -134,7 +134,7 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
         max(width, STEP_DEG),
         bool(of_file < top - EXCLUDED),
         angle,
-        float(heard.mean()),
+        float(has_echo.mean()),
     )
 
 

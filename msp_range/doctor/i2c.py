@@ -77,7 +77,7 @@ def _clock(computer: Computer, name: str) -> Finding:
             f"dtparam=i2c_arm=on,i2c_arm_baudrate={SLOW_HZ} in {computer.boot_config}, then restart the computer",
         )
     if stated_hz is None:
-        return unknown(step, "this computer does not tell its rate; the sensors take 400 kHz at most")
+        return unknown(step, "this computer does not report its rate; the sensors take 400 kHz at most")
     if stated_hz > FAST_HZ:
         remedy = "clock-frequency of the bus in the device tree"
         return wrong(step, f"{stated_hz / 1e3:g} kHz, and the sensors take {FAST_HZ / 1e3:g} at most", remedy)

@@ -10,7 +10,7 @@ NEEDED_BYTES = 16 * 2**20
 BYTES_PER_HOUR = 10e6
 """Of four sensors (docs/flying.md)."""
 SHORT_HOURS = 10
-"""With less than this left the disk is said to be nearly full."""
+"""With less than this left the disk is reported as nearly full."""
 DAY_S = 86400.0
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 """The Raspberry Pi's bits: 0 the supply is too low now, 16 it was since the start."""

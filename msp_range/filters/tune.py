@@ -21,7 +21,7 @@ MAD_TO_STD = 1.4826
 """Ratio of the standard deviation of a normal variable to its median absolute deviation."""
 PASSES = 20
 """Largest number of passes, each of which removes one of several adjacent outliers."""
-UNTOLD = 3
+NOT_COUNTED = 3
 """Number of innovations that are not counted after each start or gap, because they depend on the initial state."""
 FEWEST = 100
 """Smallest number of readings for a fit."""
@@ -114,7 +114,7 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     readings = sum(len(track) for track in tracks)
     tracks = [without_outliers(track) for track in tracks]
     outliers = readings - sum(len(track) for track in tracks)
-    count = sum(max(len(track) - UNTOLD, 0) for track in tracks)
+    count = sum(max(len(track) - NOT_COUNTED, 0) for track in tracks)
     if readings < FEWEST:
         raise ValueError(f"found {readings} readings with a range; expected {FEWEST} or more")
 
@@ -200,14 +200,14 @@ def log_likelihood(track: Track, moving: bool, q: float, r_m2: float) -> float:
     r_m2
         Variance of a reading [m^2].
     """
-    total, told, last_s = 0.0, 0, -math.inf
+    total, innovations, last_s = 0.0, 0, -math.inf
     x = v = pxx = pxv = pvv = 0.0
     for time_s, range_m in track:
         elapsed_s = time_s - last_s
         last_s = time_s
         if elapsed_s > MEMORY_S:
             x, v, pxx, pxv, pvv = range_m, 0.0, r_m2, 0.0, START_SPEED_STD_M_S**2 if moving else 0.0
-            told = 0
+            innovations = 0
             continue
         if moving:
             noise = q * q * elapsed_s * elapsed_s
@@ -219,8 +219,8 @@ def log_likelihood(track: Track, moving: bool, q: float, r_m2: float) -> float:
             pxx += q
         s_m2 = pxx + r_m2
         off_m = range_m - x
-        told += 1
-        if told > UNTOLD:
+        innovations += 1
+        if innovations > NOT_COUNTED:
             total -= 0.5 * (off_m * off_m / s_m2 + math.log(2 * math.pi * s_m2))
         kx, kv = pxx / s_m2, pxv / s_m2
         x, v = x + kx * off_m, v + kv * off_m

@@ -33,7 +33,7 @@ class AboveMaximum:
     Parameters
     ----------
     maximum_m
-        The longest distance that the sensors can tell [m]; also an attribute, which follows the air.
+        The longest distance that the sensors can measure [m]; also an attribute, which follows the air.
     motion
         How the vehicle moves by its barometer.
     """
@@ -45,7 +45,7 @@ class AboveMaximum:
         self._ranges = self._codes = 0
         self._last: Known | None = None
 
-    def note(self, sensor: str, no_echo: bool, works: bool) -> None:
+    def update(self, sensor: str, no_echo: bool, works: bool) -> None:
         """Count readings in a row: each sensor's without an echo, and all that have a range; faults do not count."""
         if works:
             self._codes = 0
@@ -54,7 +54,7 @@ class AboveMaximum:
         else:
             self._no_echo.pop(sensor, None)
 
-    def note_code(self) -> None:
+    def update_with_code(self) -> None:
         """Count a reading that is a range or no echo, nobody knows which."""
         self._codes += 1
 

@@ -82,7 +82,7 @@ class Fusion:
     motion
         How the vehicle moves by its accelerometer and barometer; None: nobody says.
     maximum_m
-        The longest distance from the reference point that the sensors can tell [m].
+        The longest distance from the reference point that the sensors can measure [m].
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Fusion:
         return None if self._filter is None else self._filter.ground()
 
     def set_maximum(self, maximum_m: float) -> None:
-        """The longest distance that the sensors can tell is another one, because the air is [m]."""
+        """The longest distance that the sensors can measure is another one, because the air is [m]."""
         self._maximum_m = self._above.maximum_m = maximum_m
 
     @property
@@ -181,9 +181,9 @@ class Fusion:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
                 sensor.sight.works = False
         if reading.suspect:
-            self._above.note_code()
+            self._above.update_with_code()
         else:
-            self._above.note(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
+            self._above.update(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
         if self._filter is not None and self._support.is_enough(time_s, now_s, rejected is None):
             fused = self._down_axis(self._filter, rotation)
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))

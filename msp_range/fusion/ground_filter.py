@@ -1,10 +1,10 @@
 """Height over the ground, its rate, and the ground's slope: an extended Kalman filter for three ways to move.
 
 Height h [m] moves with its rate w [m/s], and w by white acceleration. Three such filters run side by side, for a
-vehicle that is calm, that moves and that manoeuvres; they are mixed by how well each foretells the readings
+quiet vehicle, one in cruise and one that manoeuvres; they are mixed by how well each predicts the readings
 (interacting multiple models: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
 
-The ground's rise per metre north and east, g, is common to the three. What a reading tells of it is the difference of
+The ground's rise per metre north and east, g, is common to the three. What a reading shows of it is the difference of
 its lever (how far from the reference point the sensor looks) from the mean lever of the last readings; where that mean
 is, the height is known, and how the slope carries on from there is not learnt from it. So the two are independent, and
 what no sensor sees stays uncertain: one sensor at a corner knows the height there and not below the vehicle's middle.

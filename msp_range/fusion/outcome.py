@@ -45,7 +45,7 @@ class Outcome(NamedTuple):
     fused
         The distance now; None where nothing is known well enough.
     above_maximum
-        Whether the vehicle is above what its sensors can tell; then there is no distance.
+        Whether the vehicle is above what its sensors can measure; then there is no distance.
     rejected
         Why the reading was not used for the ground; None where it was.
     """

@@ -64,7 +64,7 @@ class Known(NamedTuple):
     range_m, height_m, climb_m_s
         How far away along the vehicle's down axis and straight down [m], and how fast that grew [m/s].
     mark
-        The height by the barometer; None where it said nothing.
+        The height by the barometer; None where it reported nothing.
     """
 
     time_s: float

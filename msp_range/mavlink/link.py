@@ -140,8 +140,8 @@ class Link:
         frames = self._frames.read(self.transport.receive())
         if frames:
             self._sort(now_s, frames)
-        self._take_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
-        self._take_first(self._from_others, DECODED_FROM_OTHERS)
+        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
+        self._decode_first(self._from_others, DECODED_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
@@ -221,13 +221,13 @@ class Link:
             self._participants.on_unsigned(now_s)
         return accepted
 
-    def _take_first(self, waiting: deque[tuple[float, Frame]], count: int) -> None:
+    def _decode_first(self, waiting: deque[tuple[float, Frame]], count: int) -> None:
         """Decode up to ``count`` of the waiting messages."""
         while waiting and count:
-            self._take(*waiting.popleft())
+            self._decode(*waiting.popleft())
             count -= 1
 
-    def _take(self, now_s: float, frame: Frame) -> None:
+    def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
         if source == (self._system, self._component):
             if frame.data not in self._sent_frames:

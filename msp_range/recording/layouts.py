@@ -15,7 +15,7 @@ from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX
 
 USED, FILTERED, FUSED = "#1f77b4", "#2ca02c", "#9467bd"
-"""Colours of corrected readings, filtered ones and the fused distance, told apart by the colour-blind too."""
+"""Colours of corrected readings, filtered ones and the fused distance, which the colour-blind distinguish too."""
 _CURVES = {"corrected_m": USED, "filtered_m": FILTERED, "range_m": FUSED}
 
 

@@ -165,7 +165,7 @@ def _check_order(path: Path, sensor: str, time_s: Column, name: str) -> None:
         before_s, after_s = time_s[back[0] : back[0] + 2]
         raise RecordingError(
             f"{path}: sensor {sensor!r}: {name} goes back from {before_s} to {after_s}; "
-            "expected the readings in order, and several sessions told apart by the column 'run'"
+            "expected the readings in order, and several sessions with different names in the column 'run'"
         )
 
 

@@ -81,7 +81,7 @@ class ReplayBus:
         return answer
 
     def busy_s(self, address: int) -> float:
-        """Not told, so that the bridge asks as often as on the vehicle."""
+        """Not reported, so that the bridge asks as often as on the vehicle."""
         return 0.0
 
     def reopen(self) -> None:

@@ -157,13 +157,13 @@ class Page:
                 self._bridge = connection
                 self._history.clear()
                 while packet := await loop.sock_recv(connection, LONGEST_PACKET):
-                    self._take(packet)
+                    self._update(packet)
             if self._bridge is not None:
                 self._bridge = None
-                self._take(b'{"topic":"/gone","time_s":0,"message":{}}')
+                self._update(b'{"topic":"/gone","time_s":0,"message":{}}')
             await asyncio.sleep(RETRY_S)
 
-    def _take(self, packet: bytes) -> None:
+    def _update(self, packet: bytes) -> None:
         # The topic comes first in a packet: what the page does not draw need not be parsed.
         if any(packet.startswith(b'{"topic":' + topic.encode()) for topic in NOT_SHOWN):
             return

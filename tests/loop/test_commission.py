@@ -27,6 +27,7 @@ from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 from tests.support.fake_computer import FakeComputer
 from tests.support.hand_held import EmulatedBus, HandHeld, Person
+from tests.support.parameter_autopilot import RANGE_FINDER
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 GOOD = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
@@ -149,16 +150,7 @@ def test_a_wrong_mounting_is_found_and_corrected(
     assert (tmp_path / "airframe.yaml.1").read_text() == in_file
 
 
-COPTER = {
-    "SERIAL2_PROTOCOL": 2.0,
-    "SERIAL2_BAUD": 921.0,
-    "RNGFND1_TYPE": 10.0,
-    "RNGFND1_ORIENT": 25.0,
-    "RNGFND1_MIN": 0.19,
-    "RNGFND1_MAX": 7.6,
-    "RNGFND1_GNDCLR": 0.2,
-    "RNGFND1_POS_Z": 0.05,
-}
+COPTER = {"SERIAL2_PROTOCOL": 2.0, "SERIAL2_BAUD": 921.0, **RANGE_FINDER}
 OTHER_FILES = {
     "every y counts to the left": (
         replaced(GOOD, ("[0.25, -0.20", "[0.25, 0.2001"), ("[-0.25, -0.20", "[-0.25, 0.2001"))

@@ -20,7 +20,7 @@ from tests.support.doctor_runs import AT_ONCE, Found, doctor_command, examined, 
 from tests.support.fake_computer import FakeComputer
 from tests.support.far_ends import by_udp, cable_at_other_baud, on_cable, silent_cable
 from tests.support.kernel_bus import Other, Sonar, kernel_bus
-from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.parameter_autopilot import RANGE_FINDER, ParameterAutopilot
 from tests.support.service import LinkEnd, running_service
 from tests.support.slow import slow_but
 
@@ -29,14 +29,6 @@ THERE = 1e9
 """Until the end of a test."""
 BAUD = 921_600
 """Of the serial port, as the airframe file has it."""
-COPTER = {
-    "RNGFND1_TYPE": 10.0,
-    "RNGFND1_ORIENT": 25.0,
-    "RNGFND1_MIN": 0.19,
-    "RNGFND1_MAX": 7.6,
-    "RNGFND1_GNDCLR": 0.2,
-    "RNGFND1_POS_Z": 0.05,
-}
 PX4 = {
     "EKF2_RNG_CTRL": 2.0,
     "EKF2_HGT_REF": 1.0,
@@ -57,7 +49,7 @@ class Setup:
         self.timeout_s = 0.0
         self.airframe = "quad_pallet"
         self.edits: list[tuple[str, str]] = []
-        self.parameters: dict[str, float] | None = dict(COPTER)
+        self.parameters: dict[str, float] | None = dict(RANGE_FINDER)
         self.autopilot: Callable[..., ParameterAutopilot] = ParameterAutopilot
         self.options: dict[str, Any] = {}
         self.baud = BAUD
@@ -258,7 +250,7 @@ def file_for_another_autopilot(setup: Setup) -> None:
 @broken("parameters", "RNGFND1_TYPE: 0 -> 10", "params")
 def range_finder_not_set_up(setup: Setup) -> None:
     setup.udp = True
-    setup.parameters = COPTER | {"RNGFND1_TYPE": 0.0}
+    setup.parameters = RANGE_FINDER | {"RNGFND1_TYPE": 0.0}
     setup.options = {"uses_range_finder": False}
 
 
@@ -320,7 +312,7 @@ def laser_on_a_computer_that_reports_little(setup: Setup) -> None:
     setup.airframe = "lidar_down"
     setup.edit("{filter: kalman, model: constant_velocity, acceleration_std_m_s2: 1.0}", "{filter: changepoint}")
     setup.devices = [Sonar(0x62, [1234], kind="lidar_lite_v3", timing=LASER_TIMING)]
-    setup.parameters = COPTER | {"RNGFND1_MIN": 0.04, "RNGFND1_MAX": 39.9, "RNGFND1_GNDCLR": 0.05}
+    setup.parameters = RANGE_FINDER | {"RNGFND1_MIN": 0.04, "RNGFND1_MAX": 39.9, "RNGFND1_GNDCLR": 0.05}
 
 
 @good

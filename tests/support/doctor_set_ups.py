@@ -26,7 +26,7 @@ from tests.support.far_ends import (
     silent_cable,
 )
 from tests.support.kernel_bus import Other, Sonar
-from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.parameter_autopilot import RANGE_FINDER, ParameterAutopilot
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -36,12 +36,7 @@ ARDUPILOT = {
     "SERIAL1_BAUD": 57.0,
     "SERIAL2_PROTOCOL": 2.0,
     "SERIAL2_BAUD": 921.0,
-    "RNGFND1_TYPE": 10.0,
-    "RNGFND1_ORIENT": 25.0,
-    "RNGFND1_MIN": 0.19,
-    "RNGFND1_MAX": 7.6,
-    "RNGFND1_GNDCLR": 0.2,
-    "RNGFND1_POS_Z": 0.05,
+    **RANGE_FINDER,
     "PRX1_TYPE": 0.0,
 }
 """ArduCopter 4.7 as its owner has set it for the pallet."""

@@ -135,7 +135,7 @@ class HandHeld:
                     random.Random(self.seed),
                 )
             )
-        return Devices(devices, now, foretells=True)
+        return Devices(devices, now, reports_busy=True)
 
     def transport(self) -> "Autopilot":
         """The autopilot's end of the link."""

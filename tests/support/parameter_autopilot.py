@@ -19,6 +19,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 INTEGER_NAMES = ("MAV_", "SER_", "EKF2_RNG_CTRL", "EKF2_HGT_REF")
 """Beginnings of the names of PX4's parameters that are integers; all others are floats."""
 
+RANGE_FINDER = {
+    "RNGFND1_TYPE": 10.0,
+    "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_MIN": 0.19,
+    "RNGFND1_MAX": 7.6,
+    "RNGFND1_GNDCLR": 0.2,
+    "RNGFND1_POS_Z": 0.05,
+}
+"""ArduPilot's parameters for the pallet's fused stream."""
+
 
 class ParameterAutopilot:
     """An autopilot on a pymavlink connection.

@@ -18,8 +18,8 @@ class Flight:
         self.barometer = barometer
         self.time_s, self.height_m, self._i = 0.0, 2.0, 0
 
-    def fly(self, seconds: float, to_m: float | None = None, heard: str = "", faulty: str = "") -> list[bool]:
-        """One reading each 0.1 s; ``heard`` are sensors with a range. What is decided at each."""
+    def fly(self, seconds: float, to_m: float | None = None, with_range: str = "", faulty: str = "") -> list[bool]:
+        """One reading each 0.1 s; ``with_range`` are sensors with a range. What is decided at each."""
         steps, out = round(seconds / 0.1), []
         climb_m = 0.0 if to_m is None else (to_m - self.height_m) / steps
         for _ in range(steps):
@@ -28,7 +28,7 @@ class Flight:
             if self.barometer:
                 self.motion.on_acceleration(self.time_s, 0.0)
                 self.motion.on_pressure_height(self.time_s, self.height_m)
-            self.above.note(name, name not in heard, name not in faulty)
+            self.above.update(name, name not in with_range, name not in faulty)
             out.append(self.above.decide(self.time_s))
         return out
 
@@ -40,11 +40,11 @@ class Flight:
 
 def test_a_ground_that_is_not_heard_any_more_is_not_above_the_maximum() -> None:
     flight = Flight()
-    flight.fly(10.0, heard=NAMES)
+    flight.fly(10.0, with_range=NAMES)
     flight.see()
     assert not any(flight.fly(30.0)), "nobody has climbed 5 m"
     flight = Flight()
-    flight.fly(10.0, to_m=7.5, heard=NAMES)
+    flight.fly(10.0, to_m=7.5, with_range=NAMES)
     flight.see()
     assert any(flight.fly(1.0, to_m=8.0))
     assert all(flight.fly(20.0, to_m=10.0))
@@ -60,7 +60,7 @@ def test_a_descent_that_nobody_hears_ends_what_was_above_the_maximum() -> None:
 
 def test_without_a_barometer_it_counts_what_a_vehicle_can_climb() -> None:
     flight = Flight(barometer=False)
-    flight.fly(2.0, heard=NAMES)
+    flight.fly(2.0, with_range=NAMES)
     flight.see()
     out = flight.fly(5.0)
     # 5.35 m at 2 m/s^2.
@@ -68,7 +68,7 @@ def test_without_a_barometer_it_counts_what_a_vehicle_can_climb() -> None:
     assert all(out[out.index(True) :])
     rising = Flight(barometer=False)
     rising.height_m = 7.0
-    rising.fly(2.0, heard=NAMES)
+    rising.fly(2.0, with_range=NAMES)
     rising.see(climb_m_s=3.0)
     assert rising.fly(1.0).index(True) <= 2
 
@@ -77,25 +77,25 @@ def test_where_no_ground_was_ever_seen_all_sensors_must_miss_it_for_three_turns(
     out = Flight().fly(2.0)
     assert out.index(True) == 11
     assert Flight().fly(2.0, faulty="b").index(True) == 11, "a dead sensor has no vote"
-    assert not any(Flight().fly(2.0, heard="c"))
+    assert not any(Flight().fly(2.0, with_range="c"))
     assert not any(Flight().fly(2.0, faulty=NAMES))
 
 
 def test_one_outlier_in_cruise_changes_nothing_and_two_that_hear_the_ground_do() -> None:
     flight = Flight()
     flight.fly(3.0)
-    assert all(flight.fly(1.0, heard="b"))
-    assert not flight.fly(1.0, heard="ab")[-1]
+    assert all(flight.fly(1.0, with_range="b"))
+    assert not flight.fly(1.0, with_range="ab")[-1]
 
 
 @pytest.mark.parametrize(("height_m", "above"), [(7.34, False), (7.36, True)])
 def test_the_ground_may_be_lost_30_cm_below_the_maximum(height_m: float, above: bool) -> None:
     flight = Flight()
     flight.height_m = height_m
-    flight.fly(10.0, heard=NAMES)
+    flight.fly(10.0, with_range=NAMES)
     flight.see()
     for name in NAMES:
-        flight.above.note(name, True, True)
+        flight.above.update(name, True, True)
     assert flight.above.decide(flight.time_s) is above
 
 
@@ -104,7 +104,7 @@ def test_a_climb_may_be_three_standard_deviations_longer_than_the_barometer_says
     """Its drift is 1.04 m in 100 s."""
     flight = Flight()
     flight.height_m = height_m
-    flight.fly(10.0, heard=NAMES)
+    flight.fly(10.0, with_range=NAMES)
     flight.see()
     assert flight.fly(100.0)[-1] is above
 
@@ -112,7 +112,7 @@ def test_a_climb_may_be_three_standard_deviations_longer_than_the_barometer_says
 def test_without_a_barometer_no_vehicle_climbs_faster_than_five_metres_a_second() -> None:
     flight = Flight(barometer=False)
     flight.height_m = 0.1
-    flight.fly(2.0, heard=NAMES)
+    flight.fly(2.0, with_range=NAMES)
     flight.see(climb_m_s=20.0)
     # 7.25 m at 5 m/s.
     assert flight.fly(3.0).index(True) == pytest.approx(14, abs=1)

@@ -400,7 +400,7 @@ class CountingBus(EmulatedBus):
         return super().read(address, count)
 
 
-def flown(foretells: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]], int]:
+def flown(reports_busy: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]], int]:
     """What 3 s of polling two sensors give, and how many reads it took; the clocks do not begin at the same time."""
     clock = VirtualClock(1000.1)
 
@@ -411,7 +411,7 @@ def flown(foretells: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]], i
         return 20 + int(ping_s * 997) % 746
 
     sonars = [EmulatedMB1242(0x70, now, echo, faults=faults), EmulatedMB1242(0x71, now, echo)]
-    bus = CountingBus(sonars, now, foretells=foretells)
+    bus = CountingBus(sonars, now, reports_busy=reports_busy)
     sensors = [PolledSensor(hex(each.address), MB1242(bus, each.address), AnswerTiming(0.021, 0.08)) for each in sonars]
     poller = Poller(bus, clock, RoundRobin([[each] for each in sensors], Spacing(0.1), clock.now()))
     rangings: list[tuple[Ranging, str]] = []

@@ -81,7 +81,7 @@ def test_a_reference_in_a_table_with_another_clock(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("truth", "said"),
+    ("truth", "expected"),
     [
         ("mocap@{csv}", "of a CSV file --truth needs the column"),
         ("column:height@{csv}", "there is no column 'height'"),
@@ -91,10 +91,10 @@ def test_a_reference_in_a_table_with_another_clock(tmp_path: Path) -> None:
         ("column:flat@{csv}", "do not show the same flight"),
     ],
 )
-def test_what_cannot_be_used_is_a_line(tmp_path: Path, truth: str, said: str) -> None:
+def test_what_cannot_be_used_is_a_line(tmp_path: Path, truth: str, expected: str) -> None:
     rows = [f"{time_s:.1f},up,{0.001 * (time_s % 1.0)}" for time_s in np.arange(0.0, 60.0, 0.1)]
     (tmp_path / "a.csv").write_text("\n".join(["t,word,flat", *rows]))
     given = truth.format(csv=tmp_path / "a.csv", px4=LOGS / "px4.ulg")
     done = run("import", LOGS / "arducopter.BIN", "--truth", given, "--out", tmp_path / "set")
     assert done.exit_code == 3, done.output
-    assert said in done.output
+    assert expected in done.output

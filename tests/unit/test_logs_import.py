@@ -261,7 +261,7 @@ def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["{logs}/arducopter.BIN", "--truth", "rtk2"], "--truth rtk2: expected recorded:"),
         (["{logs}/px4.ulg", "--truth", "mocap"], "no mocap in this log. References that it has: barometer, simulator"),
@@ -275,14 +275,14 @@ def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
         (["{logs}/px4.ulg", "{logs}/px4.ulg"], "px4"),
     ],
 )
-def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str], expected: str) -> None:
     (tmp_path / "empty.bin").touch()
     (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     given = [each.format(logs=LOGS, tmp=tmp_path) for each in arguments]
     done = run("import", *given, "--out", tmp_path / "set")
     assert done.exit_code == 3, done.output
-    assert said in done.output
+    assert expected in done.output
     assert done.output.count("\n") == 1
 
 

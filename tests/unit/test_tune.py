@@ -13,7 +13,7 @@ from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
-from msp_range.filters.tune import UNTOLD, log_likelihood, tune, without_outliers
+from msp_range.filters.tune import NOT_COUNTED, log_likelihood, tune, without_outliers
 from msp_range.recording.writer import Recorder
 from tests.support.bench import CONFIGS
 
@@ -50,7 +50,7 @@ def test_the_likelihood_is_that_of_the_filters_innovations(moving: bool) -> None
         else:
             kalman.predict(F=np.eye(1), Q=np.array([[q]]))
         kalman.update(np.array([[track[i][1]]]), R=np.array([[r_m2]]))
-        if i > UNTOLD:
+        if i > NOT_COUNTED:
             total += kalman.log_likelihood
     assert log_likelihood(track, moving, q, r_m2) == pytest.approx(total, rel=1e-9)
 

@@ -40,7 +40,7 @@ LITTLE = 0.6
 """A sensor with less than this share of the best one's echoes looks aside, and its place is not compared: few readings
 at the edge of its beam, among outliers, would place it."""
 SEES_FLOOR = 0.3
-"""A sensor that the file has looking elsewhere looks down if this share of its pings hears the floor."""
+"""A sensor that the file has looking elsewhere looks down if this share of its pings gets an echo of it."""
 LATE_S = 0.10
 """Attitudes that are later than this [s] are reported: at 20 deg/s a sensor 0.25 m away is 1 cm off."""
 FOLLOWS_M = 0.15
@@ -266,7 +266,7 @@ def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim:
 
 
 def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
-    """Say so where two sensors sit at each other's place."""
+    """Report two sensors that sit at each other's place."""
     places_m = {sensor.name: sensor.position_m for sensor in airframe.sensors}
 
     def sits_at(name: str, other: str) -> bool:

@@ -72,7 +72,7 @@ class TimedBus:
         return answer
 
     def busy_s(self, address: int) -> float:
-        """Not told, because attempts take time."""
+        """Not reported, because attempts take time."""
         return 0.0
 
     def reopen(self) -> None:

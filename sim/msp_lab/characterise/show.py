@@ -9,9 +9,8 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.answers import Kind, conclusions
+from msp_lab.characterise.page.answers import Kind, conclusions, summarise
 from msp_lab.characterise.page.text import interval
 
 STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from msp_range.extras import require
-from msp_range.user_errors import report_user_errors
 
 app = typer.Typer()
 
@@ -20,7 +19,6 @@ Reads gap.json of DIR, the folder of 'msp-lab gap'. Example:
 """
 
 
-@report_user_errors
 def _design(
     gap: Annotated[Path, typer.Argument(metavar="GAP_DIR", help="folder that 'msp-lab gap' made")],
 ) -> None:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from msp_range.extras import require
-from msp_range.user_errors import report_user_errors
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import OwnEffects
 
@@ -84,7 +83,6 @@ SHOW = "Step 4 of gap: draw the gap before and after, and write the page."
 def _from_readings(last: Last) -> Callable[..., None]:
     """A command that takes readings and a model, and works up to this step."""
 
-    @report_user_errors
     def command(
         measured: Measured,
         model: Reference,
@@ -117,7 +115,6 @@ def _from_readings(last: Last) -> Callable[..., None]:
 def _in_folder(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
     """A command that continues with what an earlier one left in a folder."""
 
-    @report_user_errors
     def command(out: OutArgument, effects: OwnEffects = None) -> None:
         _run(out, effects, step)
 
@@ -155,7 +152,6 @@ def _run_sensors(measured: list[Path], settings: "Settings", out: Path, effects:
     print_sensors(gaps, messages, out)
 
 
-@report_user_errors
 def _demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for flights, models and findings")] = Path(
         "flights/gap-demo"

@@ -54,24 +54,9 @@ WANTED = {
 """Messages and fields that are read; names of old versions next to today's."""
 
 
-def read_ardupilot(path: Path, progress: Progress, extra: str = "") -> VehicleLog:
-    """Read a log.
-
-    Parameters
-    ----------
-    path
-        The file.
-    progress
-        Called with the share that is read.
-    extra
-        ``MESSAGE.FIELD`` of a reference in the log, as ``--truth column:`` names it.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read.
-    """
-    message, _, field = extra.partition(".")
+def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> VehicleLog:
+    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``MESSAGE.FIELD``."""
+    message, _, field = named_field.partition(".")
     wanted = WANTED | ({message: (*WANTED.get(message, ("TimeUS", "TimeMS")), field)} if field else {})
     found, lost = read_messages(path, wanted, progress)
     parameters = _parameters(found)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from msp_range.extras import require
-from msp_range.user_errors import report_user_errors
 
 if TYPE_CHECKING:
     from msp_lab.logs.importing import Imported
@@ -30,7 +29,6 @@ reference from another file and aligns the clocks: mocap@room.bag, column:z*0.00
 """
 
 
-@report_user_errors
 def _import(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="logs, each of which becomes a run")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="folder for the dataset")],

@@ -99,7 +99,7 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
                         end = max(end, places[-1] + form.len)
                         in_messages += len(places) * form.len
                         if form.name in wanted:
-                            _take(found, piece, places, form, wanted[form.name])
+                            _add_values(found, piece, places, form, wanted[form.name])
                 bad += end - begins - in_messages
                 if len(piece) - begins - in_messages > MOST_BAD_BYTES:
                     if not formats:
@@ -152,7 +152,7 @@ def _layout(form: Any) -> np.dtype[Any]:
     return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
 
 
-def _take(
+def _add_values(
     found: dict[str, dict[str, list[NDArray[Any]]]],
     piece: bytes,
     places: Sequence[int],

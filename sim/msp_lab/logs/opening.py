@@ -55,7 +55,7 @@ def open_log(
     progress
         Called with the share that is read.
     field
-        MESSAGE.FIELD that is to be read as a reference; empty: none.
+        The field that is to be read as a reference, as ``--truth column:`` names it; empty: none.
     column_map
         Columns of a CSV file.
     maximum_cm

@@ -50,24 +50,9 @@ _EVERY_BYTES = 2**20
 _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-def read_px4(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
-    """Read a log.
-
-    Parameters
-    ----------
-    path
-        The file.
-    progress
-        Called with the share that is read.
-    extra
-        ``topic.field`` of a reference in the log, as ``--truth column:`` names it.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read.
-    """
-    topic, _, field = extra.partition(".")
+def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
+    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``topic.field``."""
+    topic, _, field = named_field.partition(".")
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):

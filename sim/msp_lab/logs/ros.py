@@ -69,24 +69,9 @@ class _Topic:
         return series(f"{self.name}.{field}" if field else self.name, np.array(self._time_s), found)
 
 
-def read_bag(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
-    """Read a bag.
-
-    Parameters
-    ----------
-    path
-        The file, or the folder of a ROS 2 bag.
-    progress
-        Called with the share that is read.
-    extra
-        ``/topic.field.of.field`` of a reference in the bag, as ``--truth column:`` names it.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read.
-    """
-    topic, _, field = extra.partition(".")
+def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
+    """Read a bag, as `msp_lab.logs.opening.open_log`; its fields are named ``/topic.field.of.field``."""
+    topic, _, field = named_field.partition(".")
     topics: dict[str, _Topic] = {}
     columns: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]

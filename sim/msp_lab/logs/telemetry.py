@@ -83,28 +83,13 @@ class _Columns:
         return np.array(self.values[name])
 
 
-def read_telemetry(path: Path, progress: Callable[[float], None], extra: str = "") -> VehicleLog:
-    """Read a log.
-
-    Parameters
-    ----------
-    path
-        The file.
-    progress
-        Called with the share that is read.
-    extra
-        ``MESSAGE.field`` of a reference in the log, as ``--truth column:`` names it.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read, or is no such log.
-    """
-    message, _, field = extra.partition(".")
+def read_telemetry(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
+    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``MESSAGE.field``."""
+    message, _, field = named_field.partition(".")
     fields = dict(FIELDS) | ({message: (*FIELDS.get(message, ()), field)} if field else {})
     ids = {kind.id: kind.msgname for kind in dialect.mavlink_map.values() if kind.msgname in fields}
     if field and (message not in ids.values() or field not in _kind(message).fieldnames):
-        raise RecordingError(f"{path}: MAVLink's common messages have no {extra}")
+        raise RecordingError(f"{path}: MAVLink's common messages have no {named_field}")
     distances: dict[tuple[int, int, int], _Columns] = {}
     flight: dict[str, _Columns] = {}
     senders: dict[str, tuple[int, int]] = {}

@@ -41,13 +41,13 @@ class EmulatedBus:
         The time [s], the same clock as the devices'. Used for faults of the kind "locked_up" only.
     nack_errno
         What the adapter's driver reports where nobody acknowledges: 121 on a Raspberry Pi, 6 or 19 on others.
-    foretells
-        Whether `busy_s` is told, as far as no device has faults: in virtual time the attempts to read a busy
+    reports_busy
+        Whether `busy_s` is reported, as far as no device has faults: in virtual time the attempts to read a busy
         sensor are all that happens then.
 
     Notes
     -----
-    Devices that share an address all hear a write, which fails only where none acknowledges it. A read gives the AND
+    Devices that share an address all receive a write, which fails only where none acknowledges it. A read gives the AND
     of their bytes: a line is high only where nobody pulls it low.
 
     A transfer that fails raises BusError with ``nack_errno`` or, where the bus is locked up, 110.
@@ -58,13 +58,13 @@ class EmulatedBus:
         devices: Sequence[Device],
         now: Callable[[], float],
         nack_errno: int = errno.EREMOTEIO,
-        foretells: bool = False,
+        reports_busy: bool = False,
     ) -> None:
         self._devices = tuple(devices)
         self._now = now
         self._nack_errno = nack_errno
         self._lock_ups = [fault for device in devices for fault in device.faults if fault.kind == "locked_up"]
-        self._foretells = foretells and not any(device.faults for device in devices)
+        self._reports_busy = reports_busy and not any(device.faults for device in devices)
         self._closed = False
         self._have_second_addresses = any(hasattr(device, "also_at") for device in devices)
 
@@ -97,8 +97,8 @@ class EmulatedBus:
         return answer
 
     def busy_s(self, address: int) -> float:
-        """For how long no device at ``address`` will answer a read [s]; 0: not told."""
-        if not self._foretells:
+        """For how long no device at ``address`` will answer a read [s]; 0: not reported."""
+        if not self._reports_busy:
             return 0.0
         until_s = min([getattr(device, "busy_until_s", -math.inf) for device in self._at(address)], default=-math.inf)
         return max(until_s - self._now() - ROUNDING_S, 0.0)

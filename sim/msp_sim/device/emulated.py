@@ -30,7 +30,7 @@ KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, Any]], None]
 class EmulatedSensor:
     """One sensor's pings: what they meet, and what the sensor makes of it.
 
-    What a ping meets is the context from which the sensor's model draws the reading. Where it hears nothing within its
+    What a ping meets is the context from which the sensor's model draws the reading. Where it gets no echo within its
     beam, the true range is unknown to the model.
 
     Parameters
@@ -143,4 +143,4 @@ def emulated_bus(
         timing = ranging_timing(kind, model if same_kind else sensor.sensor_model)
         echo = within_limits(emulated.echo, model, kind)
         devices.append(kind(sensor.address, now, echo, timing, faults.get(sensor.name, ()), chance))
-    return EmulatedBus(devices, now, foretells=True)
+    return EmulatedBus(devices, now, reports_busy=True)

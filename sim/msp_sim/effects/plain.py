@@ -29,7 +29,7 @@ FRACTIONS = {
 }
 """Shares that people say in words."""
 NEAR = 0.03
-"""A share within this of a fraction is said as that fraction; the exact number is in the table next to the sentence."""
+"""A share within this of a fraction is written as it; the exact number is in the table next to the sentence."""
 MOST = 0.97
 """From this share on it is nearly all readings."""
 MOST_TIMES = 1000.0

@@ -381,11 +381,11 @@ def _entry(entry: Mapping[str, Any], place: str) -> Term:
     if not isinstance(parameters, dict):
         raise ConfigError(f"{place}.parameters: found {parameters!r}, expected names with numbers")
     values = {}
-    for key, said in parameters.items():
-        value = said.get("value") if isinstance(said, dict) else said
+    for key, found in parameters.items():
+        value = found.get("value") if isinstance(found, dict) else found
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ConfigError(
-                f"{place}.parameters.{key}: found {said!r}, expected a number, or a mapping with its 'value'"
+                f"{place}.parameters.{key}: found {found!r}, expected a number, or a mapping with its 'value'"
             )
         values[str(key)] = float(value)
     return make_term(str(entry.get("name")), entry.get("of"), values, place)

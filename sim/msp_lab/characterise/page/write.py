@@ -4,10 +4,9 @@ from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
-from msp_lab.characterise.answer import summarise
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, questions, range_error
-from msp_lab.characterise.page.answers import conclusions
+from msp_lab.characterise.page.answers import conclusions, summarise
 from msp_lab.characterise.page.picture_data import Absent, Entry, PictureData
 from msp_lab.characterise.page.points_table import make_points_table
 from msp_range.reading_model.sensor_model import SensorModel
