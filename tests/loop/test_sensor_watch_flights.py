@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from msp_range.assembly import sensor_watch_of
 from msp_range.clock import VirtualClock
+from msp_range.health import SensorWatch
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
@@ -49,6 +51,19 @@ def test_nothing_is_found_of_sensors_in_order(name: str) -> None:
 def test_a_vehicle_that_begins_to_move_over_rough_grass_has_no_noisy_sensor() -> None:
     """Steps of 14 cm below one sensor, while the others' scatter was still that of a hover."""
     assert texts(load_scenario(SCENARIOS / "rough_grass.yaml"), 121) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_found_where_the_effects_are_those_of_the_model(seed: int, tmp_path: Path) -> None:
+    """By the model file's ``in_flight``: without it the watch is off, and says so."""
+    models, terrain = SCENARIOS.parent / "sensors", SCENARIOS / "terrain.yaml"
+    airframe = (SCENARIOS.parent / "quad_pallet.yaml").read_text()
+    (tmp_path / "airframe.yaml").write_text(airframe.replace("sensors/mb1242.yaml", f"{models}/mb1242_in_flight.yaml"))
+    (tmp_path / "terrain.yaml").write_text(terrain.read_text().replace("../quad_pallet.yaml", "airframe.yaml"))
+    scenario = load_scenario(tmp_path / "terrain.yaml")
+    assert isinstance(sensor_watch_of(scenario.airframe), SensorWatch)
+    assert texts(scenario, seed) == []
 
 
 @pytest.mark.slow

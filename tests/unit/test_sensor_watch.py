@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 import pytest
 
 from msp_range.assembly import expected_of, sensor_watch_of
+from msp_range.config import load_airframe
 from msp_range.health import Expected, GroundUse, SensorWatch
 from msp_range.health.evidence import Evidence, Occurrences
 from msp_range.health.finding import LONGEST_TEXT, Kind, SensorFinding
@@ -15,6 +17,8 @@ from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
 from msp_range.health.sensor_watch import missed_share
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
+from msp_sim.model.in_flight import in_flight
+from msp_sim.model.model import Model
 from tests.sensor_watch.drawn import MODEL, NAMES, SLOT_S, STD_M, TURN_S, Fault, Ground, draw, feed, watch_of
 from tests.support.bench import CONFIGS, FOUR_DOWN, airframe
 
@@ -254,6 +258,29 @@ def test_the_watch_says_why_it_is_off() -> None:
         "sensors/mb1242_bench.yaml: no numbers (in_flight) of what beyond_field_of_view, crosstalk, external_source, "
         "small_target make of the readings"
     )
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_watch_is_on_for_each_airframe_with_a_fused_stream(path: Path) -> None:
+    shipped = load_airframe(path)
+    watch = sensor_watch_of(shipped)
+    if shipped.send.fused is None:
+        assert watch == "there is no fused stream to compare with"
+    else:
+        assert isinstance(watch, SensorWatch), watch
+
+
+def test_the_watch_is_on_with_the_model_that_has_effects() -> None:
+    """Its numbers are those of the command in docs/watching.md, and about what it makes of a hover at 3 m."""
+    watched = load_sensor_model(CONFIGS / "sensors" / "mb1242_in_flight.yaml")
+    numbers = expected_of(watched, DOWN, TURN_S)
+    assert isinstance(numbers, Expected)
+    contexts = {"true_range_cm": np.full(500, 300.0), "throttle": np.full(500, 0.5)}
+    hover = in_flight(Model.of(watched), contexts, np.random.default_rng(1))
+    assert hover is not None
+    assert numbers.short == pytest.approx(hover.short, rel=0.4)
+    assert numbers.missed == pytest.approx(hover.missed, rel=0.1)
+    assert numbers.spread * watched.reading_model.sigma_cm == pytest.approx(hover.sigma_cm, rel=0.1)
 
 
 def test_plain_numbers_for_the_flight_take_the_place_of_the_base_models() -> None:
