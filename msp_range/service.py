@@ -24,6 +24,7 @@ from msp_range.health import Report, Severity
 from msp_range.log import Log
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
+from msp_range.plausible import doubts
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
 from msp_range.watch.feed import FeedError
@@ -223,6 +224,8 @@ def _fly(
     """Fly an airframe until a signal arrives or the airframe changes."""
     airframe = flown.airframe
     log.info("started", vehicle=airframe.vehicle, bus=str(flown.bus.path), link=airframe.link.url, pid=os.getpid())
+    for text in doubts(airframe):
+        log.warning("airframe file", doubt=text)
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
     watch: Watch | None = None
 

@@ -44,9 +44,11 @@ def await_distances(end: LinkEnd, count: int) -> None:
     end.run_until(lambda: len(end.distances) >= wanted)
 
 
-def with_fused_id(number: int) -> str:
+def with_fused_id(number: int, **first: object) -> str:
+    """The airframe file with another id of its fused stream, and other keys of its first sensor."""
     content = yaml.safe_load(AIRFRAME.read_text())
     content["send"]["fused"]["id"] = number
+    content["sensors"][0] |= first
     for sensor in content["sensors"]:
         sensor["model"] = str(AIRFRAME.parent / sensor["model"])
     return yaml.safe_dump(content)
@@ -74,7 +76,7 @@ def fused_ids(end: LinkEnd, count: int) -> set[int]:
 
 def test_sighup_reloads_the_airframe_file(tmp_path: Path) -> None:
     with flying(tmp_path) as (service, end, airframe):
-        airframe.write_text(with_fused_id(NEW_ID))
+        airframe.write_text(with_fused_id(NEW_ID, position_m=[30, 0, 0]))
         service.process.send_signal(signal.SIGHUP)
         asked_s = time.monotonic()
         end.run_until(lambda: NEW_ID in fused_ids(end, 4))
@@ -86,6 +88,8 @@ def test_sighup_reloads_the_airframe_file(tmp_path: Path) -> None:
         assert service.stop() == 0
         started = [each for each in service.log() if each["event"] == "started"]
         assert [each["pid"] for each in started] == [service.process.pid] * 2
+        (doubt,) = [each["doubt"] for each in service.log() if each["event"] == "airframe file"]
+        assert "is it 30 cm, so 0.3?" in doubt
     # What was flown is in its recording.
     recordings = sorted((tmp_path / "flights").iterdir(), key=lambda path: path.stat().st_mtime_ns)
     ids = [yaml.safe_load(Recording(path).files["airframe.yaml"])["send"]["fused"]["id"] for path in recordings]
