@@ -3,7 +3,8 @@
 from msp_range.health.below import Observation, ObservationsBelow
 from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
+from msp_range.health.expected import Expected
 from msp_range.health.neighbours import GroundUse
 from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
-from msp_range.health.sensor_watch import Expected, SensorWatch
+from msp_range.health.sensor_watch import SensorWatch

@@ -27,10 +27,10 @@ bound holds where the model's numbers, or the others' where they replace them, a
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msp_range.geometry import Vector
 from msp_range.health.evidence import Evidence, Occurrences
+from msp_range.health.expected import Expected, missed_share
 from msp_range.health.finding import Kind, SensorFinding
 from msp_range.health.neighbours import GroundUse, Sighting, reference
 
@@ -88,43 +88,6 @@ BAROMETER_M_S = 0.3
 """A single sensor's repeats count as far as the barometer's climb is more than this [m/s], its error."""
 MOST_NEIGHBOURS = 3
 """Readings before and after one among which its reference is looked for: a turn of four sensors."""
-MOST_LOG_ODDS = 600.0
-"""Growth with range of the log odds of a missed echo, at most: what the exponential function bears."""
-WEIGHTS_M = 3.0
-"""Range to which the share of missed echoes in a model file refers [m]: `sensor_model.WEIGHTS_RANGE_CM`."""
-
-
-class Expected(NamedTuple):
-    """What a sensor's model says of its readings, as plain numbers.
-
-    Attributes
-    ----------
-    short, missed, random
-        Shares of the readings.
-    missed_growth_per_m
-        Growth of the log odds of a missed echo with range, from 3 m on [1/m].
-    correlation
-        Of the errors of two readings a turn apart.
-    spread
-        Deviation of the readings in flight over the one that they come with.
-    minimum_m, maximum_m
-        Limits of the ranges [m].
-    boresight
-        Unit vector along which it looks, body FRD.
-    facing_cosine
-        Of the largest angle between it and straight down at which level ground gives an echo for sure.
-    """
-
-    short: float
-    missed: float
-    random: float
-    missed_growth_per_m: float
-    correlation: float
-    spread: float
-    minimum_m: float
-    maximum_m: float
-    boresight: Vector = (0.0, 0.0, 1.0)
-    facing_cosine: float = 0.0
 
 
 class _Sensor:
@@ -434,9 +397,3 @@ class SensorWatch:
             return own.faces_level
         x, y, z = own.expected.boresight
         return down[0] * x + down[1] * y + down[2] * z > own.expected.facing_cosine
-
-
-def missed_share(expected: Expected, range_m: float) -> float:
-    """Share of missed echoes at a range."""
-    missed, growth = expected.missed, expected.missed_growth_per_m * (range_m - WEIGHTS_M)
-    return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))

@@ -245,7 +245,8 @@ def check_effect(
     from msp_range.sensors.table import DRIVERS
     from msp_range.yaml_file import config_path
     from msp_sim.effects.own import effects_of_file
-    from msp_sim.model.contract import own_columns, run_checks
+    from msp_sim.model.contract import run_checks
+    from msp_sim.model.trial import own_columns
 
     on = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
     failed = False

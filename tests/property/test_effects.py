@@ -10,8 +10,9 @@ import pytest
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
-from msp_sim.model.contract import CHECKS, CODES, Check, Trial, contexts, uniformity
+from msp_sim.model.contract import CHECKS, CODES, Check, uniformity
 from msp_sim.model.model import Model
+from msp_sim.model.trial import Trial, contexts
 from tests.support.curves import with_curve
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")

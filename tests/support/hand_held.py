@@ -18,7 +18,7 @@ from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import VirtualClock
 from msp_range.commission.operator import Motion
-from msp_range.commission.steps.lift import SIDES
+from msp_range.commission.steps.directions import SIDES
 from msp_range.config import Airframe
 from msp_range.geometry import angle_between, boresight
 from msp_range.mavlink.dialect import dialect

@@ -26,8 +26,8 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.own import effects_of_file
 from msp_sim.effects.plain import plain_finding
-from msp_sim.model.contract import strong_values
 from msp_sim.model.model import Model
+from msp_sim.model.trial import strong_values
 from tests.support.measured import MODEL, readings
 from tests.unit.test_gap_findings import gap
 

@@ -10,7 +10,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Array, Record, Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
-from msp_range.commission.steps.lift import compare_places
+from msp_range.commission.steps.places import compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import right, unknown, wrong
 from msp_range.recording.reader import Recording

@@ -1,19 +1,18 @@
 """Lift the vehicle by hand, tilt it and rock it: signs of the attitude, places and directions of the sensors."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from msp_range.commission.edit import Edit
-from msp_range.commission.look import Axis, axis_of
 from msp_range.commission.motion import Measured, NotMeasured, Places, places
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Proposal, StepOutcome, shown
+from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.session import Session
-from msp_range.config import Airframe, SensorSettings
+from msp_range.commission.steps.directions import SIDES, compare_directions
+from msp_range.commission.steps.places import compare_places
+from msp_range.config import Airframe
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 
 FLOOR_S, HOLD_S, TILT_S, ROCK_S = 3.0, 5.0, 4.0, 40.0
@@ -23,24 +22,12 @@ LEAD_S = 3.0
 """Time to get there [s]; recorded too, as it moves."""
 TILTED_DEG = 7.0
 """A guided tilt of 15 degrees has to change the attitude by this [deg]; less is no tilt, or another axis."""
-SIDEWAYS_M, DEEPER_M = 0.05, 0.02
-"""A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm costs 1 cm at 10
-degrees."""
 LIFTED_M = 0.3
 """The lift has to make the distances longer by this [m]: with less, it does not show which sensors look at the
 floor."""
 FOLLOWED = 0.3
 """A sensor looks at the floor if its distance grew as those of most, to this share of it. The sensor's minimum hides
 some centimetres of the floor's distance; a wall does not grow at all."""
-WIDEST_M = 0.10
-"""Wider intervals [m] do not check a place: the vehicle was hardly tilted."""
-TURNED_DEG = 8.0
-"""A direction in the file that differs by less [deg] stays, whatever the echoes exclude."""
-LITTLE = 0.6
-"""A sensor with less than this share of the best one's echoes looks aside, and its place is not compared: few readings
-at the edge of its beam, among outliers, would place it."""
-SEES_FLOOR = 0.3
-"""A sensor that the file has looking elsewhere looks down if this share of its pings gets an echo of it."""
 LATE_S = 0.10
 """Attitudes that are later than this [s] are reported: at 20 deg/s a sensor 0.25 m away is 1 cm off."""
 FOLLOWS_M = 0.15
@@ -53,16 +40,6 @@ down, and to rock it slowly to all sides. The first instruction comes at once, a
 BOARD_TEXT = """\
 Some sensors do not see the floor. Put the vehicle on a table, and hold a board or a big book half a metre in front of
 it, then at its other sides, as you are asked to."""
-SIDES = {
-    "front": (0.0, 0.0),
-    "right": (0.0, 90.0),
-    "rear": (0.0, 180.0),
-    "left": (0.0, 270.0),
-    "top": (90.0, 0.0),
-}
-"""Pitch and yaw of the direction to each side [deg]."""
-BOARD_M = (0.25, 0.85)
-"""Distances that a board half a metre away gives [m]."""
 BOARD_S = 3.0
 
 
@@ -171,7 +148,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
     except NotMeasured as error:
         outcome.findings.append(wrong("places", str(error), "then again"))
         return outcome
-    dim = _axes(airframe, recorded, found, outcome)
+    dim = compare_directions(airframe, recorded.all, recorded.boards, found, outcome)
     compare_places(airframe, found, outcome, dim)
     _lag(found, outcome)
     _came_back(airframe, recorded, outcome)
@@ -222,162 +199,6 @@ def _attitude_deg(part: Samples) -> np.ndarray[tuple[int], np.dtype[np.float64]]
         return None
     median: np.ndarray[tuple[int], np.dtype[np.float64]] = np.degrees(np.median(part.attitude[:, 1:], axis=0))
     return median
-
-
-def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim: Sequence[str] = ()) -> None:
-    """Add what the measured places mean for the airframe file, but for sensors that see little of the floor."""
-    mirrored: dict[int, list[str]] = {0: [], 1: []}
-    for i, sensor in enumerate(airframe.sensors):
-        measured = found.position_m.get(sensor.name)
-        if measured is None:
-            continue
-        if sensor.name in dim:
-            text = "it looks aside and sees little of the floor"
-            outcome.findings.append(unknown(f"place of {sensor.name}", text, "turn it, then: --step lift"))
-            continue
-        edits, parts = [], []
-        for axis, (name, each, in_file) in enumerate(zip(("x", "y", "z"), measured, sensor.position_m, strict=True)):
-            if each.half_width > WIDEST_M:
-                text = f"{name} {shown(each)} is not known well enough"
-                remedy = "rock it by 15 to 20 degrees to all sides, slowly, 1 m over the floor"
-                outcome.findings.append(unknown(f"place of {sensor.name}", text, remedy))
-                outcome.complete = False
-                continue
-            if not each.differs_from(in_file, DEEPER_M if axis == 2 else SIDEWAYS_M):
-                continue
-            is_mirrored = axis < 2 and abs(each.value + in_file) <= max(each.half_width, SIDEWAYS_M)
-            if is_mirrored:
-                mirrored[axis].append(sensor.name)
-            value = -in_file if is_mirrored else round(each.value, 2)
-            edits.append(Edit(("sensors", i, "position_m", axis), value))
-            parts.append(f"{name} {shown(each)}, {in_file:g} in the file{': wrong sign' if is_mirrored else ''}")
-        if edits:
-            outcome.proposals.append(Proposal(f"{sensor.name}: {'; '.join(parts)}", tuple(edits)))
-        else:
-            at = ", ".join(f"{each.value:.2f}" for each in measured)
-            widest = max(each.half_width for each in measured)
-            outcome.findings.append(right(f"place of {sensor.name}", f"[{at}] m, each to {widest:.2f}, as in the file"))
-    for axis, (letter, meaning) in enumerate((("x", "forward"), ("y", "to the right"))):
-        of_axis = [sensor.name for sensor in airframe.sensors if abs(sensor.position_m[axis]) > SIDEWAYS_M]
-        if len(of_axis) > 1 and set(of_axis) == set(mirrored[axis]):
-            text = f"every {letter} in the file has the wrong sign: positions count {meaning}"
-            outcome.findings.append(unknown("places", text, "the changes below turn them round"))
-    _exchanged(airframe, found, outcome)
-
-
-def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
-    """Report two sensors that sit at each other's place."""
-    places_m = {sensor.name: sensor.position_m for sensor in airframe.sensors}
-
-    def sits_at(name: str, other: str) -> bool:
-        measured = found.position_m.get(name)
-        return measured is not None and all(
-            abs(each.value - there) <= max(each.half_width, SIDEWAYS_M)
-            for each, there in zip(measured, places_m[other], strict=True)
-        )
-
-    names = list(places_m)
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
-            if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
-                text = f"{one} and {other} sit at each other's place"
-                outcome.findings.append(
-                    unknown("places", text, "if their addresses are exchanged: msp-range commission --step addresses")
-                )
-
-
-def _axes(airframe: Airframe, recorded: Recorded, found: Places, outcome: StepOutcome) -> list[str]:
-    """Add what the echoes say of the directions; names of sensors that see little of the floor."""
-    without_floor, shares = [], {}
-    for i, sensor in enumerate(airframe.sensors):
-        if sensor.name not in recorded.all.readings:
-            outcome.findings.append(
-                wrong(f"direction of {sensor.name}", "no reading", "msp-range commission --step wires")
-            )
-            continue
-        if sensor.sensor_model.medium != "sound":
-            outcome.findings.append(unknown(f"direction of {sensor.name}", "a ray has no cone: not measured"))
-            continue
-        measured = found.position_m.get(sensor.name)
-        place = np.array([each.value for each in measured] if measured else sensor.position_m)
-        axis = axis_of(recorded.all, sensor.name, found, place, np.array(sensor.boresight), sensor.sensor_model.beam)
-        shares[sensor.name] = axis.floor_share
-        looks_down = sensor.tilt_from_down_rad < math.radians(45)
-        if not looks_down and axis.floor_share < SEES_FLOOR:
-            outcome.findings.append(right(f"direction of {sensor.name}", "it does not see the floor, as the file says"))
-        elif axis.boresight is None:
-            without_floor.append(sensor.name)
-            _by_board(i, sensor, recorded.boards, outcome)
-        elif not looks_down or (axis.excluded and axis.from_file_deg > TURNED_DEG):
-            outcome.proposals.append(_turned(i, sensor, axis))
-        else:
-            text = f"within {max(axis.from_file_deg, axis.half_width_deg):.0f} deg of what the file says"
-            outcome.findings.append(right(f"direction of {sensor.name}", text))
-    if without_floor:
-        outcome.measured["without_floor"] = without_floor
-    most = max(shares.values(), default=0.0)
-    return [name for name, share in shares.items() if share < LITTLE * most]
-
-
-def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
-    assert axis.boresight is not None
-    pitch, yaw = rotation_of(axis.boresight)
-    text = (
-        f"{sensor.name} looks to pitch {pitch}, yaw {yaw} (to {axis.half_width_deg:.0f} deg), "
-        f"{axis.from_file_deg:.0f} deg from pitch {sensor.rotation_deg.pitch:g}, yaw {sensor.rotation_deg.yaw:g} in "
-        "the file. Turn the sensor, or change the file"
-    )
-    return Proposal(text, _rotation(i, sensor, pitch, yaw))
-
-
-def rotation_of(boresight: tuple[float, float, float]) -> tuple[int, int]:
-    """Pitch and yaw of a direction, in whole degrees; straight down is pitch -90, yaw 0.
-
-    Examples
-    --------
-    >>> rotation_of((0.0, 0.0, 1.0)), rotation_of((0.0, 0.5, 0.866))
-    ((-90, 0), (-60, 90))
-    """
-    forward, to_right, down = boresight
-    pitch = -round(math.degrees(math.asin(min(max(down, -1.0), 1.0))))
-    if abs(pitch) > 85:
-        return (-90 if pitch < 0 else 90), 0
-    return pitch, round(math.degrees(math.atan2(to_right, forward))) % 360
-
-
-def _rotation(i: int, sensor: SensorSettings, pitch: int, yaw: int) -> tuple[Edit, ...]:
-    edits = []
-    if sensor.rotation_deg.pitch != pitch:
-        edits.append(Edit(("sensors", i, "rotation_deg", "pitch"), pitch))
-    if sensor.rotation_deg.yaw != yaw:
-        edits.append(Edit(("sensors", i, "rotation_deg", "yaw"), yaw))
-    return tuple(edits)
-
-
-def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], outcome: StepOutcome) -> None:
-    """Where a sensor looks that sees the floor at no tilt: to the side where it saw the board."""
-    step = f"direction of {sensor.name}"
-    seen = [side for side, samples in boards.items() if _sees_board(samples, sensor.name)]
-    if len(seen) != 1:
-        tried = "" if not boards else f", and the board at {'several sides' if seen else 'no side'}"
-        remedy = "the file says that it looks down: turn it, clear what is in front of it, or correct rotation_deg"
-        outcome.findings.append(wrong(step, f"it sees the floor at no tilt{tried}", remedy))
-        return
-    pitch, yaw = (round(each) for each in SIDES[seen[0]])
-    text = (
-        f"{sensor.name} sees the board at the vehicle's {seen[0]} and the floor at no tilt, and the file has pitch "
-        f"{sensor.rotation_deg.pitch:g}. Turn the sensor, or change the file to pitch {pitch}, yaw {yaw}"
-    )
-    outcome.proposals.append(Proposal(text, _rotation(i, sensor, pitch, yaw)))
-
-
-def _sees_board(samples: Samples, name: str) -> bool:
-    if name not in samples.readings:
-        return False
-    range_m = samples.readings[name].range_m
-    near = (range_m > BOARD_M[0]) & (range_m < BOARD_M[1])
-    return len(range_m) > 0 and float(near.mean()) > 0.5
 
 
 def _lag(found: Places, outcome: StepOutcome) -> None:

@@ -1,0 +1,50 @@
+"""What a sensor model says of the readings of a sensor, as plain numbers."""
+
+import math
+from typing import NamedTuple
+
+from msp_range.geometry import Vector
+
+MOST_LOG_ODDS = 600.0
+"""Growth with range of the log odds of a missed echo, at most: what the exponential function bears."""
+WEIGHTS_M = 3.0
+"""Range to which the share of missed echoes in a model file refers [m]: `sensor_model.WEIGHTS_RANGE_CM`."""
+
+
+class Expected(NamedTuple):
+    """What a sensor's model says of its readings, as plain numbers.
+
+    Attributes
+    ----------
+    short, missed, random
+        Shares of the readings.
+    missed_growth_per_m
+        Growth of the log odds of a missed echo with range, from 3 m on [1/m].
+    correlation
+        Of the errors of two readings a turn apart.
+    spread
+        Deviation of the readings in flight over the one that they come with.
+    minimum_m, maximum_m
+        Limits of the ranges [m].
+    boresight
+        Unit vector along which it looks, body FRD.
+    facing_cosine
+        Of the largest angle between it and straight down at which level ground gives an echo for sure.
+    """
+
+    short: float
+    missed: float
+    random: float
+    missed_growth_per_m: float
+    correlation: float
+    spread: float
+    minimum_m: float
+    maximum_m: float
+    boresight: Vector = (0.0, 0.0, 1.0)
+    facing_cosine: float = 0.0
+
+
+def missed_share(expected: Expected, range_m: float) -> float:
+    """Share of missed echoes at a range."""
+    missed, growth = expected.missed, expected.missed_growth_per_m * (range_m - WEIGHTS_M)
+    return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
