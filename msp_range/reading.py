@@ -6,6 +6,7 @@ without a range; broken equipment at the start of a program raises instead. Zero
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 
 class Status(Enum):
@@ -36,6 +37,38 @@ class Status(Enum):
     def __init__(self, word: str) -> None:
         self.has_range = word in ("ok", "at_minimum")
         self.is_fault = word not in ("ok", "at_minimum", "no_echo")
+
+
+class Decoded(NamedTuple):
+    """A decoded answer.
+
+    Attributes
+    ----------
+    status
+        Status of the reading.
+    range_m
+        Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``.
+    raw
+        The answer as a number; None if there was none.
+    suspect
+        The value is a valid range, but also a known fault code.
+    earliest_s
+        Shortest time from a ping to this answer [s]; one that comes sooner is not the answer to that ping.
+    """
+
+    status: Status
+    range_m: float | None
+    raw: int | None
+    suspect: bool = False
+    earliest_s: float = 0.0
+
+    def arrived_after(self, since_ping_s: float) -> "Decoded":
+        """The answer, if it can have come within this time after its ping [s]; otherwise an impossible one.
+
+        The time is the longest possible, from before the ping's write until after the answer was read: on a busy
+        computer a transfer returns long after it was on the bus, and a program stands still between two of them.
+        """
+        return self if since_ping_s >= self.earliest_s else Decoded(Status.IMPOSSIBLE, None, self.raw)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,10 @@ from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.config import Airframe, SensorSettings
 from msp_range.doctor.finding import Finding, right, unknown, wrong
-from msp_range.reading import Status
+from msp_range.reading import Decoded, Status
 from msp_range.sensors.addressing import FIRST_ADDRESS, LAST_ADDRESS, scan
-from msp_range.sensors.base import OTHERS, POLL_INTERVAL_S, Decoded
+from msp_range.sensors.base import OTHERS, POLL_INTERVAL_S
+from msp_range.sensors.polling import reading_of
 from msp_range.sensors.schedule import PolledSensor
 
 READINGS = 5
@@ -196,7 +197,7 @@ def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> Timed
             continue
         answered_s = clock.now() - pinged_s
         decoded = decoded.arrived_after(answered_s)
-        return TimedPing(decoded, answered_s, sensor.reading(0.0, decoded).time_s)
+        return TimedPing(decoded, answered_s, reading_of(sensor, 0.0, decoded).time_s)
 
 
 def _ranges(pings: Sequence[TimedPing]) -> list[float]:

@@ -2,6 +2,9 @@
 
 A distance is sent if filter or fusion gave one, 'no echo' if a single sensor received no echo or the vehicle is above
 the range of its downward sensors; a fault is silence.
+
+Fused messages are sent at once, those of single streams spaced out after them: PX4 keeps one unread message per link,
+so of several in one burst only the last is seen.
 """
 
 from collections import defaultdict, deque
@@ -14,7 +17,6 @@ from msp_range.filters.base import Estimate
 from msp_range.filters.chain import UNCONFIRMED, Filtered
 from msp_range.fusion import OBJECT, Fused, Outcome
 from msp_range.mavlink.distance_sensor import Stream, distance_sensor, no_echo
-from msp_range.mavlink.outbox import Outbox
 from msp_range.reading import Reading, Status
 
 QUALITY_READINGS = 10
@@ -23,6 +25,48 @@ fewer it fluctuates, with more it is late."""
 HALF_A_CENTIMETRE = 0.005
 HELD_BEAM_QUALITY = 0.5
 """Factor on the quality at ranges where the beam's angle is only assumed (`BreakawayTable.known_to_m`)."""
+SPACING_S = 0.020
+"""Time from a message to the next one of a single stream [s]: more delays the last of several streams."""
+
+
+class Outbox:
+    """Messages of the single streams that wait for their turn.
+
+    Parameters
+    ----------
+    send
+        Sends a message now.
+
+    Attributes
+    ----------
+    next_event_s
+        When `send_due` has something to do [s]; infinite if nothing waits.
+    """
+
+    def __init__(self, send: Callable[[Any], object]) -> None:
+        self._send = send
+        self._waiting: dict[int, Any] = {}
+        self._free_s = float("-inf")
+        self.next_event_s = float("inf")
+
+    def send_now(self, now_s: float, message: Any) -> None:
+        """Send a message before all waiting ones."""
+        self._send(message)
+        self._free_s = now_s + SPACING_S
+        self._plan()
+
+    def put(self, stream_id: int, message: Any) -> None:
+        """Queue a message; it replaces a waiting one of the same stream."""
+        self._waiting[stream_id] = message
+        self._plan()
+
+    def send_due(self, now_s: float) -> None:
+        """Send the next waiting message if it is due."""
+        if now_s >= self.next_event_s:
+            self.send_now(now_s, self._waiting.pop(next(iter(self._waiting))))
+
+    def _plan(self) -> None:
+        self.next_event_s = self._free_s if self._waiting else float("inf")
 
 
 class _Quality:

@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, Protocol
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.errors import UserError
-from msp_range.reading import Status
+from msp_range.reading import Decoded
 
 POLL_INTERVAL_S = 0.003
 """Time between two attempts to read a sensor that is still measuring [s]. On average it delays a distance by half of it
@@ -30,38 +30,6 @@ sheets: a hint in the output of a scan."""
 
 class AddressError(UserError, ValueError):
     """An address change that was refused or did not succeed."""
-
-
-class Decoded(NamedTuple):
-    """A decoded answer.
-
-    Attributes
-    ----------
-    status
-        Status of the reading.
-    range_m
-        Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``.
-    raw
-        The answer as a number; None if there was none.
-    suspect
-        The value is a valid range, but also a known fault code.
-    earliest_s
-        Shortest time from a ping to this answer [s]; one that comes sooner is not the answer to that ping.
-    """
-
-    status: Status
-    range_m: float | None
-    raw: int | None
-    suspect: bool = False
-    earliest_s: float = 0.0
-
-    def arrived_after(self, since_ping_s: float) -> "Decoded":
-        """The answer, if it can have come within this time after its ping [s]; otherwise an impossible one.
-
-        The time is the longest possible, from before the ping's write until after the answer was read: on a busy
-        computer a transfer returns long after it was on the bus, and a program stands still between two of them.
-        """
-        return self if since_ping_s >= self.earliest_s else Decoded(Status.IMPOSSIBLE, None, self.raw)
 
 
 class RangeSensor(Protocol):

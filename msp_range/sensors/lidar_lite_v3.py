@@ -16,11 +16,10 @@ import errno
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
-from msp_range.reading import Status
+from msp_range.reading import Decoded, Status
 from msp_range.sensors.base import (
     POLL_INTERVAL_S,
     AddressError,
-    Decoded,
     Driver,
     FoundDevice,
     RecordedPing,

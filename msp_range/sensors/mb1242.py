@@ -9,8 +9,8 @@ without power.
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
-from msp_range.reading import Status
-from msp_range.sensors.base import POLL_INTERVAL_S, Decoded, Driver, FoundDevice, RecordedPing, acknowledges, stranger
+from msp_range.reading import Decoded, Status
+from msp_range.sensors.base import POLL_INTERVAL_S, Driver, FoundDevice, RecordedPing, acknowledges, stranger
 
 COMMAND_RANGE = b"\x51"
 ANSWER_BYTES = 2

@@ -6,13 +6,14 @@ it, are left out.
 """
 
 import errno
+import math
 from collections import deque
 from operator import attrgetter
 from typing import NamedTuple
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
-from msp_range.reading import Reading, Status
+from msp_range.reading import Decoded, Reading, Status
 from msp_range.sensors.base import POLL_INTERVAL_S
 from msp_range.sensors.schedule import PolledSensor, Schedule
 
@@ -161,7 +162,7 @@ class Poller:
         self._pending.remove(pending)
         answered_s = self._clock.now()
         decoded = decoded.arrived_after(answered_s - pending.from_s)
-        return Ranging(sensor.reading(pending.ping_s, decoded), pending.ping_s, answered_s)
+        return Ranging(reading_of(sensor, pending.ping_s, decoded), pending.ping_s, answered_s)
 
     def _no_answer(self, sensor: PolledSensor, ping_s: float, now_s: float, error: BusError) -> Ranging | None:
         """The failed measurement; None if the bus has to be reopened first, in a separate step."""
@@ -183,3 +184,14 @@ class Poller:
         except BusError as error:
             return failed._replace(error=error.with_traceback(None))
         return failed
+
+
+def reading_of(sensor: PolledSensor, ping_s: float, decoded: Decoded) -> Reading:
+    """The reading of an answer to a ping: its time is that of the echo, after half the time of flight."""
+    range_m, std_m = decoded.range_m, sensor.std_m
+    if range_m is None:
+        return Reading(ping_s, sensor.name, decoded.status, raw=decoded.raw, suspect=decoded.suspect)
+    if std_m is not None and sensor.std_growth:
+        std_m = math.hypot(std_m, sensor.std_growth * range_m)
+    echo_s = ping_s + 0.5 * range_m * sensor.timing.echo_s_per_m
+    return Reading(echo_s, sensor.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)

@@ -4,14 +4,13 @@ Groups of sensors ping in turn; the members of a group ping together, which is a
 other's echoes. The turns of sensors that do not answer are given to those that do.
 """
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from msp_range.reading import Reading
-from msp_range.sensors.base import Decoded, RangeSensor
+from msp_range.sensors.base import RangeSensor
 
 DEAD_AFTER = 3
 """Number of successive faults after which a sensor's turns are given to the others; the pilot then gets a text
@@ -57,16 +56,6 @@ class PolledSensor:
     timing: AnswerTiming
     std_m: float | None = None
     std_growth: float = 0.0
-
-    def reading(self, ping_s: float, decoded: Decoded) -> Reading:
-        """The reading of an answer to a ping: its time is that of the echo, after half the time of flight."""
-        range_m, std_m = decoded.range_m, self.std_m
-        if range_m is None:
-            return Reading(ping_s, self.name, decoded.status, raw=decoded.raw, suspect=decoded.suspect)
-        if std_m is not None and self.std_growth:
-            std_m = math.hypot(std_m, self.std_growth * range_m)
-        echo_s = ping_s + 0.5 * range_m * self.timing.echo_s_per_m
-        return Reading(echo_s, self.name, decoded.status, range_m, std_m, decoded.raw, decoded.suspect)
 
 
 @dataclass(frozen=True, slots=True)

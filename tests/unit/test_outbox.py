@@ -1,6 +1,6 @@
 """What waits behind a fused message: the newest of each stream, in turn, 20 ms apart."""
 
-from msp_range.mavlink.outbox import SPACING_S, Outbox
+from msp_range.mavlink.streams import SPACING_S, Outbox
 
 
 def test_the_newest_message_of_a_stream_takes_the_place_of_one_that_waits() -> None:

@@ -14,9 +14,8 @@ from msp_range.assembly import polled_sensors
 from msp_range.bus import BusError
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
-from msp_range.reading import Status
-from msp_range.sensors.base import Decoded
-from msp_range.sensors.polling import Poller, Ranging
+from msp_range.reading import Decoded, Status
+from msp_range.sensors.polling import Poller, Ranging, reading_of
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from tests.support.scripted_bus import ScriptedBus
 
@@ -490,6 +489,6 @@ def test_a_reading_scatters_as_its_sensor_model_says_for_its_range(tmp_path: Pat
     airframe = load_airframe(tmp_path / "quad_pallet.yaml")
     polled = polled_sensors(airframe, Reopened(VirtualClock()))["front_left"]
     # sqrt(1.5^2 + (0.4 * 5)^2 + 1/12) cm, the last for the rounding to whole centimetres.
-    std_m = polled.reading(0.0, Decoded(Status.OK, 5.0, 500)).std_m
+    std_m = reading_of(polled, 0.0, Decoded(Status.OK, 5.0, 500)).std_m
     assert std_m == pytest.approx(math.sqrt(1.5**2 + 2.0**2 + 1 / 12) / 100, rel=1e-9)
-    assert polled.reading(0.0, Decoded(Status.NO_ECHO, None, 765)).std_m is None
+    assert reading_of(polled, 0.0, Decoded(Status.NO_ECHO, None, 765)).std_m is None

@@ -16,7 +16,8 @@ from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource
 from msp_range.correction.thermometer import Sample, ThreadReader
-from msp_range.sensors.base import Decoded, RangeSensor
+from msp_range.reading import Decoded
+from msp_range.sensors.base import RangeSensor
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_range.yaml_file import ConfigError

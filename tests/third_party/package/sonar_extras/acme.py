@@ -2,8 +2,8 @@
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
-from msp_range.reading import Status
-from msp_range.sensors.base import Decoded, Driver, FoundDevice, RecordedPing, stranger
+from msp_range.reading import Decoded, Status
+from msp_range.sensors.base import Driver, FoundDevice, RecordedPing, stranger
 
 RANGE_COMMAND = b"\x01"
 ADDRESS_COMMAND = 0x02
