@@ -95,11 +95,11 @@ compile: .venv/.installed
 	$(PYTHON) -m venv .venv
 
 .venv/.installed: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,fleet]'
 	@touch $@
 
 .venv/.installed-test: pyproject.toml .venv/.installed
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,docs,test,bench]'
+	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,fleet,docs,test,bench]'
 	@touch $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.

@@ -355,13 +355,15 @@ def _refuse_sensor_model(path: Path) -> None:
 
 
 def _load_named(named: Any, info: ValidationInfo) -> Airframe:
+    if isinstance(named, Airframe):
+        return named
     if not isinstance(named, str):
         raise ValueError("expected the path of an airframe file, relative to this file")
     return load_named(info, named, "", load_airframe)
 
 
 NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
-"""An airframe named in another file: a path there, the airframe after reading."""
+"""An airframe named in another file: a path there, the airframe after reading; or one that was read already."""
 
 
 def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:

@@ -6,8 +6,9 @@ from msp_range.yaml_file import ConfigError
 
 EXTRAS = {
     "kalman": ("filterpy", "scipy"),
-    "sim": ("matplotlib", "scipy"),
-    "lab": ("jinja2", "matplotlib", "scipy"),
+    "sim": ("matplotlib", "scipy", "threadpoolctl"),
+    "lab": ("jinja2", "matplotlib", "scipy", "threadpoolctl"),
+    "fleet": ("bokeh", "distributed"),
     "logs": ("pyarrow", "pyulog", "rosbags"),
     "web": ("prometheus_client", "websockets"),
 }

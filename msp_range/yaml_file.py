@@ -313,7 +313,8 @@ def _inside(annotation: Any, part: int | str) -> list[Any]:
     if _is_section(annotation):
         field = annotation.model_fields.get(part)
         return [] if field is None else [field.annotation]
-    return [each for each in typing.get_args(annotation) if each is not Ellipsis]
+    inside = [each for each in typing.get_args(annotation) if each is not Ellipsis]
+    return inside[1:] if typing.get_origin(annotation) is dict else inside
 
 
 def _members(annotation: Any) -> list[Any]:

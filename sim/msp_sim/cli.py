@@ -21,6 +21,14 @@ OwnEffects = Annotated[
     typer.Option("--effects", metavar="FILE.py", help="file with effects of your own; may be repeated"),
 ]
 
+Jobs = Annotated[int, typer.Option(min=1, help="number of processes on this machine; more than 1 need the extra fleet")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="compute on a Dask cluster: address of its scheduler, e.g. tcp://192.168.1.5:8786"
+    ),
+]
+
 app = typer.Typer(
     name="msp-sim",
     help="Simulator of msp-range: the real bridge on emulated sensors, with no hardware.",
@@ -55,6 +63,10 @@ def fly(
             metavar="[HOST:]PORT", help="serve the page of the bridge meanwhile; real time, or as --speed says"
         ),
     ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(min=0, help="fly this flight of 'msp-sim monte-carlo' with the same --seed again"),
+    ] = None,
     effects: OwnEffects = None,
 ) -> None:
     """Fly a scenario with the real bridge, and show the result.
@@ -73,7 +85,55 @@ def fly(
         require("web", "msp-sim fly --web")
         speed = speed if speed is not None or realtime else 1.0
     add_own_effects(effects or ())
-    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force, web)
+    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force, web, sample)
+
+
+@app.command("monte-carlo")
+def monte_carlo(
+    scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
+    flights: Annotated[int, typer.Option(min=1, help="number of flights, counted from 0")],
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="folder for table, summary and picture; flights in it are kept")
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="random seed: the same seed gives the same flights")] = 1,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    model: SensorModelOption = None,
+    model_only: Annotated[
+        bool,
+        typer.Option(
+            "--model-only", help="only draw readings from the sensor models, without bridge and faults: faster"
+        ),
+    ] = False,
+    effects: OwnEffects = None,
+) -> None:
+    """Fly a scenario many times with random parameters, and show how often something goes wrong.
+
+    What varies, and how, is in the scenario's section 'vary' (docs/simulating.md); without one, terrain, motion,
+    temperatures and faults vary within ranges that are printed. Each flight is the real bridge in virtual time.
+
+    In --out: flights.csv (a row per flight), summary.json (shares and quantiles with 95 % intervals, the worst flights
+    with the command that flies each again), flights.png. Ctrl-C keeps the flights that are done, the same command flies
+    the others, and a larger --flights adds some. The results do not depend on --jobs.
+
+    Exit code 4: some flights could not be flown; they are named, and flown again by the same command.
+    """
+    require("sim", "msp-sim monte-carlo", but=DRAWING)
+    from msp_sim.effects.own import add_own_effects
+    from msp_sim.monte_carlo.command import fly_monte_carlo
+
+    add_own_effects(effects or ())
+    fly_monte_carlo(
+        scenario_file,
+        flights,
+        seed,
+        out,
+        jobs=jobs,
+        scheduler=scheduler,
+        model=model,
+        model_only=model_only,
+        effects=effects or (),
+    )
 
 
 @app.command()

@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
-from scipy.special import log_ndtr, ndtri
+from scipy.special import log_ndtr
 
 from msp_lab.characterise.findings import IntervalEstimate
+from msp_sim.intervals import CONFIDENCE, Z, wilson
 
-CONFIDENCE = 0.95
-"""Level of all intervals."""
-Z = float(ndtri(0.5 + CONFIDENCE / 2))
 _LIKELIHOOD_DROP = Z**2 / 2
 DITHERED = 0.6
 """Readings that scatter by more than this many of their steps lose nothing by rounding: the average's bias is then
@@ -27,17 +25,6 @@ under exp(-2 pi^2 0.36) / pi = 0.0003 steps."""
 BATCH = 15
 """Readings in a batch, at least: those a batch apart are taken to be independent."""
 _Array = NDArray[np.float64]
-
-
-def wilson(count: float, of: float) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share, 0 to 1 where nothing was counted."""
-    if of <= 0.0:
-        return 0.0, 1.0
-    p = count / of
-    middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
-    half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
-    # Rounding may put an end on the wrong side of the share itself.
-    return max(min(middle - half, p), 0.0), min(max(middle + half, p), 1.0)
 
 
 def student(standard_error: float, freedom: float) -> float:

@@ -71,6 +71,13 @@ class EmulatedSensor:
 
     def echo(self, ping_s: float) -> int:
         """The reading [cm] of a ping at a time of the flight [s]."""
+        context = self.context(ping_s)
+        context["previous_reading_cm"] = self._previous_cm
+        self._previous_cm = reading_cm = self._readings.sample_one(context)
+        return reading_cm
+
+    def context(self, ping_s: float) -> dict[str, Any]:
+        """What a ping at a time of the flight [s] meets, as the context of its reading; None where it is unknown."""
         pose = self._pose(ping_s)
         ping = self._world.ping(pose, self._beam)
         context: dict[str, Any] = ping._asdict()
@@ -86,11 +93,9 @@ class EmulatedSensor:
         self._others[self._name] = (ping_s, ping.true_range_cm)
         self._keep(self._name, ping_s, ping, context)
         context["sensor"], context["run"], context["time_in_run_s"] = self._name, RUN, ping_s
-        context["previous_reading_cm"] = self._previous_cm
         if not ping.has_echo:
             context["true_range_cm"] = None
-        self._previous_cm = reading_cm = self._readings.sample_one(context)
-        return reading_cm
+        return context
 
 
 def ranging_timing(kind: EmulatedKind, model: SensorModel) -> DeviceTiming:

@@ -19,11 +19,12 @@ from msp_range.terminal import console
 from msp_range.watch.feed import FeedError
 from msp_range.watch.place import own_socket
 from msp_range.watch.watch import Watch
-from msp_range.yaml_file import ConfigError, config_path
+from msp_range.yaml_file import ConfigError, config_path, read_yaml
 from msp_sim.flight import show
 from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.results import RECORDING, SCENARIO, TLOG, make_ready, write_results
+from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 
@@ -41,11 +42,19 @@ def fly_scenario(
     speed: float | None,
     force: bool,
     web: str | None,
+    sample: int | None = None,
 ) -> None:
     """Fly a scenario; the parameters are the options of the command."""
     scenario_file = config_path(scenario_file, "scenarios")
     scenario = load_scenario(scenario_file)
     scenario_text = scenario_file.read_bytes()
+    flight_seed, drawn, number = seed, {}, ""
+    if sample is not None:
+        sampled = Sampled(scenario, str(scenario_file)).sample(seed, sample)
+        scenario, flight_seed = sampled.scenario, sampled.seed
+        scenario_text = sampled.text(read_yaml(scenario_file)["airframe"]).encode()
+        drawn = {"sample": {"number": sample, "values": dict(sampled.values), "faults": list(sampled.faults)}}
+        number = f", flight {sample}"
     sensor_model = load_sensor_model(model) if model is not None else None
     if link is not None:
         try:
@@ -61,12 +70,12 @@ def fly_scenario(
             out / RECORDING,
             clock,
             files=scenario.airframe.files,
-            metadata={"scenario": scenario.name, "seed": str(seed)},
+            metadata={"scenario": scenario.name, "seed": str(flight_seed)},
         )
     simulation = Simulation(
         scenario,
         clock,
-        seed,
+        flight_seed,
         model=sensor_model,
         recorder=recorder,
         link=(lambda autopilot: Tee(open_transport(link, system), autopilot)) if link is not None else None,
@@ -100,7 +109,7 @@ def fly_scenario(
         if out_to.is_terminal:
             live.refresh()
     wall_s = system.now() - started_s
-    summary = summarise(simulation.flight, scenario.name, seed)
+    summary = summarise(simulation.flight, scenario.name, seed) | drawn
     show.print_table(out_to, summary)
     times = summary["duration_s"] / wall_s
     held = "" if speed is None else f", limited to {speed:g}"
@@ -110,7 +119,7 @@ def fly_scenario(
     if out is not None:
         summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
         (out / SCENARIO).write_bytes(scenario_text)
-        write_results(out, summary, simulation.flight, f"{scenario.name}, seed {seed}")
+        write_results(out, summary, simulation.flight, f"{scenario.name}, seed {seed}{number}")
         print(f"     link: {out / TLOG}")
     if recorder is not None:
         recorder.close()

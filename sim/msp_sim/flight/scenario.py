@@ -19,6 +19,7 @@ from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, config_path, load
 from msp_sim.device import device
 from msp_sim.device.table import emulated_kind
+from msp_sim.flight.vary import VarySection
 from msp_sim.world.profiles import Positive
 from msp_sim.world.surfaces import GroundSection
 from msp_sim.world.vehicle import FlightSection, Pose, Vehicle
@@ -40,6 +41,10 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 _VALUE_OF_KIND = {"word": "impossible", "spread_cm": "noisy", "offset_cm": "offset"}
 """Keys of a planned fault that are valid for one kind only."""
+
+
+class ImpossibleFlight(ValueError):
+    """The vehicle would fly into the ground, or longer than the scenario."""
 
 
 class PlannedFault(Section):
@@ -175,6 +180,8 @@ class Scenario(Section):
     """faults, in any order"""
     autopilot: AutopilotSection | None = AutopilotSection()
     """the autopilot at the other end of the link; null: no autopilot is ever received"""
+    vary: VarySection | None = None
+    """what varies from flight to flight of 'msp-sim monte-carlo'; default: see docs/simulating.md"""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
@@ -198,12 +205,12 @@ class Scenario(Section):
     def _check_flight(self) -> None:
         planned_s = sum(getattr(segment, "duration_s", 0.0) for segment in self.flight.altitude)
         if planned_s > self.duration_s + LONGEST_EXCESS_S:
-            raise ValueError(
+            raise ImpossibleFlight(
                 f"duration_s: found {self.duration_s:g}; expected at least {planned_s:.1f}, which flight.altitude takes"
             )
         vehicle = self.vehicle(self.world(), default_rng(0))
         if vehicle.duration_s > self.duration_s + 1e-6:
-            raise ValueError(
+            raise ImpossibleFlight(
                 f"duration_s: found {self.duration_s:g}; expected at least {vehicle.duration_s:.1f}, which "
                 "flight.altitude takes"
             )
@@ -211,7 +218,7 @@ class Scenario(Section):
         for i in range(math.ceil(self.duration_s / every_s)):
             clearance_m = vehicle.clearance_m(i * every_s)
             if clearance_m < -GROUND_TOLERANCE_M:
-                raise ValueError(
+                raise ImpossibleFlight(
                     f"flight: at {i * every_s:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "
                     "is below it; expected heights above the ground and its boxes, and a landing at rest"
                 )

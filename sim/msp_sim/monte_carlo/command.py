@@ -1,0 +1,200 @@
+"""The command ``msp-sim monte-carlo``: fly a scenario many times with random parameters, and show what happened.
+
+The command's options enter; a folder with a table, a summary and a picture, and lines on the terminal leave.
+"""
+
+import hashlib
+import json
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+import yaml
+from rich import box
+from rich.table import Column, Table
+
+from msp_range.extras import missing
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.terminal import PlainConsole, console, number_columns
+from msp_range.yaml_file import config_path
+from msp_sim.flight.sampled import Sampled
+from msp_sim.flight.scenario import load_scenario
+from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, draw_sample, fly_sample
+from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, Store
+from msp_sim.monte_carlo.summary import Summary, summarise
+from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
+
+COMMAND = "msp-sim monte-carlo"
+WIDTH = 80
+"""Width of the summary [characters], also without a terminal: it fits into every terminal and mail."""
+SHOWN_FAILURES = 5
+"""Flights that could not be flown, of which the reason is printed; summary.json has all."""
+
+
+def fly_monte_carlo(
+    scenario_file: Path,
+    flights: int,
+    seed: int,
+    out: Path,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    model: Path | None = None,
+    model_only: bool = False,
+    effects: Sequence[Path] = (),
+) -> None:
+    """Fly many samples of a scenario; the parameters are the options of the command."""
+    path = config_path(scenario_file, "scenarios")
+    sampled = Sampled(load_scenario(path), str(path))
+    sensor_model = load_sensor_model(model) if model is not None else None
+    columns = [*(DRAWN if model_only else FLOWN), "refused", "faults", *sampled.vary.parameters]
+    settings = {
+        "scenario": sampled.scenario.name,
+        "files": _sha256(sampled, sensor_model),
+        "seed": seed,
+        "model_only": model_only,
+        "version": fingerprint(),
+    }
+    if sampled.scenario.vary is None:
+        _print_variation(sampled)
+    store = Store(out, columns, settings)
+    flown = {row[NUMBER] for row in store.rows}
+    wanted = [number for number in range(flights) if number not in flown]
+    if flown:
+        print(f"{out}: {len(flown)} flights are here already; {len(wanted)} are to be flown")
+    failed: dict[int, str] = {}
+    try:
+        with workers(jobs, scheduler, COMMAND) as where:
+            shared = sampled, seed, sensor_model
+            for outcome in where.map(draw_sample if model_only else fly_sample, wanted, shared, what="flights"):
+                if outcome.value is None:
+                    failed[wanted[outcome.index]] = outcome.error or ""
+                else:
+                    store.add(wanted[outcome.index], outcome.value)
+    except KeyboardInterrupt:
+        print(f"{out}: {len(store.rows)} of {flights} flights are kept; the same command flies the others")
+        raise
+    finally:
+        store.close()
+    rows = [row for row in store.rows if row[NUMBER] < flights]
+    summary = summarise(rows, failed)
+    again = _again(scenario_file, seed, model, effects)
+    _write(out, summary, settings, again)
+    _print(summary, sampled, again, where)
+    print(f"every flight: {out / FLIGHTS}")
+    print(f"     numbers: {out / SUMMARY}")
+    if rows and (absent := missing("sim")) is None:
+        from msp_sim.monte_carlo.picture import draw
+
+        draw(rows, summary, out / PICTURE, f"{sampled.scenario.name}: {len(rows)} flights, seed {seed}")
+        print(f"     picture: {out / PICTURE}")
+    elif rows:
+        print(f"no picture is drawn without {absent}")
+    if failed:
+        raise typer.Exit(EXIT_SOME_FAILED)
+
+
+def _sha256(sampled: Sampled, model: Any) -> str:
+    """Hash of the scenario, of what varies, and of the files that it names."""
+    scenario = sampled.scenario
+    what = [
+        scenario.model_dump_json(exclude={"airframe", "vary"}),
+        sampled.vary.model_dump_json(),
+        json.dumps(scenario.airframe.files, sort_keys=True),
+        model.model_dump_json() if model is not None else "",
+    ]
+    return hashlib.sha256("\n".join(what).encode()).hexdigest()
+
+
+def _again(scenario: Path, seed: int, model: Path | None, effects: Sequence[Path]) -> str:
+    """The command that flies one flight again, without the flight's number."""
+    words = ["msp-sim", "fly", str(scenario), "--seed", str(seed)]
+    words += ["--model", str(model)] if model is not None else []
+    for path in effects:
+        words += ["--effects", str(path)]
+    return shlex.join([*words, "--sample"])
+
+
+def _write(out: Path, summary: Summary, settings: Mapping[str, Any], again: str) -> None:
+    worst = [{**row, "fly_again": f"{again} {row[NUMBER]}"} for row in summary.worst]
+    shares = [each._asdict() for each in summary.shares]
+    distributions = [
+        {**each._asdict(), "quantiles": [one._asdict() for one in each.quantiles]} for each in summary.distributions
+    ]
+    content = {**settings, "flights": summary.flights, "shares": shares, "distributions": distributions}
+    content |= {"worst": worst, "failed": {str(number): why for number, why in summary.failed.items()}}
+    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def _print_variation(sampled: Sampled) -> None:
+    """Print what varies if the scenario file does not say it, as it would be written there."""
+    print("The scenario has no section 'vary'; this one is used:\n")
+    content = {"vary": sampled.vary.model_dump(exclude_defaults=True, mode="json")}
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=WIDTH)
+    print("".join(f"    {line}\n" for line in text.splitlines()))
+
+
+def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> None:
+    """Print the summary, within 80 columns."""
+    found = console()
+    shown = found if found.is_terminal and found.width <= WIDTH else PlainConsole(width=WIDTH)
+    for line in _lines(summary, where):
+        shown.print(line, highlight=False)
+    if summary.shares:
+        table = _table(f"share of {summary.flights} flights with", "flights", "%", "95 % interval")
+        for share in summary.shares:
+            percent = f"{100 * share.flights / share.of:.2f}" if share.of else "-"
+            table.add_row(share.what, str(share.flights), percent, f"{100 * share.low:.2f} to {100 * share.high:.2f}")
+        shown.print(table)
+    if summary.distributions:
+        table = _table("below in", *(f"{q.share:.0%} of flights" for q in _quantiles(summary)))
+        for each in summary.distributions:
+            table.add_row(each.what, *(f"{q.value:.3g} {_interval(q.low, q.high)}" for q in each.quantiles))
+        shown.print(table)
+    if summary.worst:
+        columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
+        table = _table("worst", *(_WORST_COLUMNS[name] for name in columns), "faults")
+        table.columns[-1].justify, table.columns[-1].overflow = "left", "ellipsis"
+        for row in summary.worst:
+            table.add_row(str(row[NUMBER]), *(_shown(row[name]) for name in columns), row["faults"])
+        shown.print(table)
+        print(f"fly the worst again: {again} {summary.worst[0][NUMBER]}")
+
+
+_WORST_COLUMNS = {
+    "wrong_s": "wrong s",
+    "longest_silence_s": "silent s",
+    "wrong_share": "wrong",
+    "missed_share": "missed",
+    "error_p95_cm": "95 % cm",
+    "error_worst_cm": "worst cm",
+}
+"""Columns of the list of the worst flights, with short headings."""
+
+
+def _quantiles(summary: Summary) -> Any:
+    return summary.distributions[0].quantiles
+
+
+def _interval(low: float | None, high: float | None) -> str:
+    return f"({'?' if low is None else f'{low:.3g}'} to {'?' if high is None else f'{high:.3g}'})"
+
+
+def _shown(value: Any) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _lines(summary: Summary, where: Workers) -> Iterator[str]:
+    """What went wrong with the run itself."""
+    if where.died:
+        yield f"{where.died} worker processes died; their flights were flown again."
+    if summary.failed:
+        yield f"{len(summary.failed)} flights could not be flown:"
+        for number, why in list(summary.failed.items())[:SHOWN_FAILURES]:
+            yield f"  flight {number}: {why}"
+
+
+def _table(first: str, *numbers: str) -> Table:
+    return Table(Column(first), *number_columns(*numbers), box=box.SIMPLE_HEAD)

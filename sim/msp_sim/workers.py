@@ -1,0 +1,325 @@
+"""Do the same for each item of a list, on one processor, on several, or on a Dask cluster.
+
+A function and a list of independent items enter; an `Outcome` for each item leaves, in the list's order. The results do
+not depend on where they were computed: each item is computed alone, with one BLAS thread, and whatever is summed over
+items is summed by the caller, in order.
+
+There is one mechanism for several processes, Dask: `--jobs` starts a cluster on this machine, `--scheduler` uses one
+that runs. It replaces a worker that died and does its items again. With one job nothing is started, and the extra
+`fleet` is not needed.
+"""
+
+import hashlib
+import logging
+import pickle
+import platform
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from threadpoolctl import threadpool_limits
+
+from msp_range import __version__
+from msp_range.errors import UserError
+from msp_range.extras import require
+from msp_range.terminal import PlainConsole
+from msp_range.yaml_file import ConfigError
+from msp_sim.terminal import Bar
+
+EXIT_SOME_FAILED = 4
+"""Exit code: some items could not be computed; the others were."""
+MOST_TASKS = 500
+"""Longer lists are handed to the cluster in this many parts. Each part costs its scheduler 2 ms; fewer, longer parts
+leave processors idle at the end, and more is lost with a worker."""
+SILENT = logging.CRITICAL + 1
+"""Log level of Dask: what its processes log about a worker that died is reported by the command."""
+CONNECT_S = 5.0
+"""Time in which a scheduler must answer [s]; more only delays the message about a wrong address."""
+WAIT_S = 5.0
+"""Time without a result after which it is checked whether the cluster has workers [s]."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Result]):
+    """What became of an item.
+
+    Attributes
+    ----------
+    index
+        Place of the item in the list.
+    value
+        What the function returned; None if it failed.
+    error
+        Why it failed, in a line; None if it did not.
+    """
+
+    index: int
+    value: Result | None
+    error: str | None
+
+
+class OtherVersion(UserError):
+    """A worker has another version of the program, so that its results could differ."""
+
+
+class Workers:
+    """Where items are computed: this process, or the workers of a Dask cluster.
+
+    Parameters
+    ----------
+    client
+        The cluster's client; None: this process.
+    progress
+        Console for the progress bar; None: no bar.
+
+    Attributes
+    ----------
+    died
+        Number of worker processes that ended unexpectedly; their items were computed again by others.
+    """
+
+    def __init__(self, client: Any = None, progress: Console | None = None) -> None:
+        self.died = 0
+        self._maps = 0
+        self._client = client
+        self._progress = progress
+
+    def map(
+        self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any = None, *, what: str
+    ) -> Iterator[Outcome[Result]]:
+        """Call ``function(shared, item)`` for each item.
+
+        Parameters
+        ----------
+        function
+            At the top level of a module that the workers can import.
+        items, shared
+            What it is called with; ``shared`` is sent to each worker once per part and kept there.
+        what
+            What the items are, in the plural, for progress bar and dashboard.
+
+        Yields
+        ------
+        Outcome
+            One per item, in order. An exception of an item is an outcome; it does not end the others.
+
+        Raises
+        ------
+        ConfigError
+            The cluster was lost.
+        OtherVersion
+            A worker has another version of the program.
+        """
+        text = TextColumn("{task.description}", markup=False)
+        columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        outcomes = self._in_process if self._client is None else self._on_cluster
+        with ExitStack() as opened:
+            bar = None
+            if self._progress is not None:
+                bar = opened.enter_context(Bar(*columns, total=len(items), on=self._progress))
+                bar.show(what, 0)
+            for outcome in outcomes(function, items, shared, what):
+                if bar is not None:
+                    bar.show(what, outcome.index + 1)
+                yield outcome
+
+    def _in_process(
+        self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
+    ) -> Iterator[Outcome[Result]]:
+        for index, item in enumerate(items):
+            yield _attempt(function, shared, index, item)
+
+    def _on_cluster(
+        self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
+    ) -> Iterator[Outcome[Result]]:
+        from distributed import KilledWorker
+
+        pickled = pickle.dumps((function, shared))
+        length = -(-len(items) // MOST_TASKS)
+        parts = [list(enumerate(items))[start : start + length] for start in range(0, len(items), length or 1)]
+        # The dashboard groups tasks by the first part of their keys. A key must be new: the result of an earlier task
+        # with the same one, also of somebody else's, would be taken for this one's.
+        self._maps += 1
+        group = f"{what.replace(' ', '_')}-{self._client.id.removeprefix('Client-').replace('-', '')}{self._maps}"
+        numbers = count()
+
+        def submitted(part: Sequence[tuple[int, Item]]) -> Any:
+            return self._client.submit(_attempt_all, pickled, part, fingerprint(), key=(group, next(numbers)))
+
+        waiting = [submitted(part) for part in parts][::-1]
+        for part in parts:
+            try:
+                yield from self._result(waiting.pop())
+            except KilledWorker:
+                # Dask gives a task up when its worker died four times. One of its items may be the reason, or that it
+                # waited at the same worker as the reason: each is tried alone.
+                for indexed in part:
+                    try:
+                        yield from self._result(submitted([indexed]))
+                    except KilledWorker:
+                        yield Outcome(indexed[0], None, "each worker process that computed it died (out of memory?)")
+
+    def _result(self, future: Any) -> Any:
+        """The result of a task, which is then forgotten by the cluster."""
+        from distributed import CancelledError
+        from distributed.comm import CommClosedError
+
+        is_known = False
+        while True:
+            try:
+                return future.result(timeout=WAIT_S)
+            except TimeoutError:
+                if not is_known and not self._client.scheduler_info()["workers"]:
+                    is_known = True
+                    print("the cluster has no worker at present: waiting for one", file=sys.stderr)
+            except (CommClosedError, CancelledError):
+                raise ConfigError("the connection to the Dask scheduler was lost; what was computed is kept") from None
+
+    def on_event(self, event: tuple[float, Any]) -> None:
+        """Count a worker process that ended unexpectedly, from the time and the content of a cluster's event."""
+        message = event[1]
+        if isinstance(message, dict) and message.get("action") == "remove-worker" and not message.get("expected"):
+            self.died += 1
+
+
+@contextmanager
+def workers(jobs: int, scheduler: str | None, command: str) -> Iterator[Workers]:
+    """Workers by the options of a command.
+
+    Parameters
+    ----------
+    jobs
+        Number of processes on this machine; 1: this one.
+    scheduler
+        Address of a Dask scheduler, such as ``tcp://192.168.1.5:8786``; None: this machine.
+    command
+        Name of the command, for messages.
+
+    Raises
+    ------
+    ConfigError
+        Both are given, the extra is not installed, or the scheduler does not answer or has no suitable workers.
+    """
+    progress = PlainConsole(stderr=True)
+    if scheduler is not None and jobs != 1:
+        raise ConfigError("--jobs and --scheduler: give one of them; a cluster has as many jobs as workers")
+    if scheduler is None and jobs == 1:
+        yield Workers(progress=progress)
+        return
+    require("fleet", f"{command} --{'jobs' if scheduler is None else 'scheduler'}")
+    from distributed import Client
+
+    with ExitStack() as opened:
+        if scheduler is None:
+            client = opened.enter_context(Client(opened.enter_context(_local_cluster(jobs))))
+        else:
+            client = opened.enter_context(_connected(scheduler))
+        if progress.is_terminal:
+            print(f"progress also at {client.dashboard_link}", file=sys.stderr)
+        found = Workers(client, progress)
+        client.subscribe_topic("all", found.on_event)
+        yield found
+        client.unsubscribe_topic("all")
+
+
+@contextmanager
+def _local_cluster(jobs: int) -> Iterator[Any]:
+    """A Dask cluster of processes of this machine, which listens to this machine only."""
+    from distributed import LocalCluster
+
+    # Ctrl-C goes to all processes of a terminal. The workers must leave it to this one: they inherit what is blocked.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        cluster = LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            # Nothing is swapped to disk and no worker is paused, as without --jobs.
+            memory_limit=0,
+            silence_logs=SILENT,
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with cluster:
+        yield cluster
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """A client of a running cluster."""
+    from distributed import Client
+
+    start = "docs/fleets.md has the commands that start one"
+    logging.getLogger("distributed").setLevel(SILENT)
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigError(
+            f"--scheduler {address}: no Dask scheduler answered within {CONNECT_S:g} s ({reason}). Start one with "
+            f"'dask scheduler', and 'dask worker tcp://HOST:8786 --nthreads 1' on each machine; {start}"
+        ) from None
+    with client:
+        found = client.scheduler_info(n_workers=-1)["workers"]
+        if not found:
+            raise ConfigError(
+                f"--scheduler {address}: it has no workers. Start some on each machine: dask worker {address} "
+                "--nthreads 1 --nworkers 2"
+            )
+        for name, worker in found.items():
+            if worker["nthreads"] != 1:
+                raise ConfigError(
+                    f"--scheduler {address}: the worker {name} computes {worker['nthreads']} items at a time in one "
+                    f"process; expected one: start it with --nthreads 1 --nworkers {worker['nthreads']}"
+                )
+        yield client
+
+
+@lru_cache(maxsize=1)
+def fingerprint() -> str:
+    """What the results depend on: versions, and the hash of the program's own files."""
+    sha = hashlib.sha256()
+    root = Path(__file__).parent
+    for package in (Path(sys.modules["msp_range"].__file__ or "").parent, root, root.parent / "msp_lab"):
+        for path in sorted(package.rglob("*.py")):
+            sha.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    python = platform.python_version()
+    return f"msp-range {__version__} ({sha.hexdigest()[:12]}), Python {python}, numpy {numpy.__version__}"
+
+
+@lru_cache(maxsize=1)
+def _unpickled(pickled: bytes) -> Any:
+    return pickle.loads(pickled)
+
+
+def _attempt_all(pickled: bytes, part: Sequence[tuple[int, Any]], expected: str) -> list[Outcome[Any]]:
+    """Compute some items on a worker."""
+    if fingerprint() != expected:
+        raise OtherVersion(f"a worker on {platform.node()} has {fingerprint()}; expected {expected}, as here")
+    # Kept from part to part, with what was derived from it.
+    function, shared = _unpickled(pickled)
+    return [_attempt(function, shared, index, item) for index, item in part]
+
+
+def _attempt(function: Callable[[Any, Any], Result], shared: Any, index: int, item: Any) -> Outcome[Result]:
+    # Products of large matrices differ in the last digits with the number of threads.
+    with threadpool_limits(limits=1):
+        try:
+            return Outcome(index, function(shared, item), None)
+        except UserError as error:
+            return Outcome(index, None, str(error))
+        except Exception as error:  # Whatever is wrong with one item must not end the others.
+            return Outcome(index, None, f"{type(error).__name__}: {error}")

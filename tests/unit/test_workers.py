@@ -1,0 +1,121 @@
+"""The same for each item of a list: results in order, and a bad item or a dead worker ends nothing."""
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from msp_range.yaml_file import ConfigError
+from msp_sim import workers as module
+from msp_sim.workers import Outcome, Workers, workers
+
+
+def square(add: int, item: int) -> int:
+    """Fails for 3."""
+    if item == 3:
+        raise ConfigError("three.yaml: expected another number")
+    if item == 4:
+        raise ZeroDivisionError("four")
+    return item * item + add
+
+
+def deadly(mark: Path, item: str) -> str:
+    """Kills its process for 'die', and for 'die once' the first time."""
+    if item == "die" or (item == "die once" and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def matrix_product(seed: int, size: int) -> bytes:
+    """Differs in the last digits with the number of BLAS threads."""
+    import numpy as np
+
+    values = np.random.default_rng(seed).random((size, size))
+    return bytes((values @ values).tobytes())
+
+
+def test_results_come_in_order_and_a_bad_item_is_named() -> None:
+    found = list(Workers().map(square, [1, 3, 4, 2], 10, what="numbers"))
+    assert found == [
+        Outcome(0, 11, None),
+        Outcome(1, None, "three.yaml: expected another number"),
+        Outcome(2, None, "ZeroDivisionError: four"),
+        Outcome(3, 14, None),
+    ]
+
+
+def test_one_job_starts_nothing() -> None:
+    with workers(1, None, "a command") as found:
+        assert list(found.map(square, [], 0, what="numbers")) == []
+        assert [each.value for each in found.map(square, [2], 0, what="numbers")] == [4]
+
+
+def test_jobs_and_a_scheduler_exclude_each_other() -> None:
+    with pytest.raises(ConfigError, match="give one of them"), workers(2, "tcp://localhost:1", "a command"):
+        pass
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_named_with_how_to_start_one(monkeypatch: Any) -> None:
+    monkeypatch.setattr(module, "CONNECT_S", 0.2)
+    for address in ("tcp://127.0.0.1:9", "no address"):
+        with pytest.raises(ConfigError) as found, workers(1, address, "a command"):
+            pass
+        assert f"--scheduler {address}: no Dask scheduler answered" in str(found.value)
+        assert "dask worker tcp://HOST:8786 --nthreads 1" in str(found.value)
+
+
+@pytest.mark.slow
+def test_four_workers_of_which_some_are_killed_do_all_that_can_be_done(tmp_path: Path) -> None:
+    items = [str(number) for number in range(40)]
+    items[7], items[20] = "die once", "die"
+    with workers(4, None, "a command") as found:
+        outcomes = list(found.map(deadly, items, tmp_path / "mark", what="items"))
+        assert found.died >= 2
+    assert [each.index for each in outcomes] == list(range(40))
+    assert [each.value for each in outcomes if each.index != 20] == [each for each in items if each != "die"]
+    assert outcomes[20].value is None
+    assert outcomes[20].error is not None
+    assert "each worker process that computed it died" in outcomes[20].error
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_bytes_and_the_same_errors() -> None:
+    products = [each.value for each in Workers().map(matrix_product, [300, 400], 1, what="products")]
+    numbers = list(Workers().map(square, [1, 3, 4, 2], 10, what="numbers"))
+    with workers(2, None, "a command") as found:
+        assert [each.value for each in found.map(matrix_product, [300, 400], 1, what="products")] == products
+        assert list(found.map(square, [1, 3, 4, 2], 10, what="numbers")) == numbers
+
+
+@pytest.mark.slow
+def test_a_cluster_of_another_version_or_with_threads_or_without_workers_is_refused(monkeypatch: Any) -> None:
+    from distributed import LocalCluster
+
+    options = {
+        "processes": False,
+        "dashboard_address": None,
+        "silence_logs": 60,
+        "protocol": "tcp",
+        "host": "127.0.0.1",
+    }
+    with LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
+        address = cluster.scheduler_address
+        with workers(1, address, "a command") as found:
+            assert [each.value for each in found.map(square, [2], 0, what="numbers")] == [4]
+            monkeypatch.setattr(module, "_attempt_all", other_version)
+            with pytest.raises(module.OtherVersion, match="has msp-range 0"):
+                list(found.map(square, [2], 0, what="numbers"))
+    for size, reason in (((1, 2), "computes 2 items at a time"), ((0, 1), "it has no workers")):
+        with LocalCluster(n_workers=size[0], threads_per_worker=size[1], **options) as cluster:
+            address = cluster.scheduler_address
+            with pytest.raises(ConfigError, match=reason), workers(1, address, "a command"):
+                pass
+
+
+def other_version(pickled: bytes, part: Any, expected: str) -> Any:
+    """As a worker with other files answers."""
+    raise module.OtherVersion("a worker on another has msp-range 0")
