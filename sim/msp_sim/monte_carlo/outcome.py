@@ -196,7 +196,7 @@ def _errors(
 
 def _is_distance(message: Any) -> bool:
     in_range = message.min_distance < message.current_distance <= message.max_distance
-    return in_range and message.signal_quality != QUALITY_INVALID
+    return bool(in_range and message.signal_quality != QUALITY_INVALID)
 
 
 def _is_above(message: Any) -> bool:
@@ -253,7 +253,7 @@ def _is_reported(silence: tuple[float, float], limit_s: float, received: Sequenc
 def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
     """Bias, root mean square, 95th percentile of the magnitude and the largest error [cm]; None without errors."""
     names = ("error_bias_cm", "error_rms_cm", "error_p95_cm", "error_worst_cm")
-    if not len(errors_cm):
+    if not errors_cm:
         return dict.fromkeys(names)
     errors = np.array(errors_cm)
     worst = float(errors[np.abs(errors).argmax()])
@@ -302,5 +302,5 @@ def _judged_readings(sensors: Sequence[_Readings]) -> Numbers:
         "wrong_share": round(wrong / expected, 5) if expected else None,
         "missed_share": round(1.0 - errors_cm.size / expected, 5) if expected else None,
         "longest_silence_s": round(float(gaps_s.max()), 3),
-        **_error_numbers(errors_cm),
+        **_error_numbers(errors_cm.tolist()),
     }
