@@ -6,28 +6,63 @@ from typing import Annotated
 import typer
 
 from msp_range.extras import require
+from msp_sim.cli import OwnEffects
 
 app = typer.Typer()
 
-DESIGN = """Find out what a gap run could not decide, and what is missing to decide it.
+DESIGN = """Design the cheapest bench or flight session that decides what a gap run left open.
 
-Reads gap.json of DIR, the folder of 'msp-lab gap'. Example:
+Reads GAP_DIR, the folder of 'msp-lab gap', and the readings and the model that it names. For each open question it says
+which contexts to vary, in how many runs of how many readings, how long that takes, and how probable it is that the
+right answer is found; then the simulator holds the session and 'gap' names what it finds. Example:
 
   msp-lab gap flights/*.csv --model mb1242.yaml --out gaps/june
 
-  msp-lab design gaps/june
+  msp-lab design gaps/june --bench --max-minutes 90
+
+In --out: a folder for each question with campaign.yaml for 'msp-lab collect', scenario files for 'msp-sim fly', and
+session.png; design.json has all numbers. The last two lines of each question are the commands that collect the readings
+and that put them in with the old ones.
 """
 
 
 def _design(
     gap: Annotated[Path, typer.Argument(metavar="GAP_DIR", help="folder that 'msp-lab gap' made")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="folder for the files; default: GAP_DIR/design")
+    ] = None,
+    bench: Annotated[
+        bool | None,
+        typer.Option("--bench/--flight", help="only at a bench, or only in flight; default: the cheaper one"),
+    ] = None,
+    max_minutes: Annotated[
+        float, typer.Option(min=1.0, help="longest session, setting up and waiting for other weather included")
+    ] = 240.0,
+    power: Annotated[
+        float, typer.Option(min=0.5, max=0.999, help="probability that the right answer is named, whichever it is")
+    ] = 0.95,
+    sessions: Annotated[int, typer.Option(min=0, max=10_000, help="sessions to simulate per question; 0: none")] = 20,
+    airframe: Annotated[str, typer.Option(metavar="AIRFRAME.yaml", help="vehicle that flies")] = "quad_pallet",
+    seed: Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")] = 1,
+    force: Annotated[bool, typer.Option("--force", help="replace an earlier design in --out")] = False,
+    effects: OwnEffects = None,
 ) -> None:
     require("lab", "msp-lab design")
-    from msp_lab.design.questions import open_questions
-    from msp_lab.design.show import print_questions
-    from msp_lab.gap.findings import read_findings
+    from msp_lab.design.designing import Options, plan_sessions
+    from msp_lab.design.files import check_free, write_plans
+    from msp_lab.design.show import print_plans
+    from msp_lab.gap.terminal import ProgressBar
+    from msp_sim.effects.own import add_own_effects
 
-    print_questions(open_questions(read_findings(gap), gap))
+    out = out or gap / "design"
+    check_free(out, force)
+    add_own_effects(effects or ())
+    with ProgressBar() as progress:
+        options = Options(bench, max_minutes, power, sessions, seed, airframe)
+        findings, plans = plan_sessions(gap, options, progress.clock, progress.report)
+        progress.report("writing", 1.0)
+        write_plans(plans, findings, out)
+    print_plans(plans, findings, out)
 
 
 app.command("design", help=DESIGN)(_design)

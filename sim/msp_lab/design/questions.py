@@ -17,8 +17,8 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
 
 OPEN_VERDICTS = frozenset({"absorbed", "partly explained", "unexplained"})
-"""Verdicts that leave something without a name: effects that could not be tested may be its cause. With another verdict
-nothing points to them, and no session is designed for them."""
+"""Verdicts that leave something without a name: effects that could not be tested may be its cause, where there is no
+other question. With another verdict nothing points to them, and no session is designed for them."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Question:
     @property
     def folder(self) -> str:
         """A name for files."""
-        return "-or-".join(each.name or "none" for each in self.answers[:3])
+        return "-or-".join(each.name or "none" for each in self.answers[:2])
 
     @property
     def columns(self) -> frozenset[str]:
@@ -94,7 +94,8 @@ def questions_of(findings: GapFindings) -> tuple[Question, ...]:
         Of a run up to the step `name` or later.
     """
     found: dict[frozenset[Answer], Question] = {}
-    for question in _all(findings):
+    # What nothing points to is asked only where nothing else is.
+    for question in [*_all(findings)] or _not_testable(findings):
         known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
         if known and len(question.answers) > 1:
             found.setdefault(frozenset(question.answers), question)
@@ -121,7 +122,6 @@ def open_questions(findings: GapFindings, folder: Path) -> tuple[Question, ...]:
 
 
 def _all(findings: GapFindings) -> Iterator[Question]:
-    named = {(each.name, each.of) for each in findings.effects if each.verdict == "named"}
     for effect in findings.effects:
         if effect.verdict != "named":
             yield _of_effect(effect)
@@ -130,12 +130,14 @@ def _all(findings: GapFindings) -> Iterator[Question]:
         yield Question("absorbed", (Answer(cause.effect), NONE), f"{cause.number} changed, and {cause.column} {state}")
     for unknown in findings.unknown:
         yield from _of_unknown(unknown)
-    if findings.verdict in OPEN_VERDICTS:
-        for each in findings.not_testable:
-            if each.name in CATALOGUE and CATALOGUE[each.name].per is None and (each.name, None) not in named:
-                missing = " and ".join(each.columns)
-                are = "are" if len(each.columns) > 1 else "is"
-                yield Question("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
+
+
+def _not_testable(findings: GapFindings) -> Iterator[Question]:
+    for each in findings.not_testable if findings.verdict in OPEN_VERDICTS else ():
+        if each.name in CATALOGUE and CATALOGUE[each.name].per is None:
+            missing = " and ".join(each.columns)
+            are = "are" if len(each.columns) > 1 else "is"
+            yield Question("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
 
 
 def _of_effect(effect: FoundEffect) -> Question:

@@ -78,14 +78,14 @@ class Steps:
     def name(self) -> GapFindings:
         """Name what is missing, with alternatives."""
         started_s = self.clock.now()
-        comparison = self._same_comparison(read_findings(self.folder), "compare")
+        comparison = self.same_comparison(read_findings(self.folder), "compare")
         return self._name(comparison, self._compare(comparison), started_s)[0]
 
     def add(self) -> GapFindings:
         """Add what was named, and write the extended model."""
         started_s = self.clock.now()
         models, findings = read_named(self.folder)
-        return self._add(self._same_comparison(findings, "name"), findings, models, started_s)
+        return self._add(self.same_comparison(findings, "name"), findings, models, started_s)
 
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
@@ -158,7 +158,7 @@ class Steps:
         readings = read_readings(paths, model, column_map, settings.run_column, settings.of)
         return Comparison.of(readings, model, settings)
 
-    def _same_comparison(self, findings: GapFindings, step: str) -> Comparison:
+    def same_comparison(self, findings: GapFindings, step: str) -> Comparison:
         """The comparison of earlier findings; an error where its files have changed since that step."""
         comparison = self._comparison([Path(each.path) for each in findings.sources], findings.settings)
         pairs = zip(findings.sources, comparison.readings.sources, strict=True)

@@ -1,0 +1,214 @@
+"""The answers to a question as models, fitted to the readings that could not decide it.
+
+The folder of a gap run enters; for each answer a whole model leaves, which the simulator can draw from.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.design.questions import Answer, Question
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import CandidateEffect, candidates_of
+from msp_lab.gap.extended_model import extended
+from msp_lab.gap.named_file import read_named
+from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.problem import Progress
+from msp_lab.gap.refit import JointFit, refit
+from msp_lab.gap.steps import Steps
+from msp_lab.gap.workflow import Comparison
+from msp_sim.effects.base import Effect, Parameter
+from msp_sim.model.model import Model, Term
+
+_Array = NDArray[np.float64]
+
+OFFSETS = "run_offsets"
+FITTED_ROWS = 6_000
+"""The answers are fitted to every k-th of the readings beyond so many. Errors of a strength are then those of 6,000
+readings, which `cautious` takes off. More: slower."""
+STARTS = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+"""Strengths at which a fit may start, as shares of what the parameter may be; the likeliest is taken."""
+LARGEST_DOUBT = 0.3
+"""A strength is planned with one standard error smaller than fitted, at most by this share: where the readings say
+nothing about it, its error says nothing about it either. Larger: longer sessions that keep their promise more often."""
+SHOWN_NATS = 2.0
+"""If the readings prefer an effect to none by less, its fitted strength means nothing, and that which matters is taken
+(`MATTERS_NATS`). Two nats are those of two standard errors."""
+MATTERS_NATS = rules.CLOSED_MAX_NATS
+"""An effect that the readings say nothing about is planned with the strength at which it changes a reading of the
+session by so many nats on average: the smallest gap that never counts as closed, whatever the noise floor."""
+
+
+@dataclass(frozen=True)
+class FittedAnswer:
+    """An answer with its numbers.
+
+    Attributes
+    ----------
+    answer
+        What it stands for.
+    terms
+        Effects of the model in all, that of the answer last.
+    base
+        Change of the base's numbers.
+    log_likelihood
+        Of the readings that were fitted [nat]; None: they lack its columns.
+    model
+        The whole model, to draw readings from.
+    assumed
+        The strength is not fitted, but the one that matters.
+    """
+
+    answer: Answer
+    terms: tuple[Term, ...]
+    base: _Array
+    log_likelihood: float | None
+    model: Model
+    assumed: bool = False
+
+
+@dataclass(frozen=True)
+class OldReadings:
+    """The readings of a gap run, its model, and what it named.
+
+    Attributes
+    ----------
+    comparison
+        Readings and model.
+    terms
+        What was added to the model.
+    """
+
+    comparison: Comparison
+    terms: tuple[Term, ...]
+
+    @classmethod
+    def load(cls, steps: Steps) -> "OldReadings":
+        """Read what a gap run read.
+
+        Raises
+        ------
+        ConfigError
+            The run did not come to names, or its files are gone or have changed.
+        """
+        models, findings = read_named(steps.folder)
+        given = len(models.path[0].model.effects)
+        return cls(steps.same_comparison(findings, "name"), models.held_out_fit.effects[given:])
+
+    @property
+    def model(self) -> Model:
+        """The given model."""
+        return self.comparison.model
+
+    @property
+    def run_offset_cm(self) -> float:
+        """Standard deviation of offsets between runs, of the model and as found [cm]."""
+        found = [
+            each.values["deviation_cm"] for each in (*self.model.effects, *self.terms) if each.effect.name == OFFSETS
+        ]
+        return float(np.hypot.reduce([0.0, *found]))
+
+    @property
+    def columns(self) -> Mapping[str, Any]:
+        """All columns, the readings among them."""
+        return self.comparison.data
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """Every k-th reading."""
+        size = self.columns["reading_cm"].size
+        some = slice(None, None, max(1, -(-size // FITTED_ROWS)))
+        columns = {name: np.asarray(column)[some] for name, column in self.columns.items()}
+        return Prepared.of(self.model, columns, columns.pop("reading_cm"))
+
+    @cached_property
+    def candidates(self) -> tuple[CandidateEffect, ...]:
+        """What these readings can show."""
+        return candidates_of(
+            self.model, {name: self.prepared.scene[name] for name in self.columns if name in self.prepared.scene}
+        )[0]
+
+
+def fit_answers(
+    old: OldReadings, question: Question, report: Progress = lambda what, share: None
+) -> list[FittedAnswer]:
+    """Each answer of a question, fitted to the old readings with all else that was found."""
+    own = {(each.name, each.of) for each in question.answers}
+    others = [each for each in old.terms if (each.effect.name, each.of) not in own]
+    without = refit(old.prepared, others)
+    found = []
+    for answer in question.answers:
+        report(f"fitting {answer.label}", 0.0)
+        found.append(_fitted(old, answer, others, without))
+    return found
+
+
+def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:
+    def as_answer(terms: Sequence[Term], base: _Array, fitted: JointFit | None) -> FittedAnswer:
+        likelihood = None if fitted is None else fitted.log_likelihood
+        model = extended(old.model, base, terms, old.prepared.spacing_s)
+        return FittedAnswer(answer, tuple(terms), base, likelihood, model, fitted is None)
+
+    if answer.effect is None:
+        return as_answer(without.effects, without.base, without)
+    candidates = [each for each in old.candidates if each.key == (answer.name, answer.of)]
+    starts = [each.at(value) for each in candidates for value in _starts(each.parameter)]
+    if not starts:
+        term = Term(answer.effect, answer.effect.neutral_values(), answer.of)
+        return as_answer([*without.effects, term], without.base, None)
+    heights = [float(old.prepared.log_prob(without.base, [*without.effects, each]).sum()) for each in starts]
+    fit = refit(old.prepared, [*without.effects, starts[int(np.argmax(heights))]], without.base)
+    if fit.log_likelihood - without.log_likelihood < SHOWN_NATS:
+        return as_answer([*without.effects, fit.effects[-1]], without.base, None)
+    return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
+
+
+def _starts(parameter: Parameter) -> _Array:
+    neutral = parameter.neutral or 0.0
+    span = STARTS * (parameter.high - parameter.low)
+    values = neutral + np.concatenate([-span[::-1], span])
+    return values[(values >= parameter.low) & (values <= parameter.high)]
+
+
+def strength_of(effect: Effect) -> Parameter:
+    """The parameter that is neutral where the effect is absent."""
+    return next(each for each in effect.parameters if each.neutral is not None)
+
+
+def _cautious(fit: JointFit) -> Term:
+    """The last effect with its strength one standard error nearer to nothing."""
+    term = fit.effects[-1]
+    strength = strength_of(term.effect)
+    neutral = strength.neutral or 0.0
+    place = fit.names.index(f"{len(fit.effects) - 1}.{strength.name}")
+    error = float(np.sqrt(max(fit.covariance()[place, place], 0.0)))
+    size = term.values[strength.name] - neutral
+    less = min(error / max(abs(size), 1e-12), LARGEST_DOUBT)
+    return replace(term, values={**term.values, strength.name: neutral + size * (1.0 - less)})
+
+
+def with_strength(
+    answer: FittedAnswer, given: Model, contexts: Mapping[str, Any], rng: np.random.Generator
+) -> FittedAnswer:
+    """An answer of unknown strength with the smallest one that matters in these contexts; others as they are."""
+    if not answer.assumed or answer.answer.effect is None:
+        return answer
+    term = answer.terms[-1]
+    strength = strength_of(term.effect)
+    neutral = strength.neutral or 0.0
+    without = extended(given, answer.base, answer.terms[:-1], None)
+    for share in np.geomspace(1e-5, 1.0, 41):
+        value = min(neutral + share * (strength.high - strength.low), strength.high)
+        stronger = replace(term, values={**term.values, strength.name: float(value)})
+        model = extended(given, answer.base, [*answer.terms[:-1], stronger], None)
+        drawn = model.sample(contexts, rng)
+        gained = np.maximum(model.log_prob(drawn, contexts), -30.0) - np.maximum(
+            without.log_prob(drawn, contexts), -30.0
+        )
+        if gained.mean() >= MATTERS_NATS:
+            break
+    return replace(answer, terms=(*answer.terms[:-1], stronger), model=model)

@@ -1,0 +1,197 @@
+"""Sessions at the bench: a target that is moved, turned, heated or shaken, as a campaign file says it.
+
+Columns to vary enter, a `Session` leaves. Its points, their order and the time for setting them up are those of
+`msp-lab collect`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_lab.campaigns.campaign import Campaign
+from msp_lab.campaigns.plan import Point, make_plan, reading_interval_s, reading_s, setup_s
+from msp_lab.design.session import Columns, Session
+from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.yaml_file import check
+
+LEVELS: Mapping[str, tuple[float, ...]] = {
+    "true_range_cm": (60.0, 120.0, 200.0, 300.0, 400.0),
+    "incidence_deg": (0.0, 6.0, 12.0),
+    "air_temperature_c": (0.0, 20.0, 40.0),
+    "target_temperature_c": (0.0, 15.0),
+    "humidity_pct": (20.0, 90.0),
+    "vibration_hz": (0.0, 50.0, 100.0),
+    "range_rate_cm_s": (10.0, 50.0),
+    "target_size_cm": (10.0, 30.0, 100.0),
+    "external_level_db": (80.0, 95.0, 110.0),
+}
+"""Values that a bench can set. Ranges at which a wall is always detected; angles inside the beam; a cold room, a room
+and a hot box, or a climate chamber; `target_temperature_c` is how much warmer the far end is. Wider levels need fewer
+readings and more equipment."""
+USUAL = {"true_range_cm": 200.0, "air_temperature_c": 20.0}
+"""Values of what is not varied."""
+UNITS = {
+    "true_range_cm": "cm",
+    "incidence_deg": "deg",
+    "air_temperature_c": "C",
+    "target_temperature_c": "C warmer than at the sensor",
+    "humidity_pct": "%",
+    "vibration_hz": "Hz",
+    "range_rate_cm_s": "cm/s",
+    "target_size_cm": "cm",
+    "external_level_db": "dB",
+}
+REFERENCE_CM = 0.2
+"""Standard deviation of a placement's true range: a steel tape. Offsets below it need many placements."""
+FARTHEST_SHARE = 0.6
+"""Of the sensor's longest reading: farther walls are missed too often."""
+LEAST_READINGS = 20
+"""Readings at a point, at least: setting it up takes longer than reading it."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all sessions at a bench have in common.
+
+    Attributes
+    ----------
+    model
+        Sensor model file.
+    sensor
+        Its content.
+    sensors
+        Names of the sensors to read.
+    """
+
+    model: Path
+    sensor: SensorModel
+    sensors: tuple[str, ...]
+
+    def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
+        """Those of these columns that a bench can vary."""
+        asked = set(columns)
+        if "external_duty" in asked:
+            asked.add("external_level_db")
+        return tuple(name for name in LEVELS if name in asked)
+
+    def can_record(self, columns: frozenset[str]) -> bool:
+        """Whether the table of a campaign has these columns."""
+        here = {"sensor", "run", "target", "slant_range_cm", "previous_reading_cm"}
+        of_source = {"external_duty", "external_distance_cm", "external_frequency_khz"}
+        return columns <= {*LEVELS, *here, *of_source}
+
+    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
+        """A session that varies some columns, with so many readings at each point.
+
+        Parameters
+        ----------
+        varied
+            Columns.
+        ends_only
+            Only the first and the last of their levels.
+        readings
+            Of a sensor at a point.
+        record
+            Columns that have to be known, varied or not.
+
+        Raises
+        ------
+        ConfigError
+            No campaign can be made of it: the sensor has no driver.
+        """
+        levels = {name: self._levels(name, ends_only) for name in varied}
+        content = self._campaign(levels, max(readings, LEAST_READINGS), record)
+        campaign = check("campaign", Campaign, content, {"folder": self.model.parent})
+        points = make_plan(campaign)
+        seconds = sum(reading_s(campaign, point) for point in points)
+        before = [None, *(point.setup for point in points[:-1])]
+        seconds += sum(setup_s(old, point.setup) for old, point in zip(before, points, strict=True))
+        words = {name: f"{', '.join(f'{each:g}' for each in levels[name])} {UNITS[name]}" for name in varied}
+        contexts = _contexts(campaign, points)
+        return Session("bench", words, contexts, campaign.readings, seconds / 60.0, content, offset_cm=REFERENCE_CM)
+
+    def _levels(self, name: str, ends_only: bool) -> tuple[float, ...]:
+        levels = LEVELS[name]
+        if name == "true_range_cm":
+            levels = tuple(each for each in levels if each <= FARTHEST_SHARE * self.sensor.maximum_cm)
+        return (levels[0], levels[-1]) if ends_only else levels
+
+    def _campaign(
+        self, levels: Mapping[str, tuple[float, ...]], readings: int, record: frozenset[str]
+    ) -> dict[str, Any]:
+        def of(name: str) -> tuple[float, ...]:
+            return levels.get(name, (USUAL.get(name, 0.0),))
+
+        condition: dict[str, Any] = {
+            "condition": "decide",
+            "setup": "Clear the bench of everything that could reflect; level the sensor at the middle of the target.",
+            "ranges_cm": list(of("true_range_cm")),
+            "angles_deg": list(of("incidence_deg")),
+            "vibrations_hz": list(of("vibration_hz")),
+            "targets": [{"material": "wall"}],
+            "sensors": list(self.sensors),
+        }
+        if "target_size_cm" in levels or "target_size_cm" in record:
+            sizes = levels.get("target_size_cm", (100.0,))
+            condition["targets"] = [{"material": "plywood", "size_cm": [each, each]} for each in sizes]
+        if "external_level_db" in levels:
+            condition["external"] = {
+                "levels_db": list(levels["external_level_db"]),
+                "duties": [0.5],
+                "distances_cm": [100.0],
+                "frequencies_khz": [42.0],
+            }
+        air = []
+        for near_c, warmer_c, humid in product(
+            of("air_temperature_c"), of("target_temperature_c"), levels.get("humidity_pct", (50.0,))
+        ):
+            one = {"air_temperature_c": near_c}
+            if "target_temperature_c" in levels:
+                one["target_temperature_c"] = near_c + warmer_c
+            if "humidity_pct" in record or "humidity_pct" in levels:
+                one["humidity_pct"] = humid
+            air.append(one)
+        condition["air"] = air
+        if "range_rate_cm_s" in levels:
+            near, far = min(LEVELS["true_range_cm"]), self._levels("true_range_cm", True)[-1]
+            ends = [near, far] if "true_range_cm" in levels else [near, 2.0 * USUAL["true_range_cm"] - near]
+            condition["ranges_cm"] = ends
+            condition["moving"] = {"to_cm": sum(ends) / 2.0, "rates_cm_s": list(levels["range_rate_cm_s"])}
+        sensors = [
+            {"name": name, "address": 0x70 + number, "model": str(self.model)}
+            for number, name in enumerate(self.sensors)
+        ]
+        return {
+            "campaign": "decide",
+            "purpose": "Made by msp-lab design",
+            "reference": {"method": "steel tape from sensor to target", "uncertainty_cm": REFERENCE_CM},
+            "sensors": sensors,
+            "readings": readings,
+            "conditions": [condition],
+        }
+
+
+def _contexts(campaign: Campaign, points: Sequence[Point]) -> Columns:
+    """The columns of the table that `msp-lab collect` makes, without readings."""
+    parts = []
+    for point in points:
+        columns = point.columns
+        spacing_s = reading_interval_s(campaign, point.setup.sensors, point.firing)
+        rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
+        for name in point.setup.sensors:
+            time_s = np.arange(point.readings) * spacing_s
+            part = {key: np.full(point.readings, value) for key, value in columns.items()}
+            part |= {"time_s": time_s, "sensor": np.full(point.readings, name)}
+            part["run"] = np.full(point.readings, point.name)
+            part["true_range_cm"] = point.setup.range_cm + rate_cm_s * time_s
+            parts.append(part)
+    names = dict.fromkeys(name for part in parts for name in part)
+    return {name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names}
+
+
+def _or_unknown(part: dict[str, Any], name: str) -> Any:
+    return part[name] if name in part else np.full(part["time_s"].size, np.nan)

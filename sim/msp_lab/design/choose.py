@@ -1,0 +1,279 @@
+"""The cheapest session that decides a question, or that none does.
+
+A question's fitted answers and the sessions that a lab or a pilot can do enter; a `Design` leaves. Sessions are tried
+in the order of the time for setting them up, until setting up alone takes longer than the best one in all.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, permutations, product
+from math import ceil
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from msp_lab.design.answers import FittedAnswer, with_strength
+from msp_lab.design.questions import Question
+from msp_lab.design.separation import (
+    DRAWN_ROWS,
+    Separation,
+    needed_nats,
+    power_of,
+    separation,
+    threshold_nats,
+)
+from msp_lab.design.session import Session
+from msp_lab.gap import rules
+from msp_lab.gap.problem import Progress
+from msp_sim.model.model import Model
+
+MOST_VARIED = 4
+"""At most so many columns are varied in a session; with more its points are too many to set up."""
+TRIED_READINGS = 60
+"""Readings at a point, or of a sensor in a flight, with which a session is first looked at: the nats per reading hardly
+depend on it."""
+MARGIN = 1.1
+"""A session gets so many times the readings that are needed: the nats per reading are known to about a tenth."""
+MOST_READINGS = 2 * rules.TRAINING_ROWS
+"""Readings of a session at most: the gap workflow fits no more."""
+LONGER = 1.25
+"""Steps in which a session is made longer until it is long enough."""
+
+
+class Place(Protocol):
+    """Where sessions are held: a bench, or a vehicle."""
+
+    def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
+        """Those of these columns that can be varied."""
+
+    def can_record(self, columns: frozenset[str]) -> bool:
+        """Whether these columns can be known."""
+
+    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
+        """A session that varies some columns."""
+
+
+@dataclass(frozen=True)
+class Same:
+    """Two answers that no session here tells apart.
+
+    Attributes
+    ----------
+    one, other
+        Their places.
+    nats
+        Expected nats between them on the training half of the largest session.
+    """
+
+    one: int
+    other: int
+    nats: float
+
+    @property
+    def structural(self) -> bool:
+        """Whether the largest session leaves them as near to each other as alternatives are."""
+        return self.nats < rules.ALTERNATIVE_NATS
+
+
+@dataclass(frozen=True)
+class Design:
+    """The answer to how a question is decided.
+
+    Attributes
+    ----------
+    question, answers
+        What is to be decided, with the strengths that were planned with.
+    session
+        The cheapest one; None: none is allowed.
+    separations
+        Of the pairs that it tells apart.
+    same
+        Pairs of answers that no session here tells apart with this power.
+    classes
+        Places of the answers that are one as far as any session can say; what is like the same third is alike.
+    power
+        Expected power for the hardest of the other pairs.
+    why
+        Why there is no session; empty where there is one.
+    wanted
+        The power that was asked for.
+    make
+        Makes the session with another number of readings at each point.
+    """
+
+    question: Question
+    answers: tuple[FittedAnswer, ...]
+    session: Session | None
+    separations: tuple[Separation, ...] = ()
+    same: tuple[Same, ...] = ()
+    classes: tuple[frozenset[int], ...] = ()
+    power: float = 0.0
+    why: str = ""
+    wanted: float = 0.95
+    make: "Make | None" = None
+
+    @property
+    def needed_nats(self) -> float:
+        """Expected nats that the hardest pair needs."""
+        return max(
+            needed_nats(self.wanted, threshold_nats(self.answers[each.truth], self.answers[each.rival]))
+            for each in self.separations
+        )
+
+    def longer(self, times: float) -> "Design":
+        """The design with so many times the readings."""
+        assert self.session is not None
+        assert self.make is not None
+        session = self.make(ceil(times * self.session.per_point))
+        return replace(self, session=session, power=_power(session, self.separations, self.answers))
+
+    def class_of(self, place: int) -> frozenset[int]:
+        """The answers that are one with this one."""
+        return next((each for each in self.classes if place in each), frozenset({place}))
+
+
+def cheapest(
+    question: Question,
+    answers: Sequence[FittedAnswer],
+    given: Model,
+    places: Sequence[Place],
+    max_minutes: float,
+    power: float,
+    run_offset_cm: float,
+    rng: np.random.Generator,
+    report: Progress,
+) -> Design:
+    """The cheapest session in which each answer is found with this power where it is true.
+
+    Parameters
+    ----------
+    question, answers
+        Fitted to the old readings.
+    given
+        The given model.
+    places
+        Where sessions may be held.
+    max_minutes
+        No session may take longer.
+    power
+        Probability that the right answer is named, whichever it is.
+    run_offset_cm
+        Standard deviation of offsets between runs that the old readings have.
+    rng
+        Draws readings.
+    report
+        Progress.
+    """
+    usable = [each for each in places if each.can_record(question.columns) and each.factors(question.columns)]
+    if not usable:
+        columns = ", ".join(sorted(question.columns))
+        return Design(question, tuple(answers), None, why=f"no session can vary and record {columns}")
+    record = question.columns
+    richest = [each.session(each.factors(record)[:MOST_VARIED], False, TRIED_READINGS, record) for each in usable]
+    answers = tuple(with_strength(each, given, richest[0].sampled(DRAWN_ROWS), rng) for each in answers)
+    pairs = [
+        (one, other) for one, other in permutations(range(len(answers)), 2) if answers[one].answer.name is not None
+    ]
+
+    def needed(truth: int, rival: int) -> float:
+        return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[rival]))
+
+    def separations(session: Session, of: Iterable[tuple[int, int]]) -> list[Separation]:
+        contexts = session.sampled(DRAWN_ROWS)
+        offset_cm = float(np.hypot(session.offset_cm, run_offset_cm))
+        return [separation(given, (answers[a], answers[b]), (a, b), contexts, offset_cm, rng) for a, b in of]
+
+    report(f"what could tell {question.label} apart", 0.1)
+    reach = dict.fromkeys(pairs, 0.0)
+    for most in richest:
+        for each in separations(most, pairs):
+            pair = each.truth, each.rival
+            reach[pair] = max(reach[pair], each.nats(MOST_READINGS, most.runs))
+    same = tuple(
+        Same(one, other, min(nats for pair, nats in reach.items() if set(pair) == {one, other}))
+        for one, other in combinations(range(len(answers)), 2)
+        if any(set(pair) == {one, other} and nats < needed(*pair) for pair, nats in reach.items())
+    )
+    classes = _classes(len(answers), same)
+    pairs = [pair for pair in pairs if not any({*pair} <= each for each in classes)]
+    if not pairs:
+        return Design(
+            question, answers, None, same=same, classes=classes, why="no session that can be held here tells them apart"
+        )
+    best: Design | None = None
+    trials = sorted(_trials(record, usable), key=lambda each: each[1].minutes)
+    for number, (make, shortest) in enumerate(trials):
+        if best is not None and best.session is not None and shortest.minutes >= best.session.minutes:
+            break
+        report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
+        found = separations(shortest, pairs)
+        session = _long_enough(make, shortest, found, needed)
+        if session is not None and (best is None or best.session is None or session.minutes < best.session.minutes):
+            best = Design(
+                question,
+                answers,
+                session,
+                tuple(found),
+                same,
+                classes,
+                _power(session, found, answers),
+                wanted=power,
+                make=make,
+            )
+    if best is None or best.session is None:
+        return Design(
+            question, answers, None, same=same, classes=classes, why=f"no session of {MOST_READINGS} readings is enough"
+        )
+    if best.session.minutes > max_minutes:
+        why = f"the shortest session takes {best.session.minutes:.0f} minutes; allow it with --max-minutes"
+        return Design(question, answers, None, same=same, classes=classes, why=why)
+    return best
+
+
+Make: TypeAlias = Callable[[int], Session]
+"""A session with so many readings at each point."""
+
+
+def _trials(record: frozenset[str], places: Sequence[Place]) -> Iterator[tuple[Make, Session]]:
+    """Every session that varies some of the columns, in its shortest form."""
+    for place in places:
+        factors = place.factors(record)
+        for count in range(1, min(len(factors), MOST_VARIED) + 1):
+            for varied, ends_only in product(combinations(factors, count), (True, False)):
+                make = partial(_session, place, varied, ends_only, record)
+                yield make, make(1)
+
+
+def _session(place: Place, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int) -> Session:
+    return place.session(varied, ends_only, readings, record)
+
+
+def _classes(answers: int, same: Sequence[Same]) -> tuple[frozenset[int], ...]:
+    classes = [frozenset({place}) for place in range(answers)]
+    for each in same:
+        joined = [group for group in classes if group & {each.one, each.other}]
+        classes = [frozenset().union(*joined), *(group for group in classes if group not in joined)]
+    return tuple(sorted(classes, key=min))
+
+
+def _long_enough(
+    make: Make, shortest: Session, found: Sequence[Separation], needed: Callable[[int, int], float]
+) -> Session | None:
+    """The session with as many readings as every pair needs; None: no number is enough."""
+    longer = 1.0
+    while any(
+        each.nats(int(shortest.readings * longer), shortest.runs) < needed(each.truth, each.rival) for each in found
+    ):
+        longer *= LONGER
+        if shortest.readings * longer > MOST_READINGS:
+            return None
+    return make(ceil(longer * shortest.per_point))
+
+
+def _power(session: Session, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:
+    """Of the hardest pair."""
+    return min(
+        power_of(each.nats(session.readings, session.runs), threshold_nats(answers[each.truth], answers[each.rival]))
+        for each in found
+    )

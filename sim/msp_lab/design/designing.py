@@ -1,0 +1,151 @@
+"""``msp-lab design``: from the folder of a gap run to sessions that decide what it left open.
+
+A folder and options enter; a folder for each session, with its campaign and scenario files and a picture, and
+``design.json`` leave.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from msp_lab.design.answers import OldReadings, fit_answers
+from msp_lab.design.bench import Bench
+from msp_lab.design.choose import Design, Place, cheapest
+from msp_lab.design.flight import Pilot
+from msp_lab.design.proof import Proof, prove, with_old
+from msp_lab.design.questions import Question, open_questions
+from msp_lab.gap.findings import GapFindings, read_findings
+from msp_lab.gap.problem import Progress
+from msp_lab.gap.steps import Steps
+from msp_range.clock import Clock
+from msp_range.config import load_airframe
+from msp_range.yaml_file import ConfigError, config_path
+
+NAME = "[a-z][a-z0-9_]{0,31}"
+"""Names that a sensor of a campaign can have."""
+LENGTHENED = 1.5
+"""Where the simulated sessions keep the promise less often, the session gets so many times the readings, once."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user asks of a design.
+
+    Attributes
+    ----------
+    bench
+        Only at the bench, or only in flight; None: whichever is cheaper.
+    max_minutes
+        No session may take longer.
+    power
+        Probability that the right answer is named.
+    sessions
+        Simulated sessions; 0: none.
+    seed
+        Of all draws.
+    airframe
+        Of the vehicle that flies.
+    """
+
+    bench: bool | None = None
+    max_minutes: float = 240.0
+    power: float = 0.95
+    sessions: int = 20
+    seed: int = 1
+    airframe: str = "quad_pallet"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A design with its proof.
+
+    Attributes
+    ----------
+    design
+        Of one question.
+    proof
+        None where there is no session, or none was simulated.
+    joined
+        The session's readings go in with the old ones; otherwise they are compared alone.
+    """
+
+    design: Design
+    proof: Proof | None = None
+    joined: bool = True
+
+
+def plan_sessions(folder: Path, options: Options, clock: Clock, report: Progress) -> tuple[GapFindings, list[Plan]]:
+    """A plan for each question that a gap run left open, and the findings of the run.
+
+    Raises
+    ------
+    ConfigError
+        There is nothing to decide, or the run's files are gone or have changed.
+    """
+    findings = read_findings(folder)
+    questions = open_questions(findings, folder)
+    old = OldReadings.load(Steps(folder, clock, report))
+    plans = []
+    for number, question in enumerate(questions):
+
+        def part(what: str, share: float, done: int = number) -> None:
+            report(what, (done + share) / len(questions))
+
+        plans.append(_plan(old, question, _places(old, question, options), options, part))
+    return findings, plans
+
+
+def _places(old: OldReadings, question: Question, options: Options) -> list[Place]:
+    places: list[Place] = []
+    if options.bench is not False and old.model.sensor.driver != "none":
+        file = config_path(old.comparison.settings.model, "sensors").resolve()
+        places.append(Bench(file, old.model.sensor, _sensors(old, question)))
+    if not options.bench:
+        file = config_path(options.airframe, "").resolve()
+        places.append(Pilot(file, load_airframe(file)))
+    if not places:
+        raise ConfigError("--bench: the model says driver: none, so that no bench can read the sensor; give --flight")
+    return places
+
+
+def _sensors(old: OldReadings, question: Question) -> tuple[str, ...]:
+    """The sensors of the old readings where an answer is about one of them, else the first."""
+    names = [str(each) for each in np.unique(np.asarray(old.columns["sensor"]))] if "sensor" in old.columns else []
+    names = [each for each in names if re.fullmatch(NAME, each)] or ["sensor_1"]
+    return tuple(names if "sensor" in question.columns else names[:1])
+
+
+def _plan(old: OldReadings, question: Question, places: Sequence[Place], options: Options, report: Progress) -> Plan:
+    rng = np.random.default_rng([options.seed, 0])
+    answers = fit_answers(old, question)
+    design = cheapest(
+        question,
+        answers,
+        old.model,
+        places,
+        options.max_minutes,
+        options.power,
+        old.run_offset_cm,
+        rng,
+        lambda what, share: report(what, 0.4 * share),
+    )
+    if design.session is None:
+        return Plan(design)
+    joined = with_old(old, answers, design.session.readings)
+    if not options.sessions:
+        return Plan(design, joined=joined)
+
+    def proof_of(design: Design) -> Proof:
+        return prove(
+            old, design, joined, options.sessions, options.seed, lambda what, share: report(what, 0.4 + 0.6 * share)
+        )
+
+    proof = proof_of(design)
+    if proof.right < options.power * proof.held:
+        longer = design.longer(LENGTHENED)
+        if longer.session is not None and longer.session.minutes <= options.max_minutes:
+            design, proof = longer, proof_of(longer)
+    return Plan(design, proof, joined)

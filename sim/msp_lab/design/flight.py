@@ -1,0 +1,202 @@
+"""Sessions in flight: heights, climbs, tilts and times of day, as scenario files say them.
+
+Columns to vary enter, a `Session` leaves. The contexts are those of the vehicle's pings over flat ground; each flight
+is a run.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_lab.design.session import Columns, Session
+from msp_range.config import Airframe
+from msp_range.yaml_file import check
+from msp_sim.flight.scenario import Scenario
+from msp_sim.world.world import MountedBeam
+
+HEIGHTS_M = (1.0, 2.2, 3.6)
+"""Heights above ground at which the vehicle hovers if the range is varied."""
+USUAL_HEIGHT_M = 1.8
+"""Height above ground where it is not."""
+TEMPERATURES_C = (2.0, 17.0, 32.0)
+"""Air temperatures of flights in the early morning, before noon and on a hot afternoon, or in different weeks."""
+SWING_M = 2.0
+BRISK_S, GENTLE_S = 2.6, 6.0
+"""Period of climbs and descents by `SWING_M` [s]: the brisk one takes the throttle from 0.2 to 0.8, the gentle one
+changes the range by up to 1 m/s at nearly constant throttle."""
+DASH_S = 3.0
+"""Time of each dash forwards or back [s]; with `DASH_M_S2` it tilts the vehicle by up to 14 degrees."""
+DASH_M_S, DASH_M_S2 = 3.0, 2.5
+SETUP_MIN = 3.0
+"""Time for each flight on the ground [min]: battery, reference, recording."""
+WEATHER_MIN = 30.0
+"""Time to wait for another air temperature [min]; it counts as much as ten flights."""
+FLIGHTS = 6
+"""Flights of a session: three for naming, three for validation. Fewer: what differs between runs is not known."""
+LONGEST_S = 600.0
+"""A flight lasts at most so long [s]: a battery."""
+FACTORS = ("true_range_cm", "range_rate_cm_s", "throttle", "incidence_deg", "air_temperature_c")
+"""Context columns that a pilot can vary."""
+REFERENCE_CM = 1.0
+"""Standard deviation of an error of the true range that all readings of a flight share: another range finder. Larger:
+what differs between flights counts less, and sessions become longer."""
+TRUTH = (*FACTORS, "time_s", "sensor", "run", "slant_range_cm", "uptime_s", "target")
+"""Columns of a simulated ping."""
+RECORDED = frozenset(
+    {*FACTORS, "sensor", "run", "target", "slant_range_cm", "previous_reading_cm", "uptime_s", "time_in_run_s"}
+)
+"""Columns of a simulated flight. Of a real one the reference and the autopilot's log have to give them."""
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What all sessions in flight have in common.
+
+    Attributes
+    ----------
+    airframe_file, airframe
+        The vehicle.
+    """
+
+    airframe_file: Path
+    airframe: Airframe
+
+    def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
+        """Those of these columns that a pilot can vary."""
+        return tuple(name for name in FACTORS if name in columns)
+
+    def can_record(self, columns: frozenset[str]) -> bool:
+        """Whether the recording of a flight has these columns."""
+        return columns <= RECORDED
+
+    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
+        """A session that varies some columns, with so many readings of a sensor in each flight.
+
+        Parameters
+        ----------
+        varied
+            Columns.
+        ends_only
+            Only the first and the last of their levels.
+        readings
+            Of a sensor in a flight.
+        record
+            Not used: a flight records what it can.
+        """
+        del record
+        sensors = self.airframe.sensors
+        interval_s = self.airframe.polling.ping_interval_s or max(
+            each.sensor_model.timing.ping_interval_s for each in sensors
+        )
+        seconds = min(max(readings * interval_s * len(sensors), 20.0), LONGEST_S)
+        air_c: tuple[float, ...] = TEMPERATURES_C if "air_temperature_c" in varied else (20.0,)
+        air_c = (air_c[0], air_c[-1]) if ends_only and len(air_c) > 1 else air_c
+        scenarios, parts = {}, []
+        for number in range(FLIGHTS):
+            name = f"decide_{number + 1}"
+            content = self._scenario(name, varied, ends_only, seconds, air_c[number * len(air_c) // FLIGHTS])
+            scenarios[name] = content
+            scenario = check(name, Scenario, content, {"folder": self.airframe_file.parent})
+            parts.append(_contexts(scenario, name, interval_s))
+        contexts = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        flown_s = sum(float(each["duration_s"]) for each in scenarios.values())
+        minutes = flown_s / 60.0 + FLIGHTS * SETUP_MIN + (len(air_c) - 1) * WEATHER_MIN
+        words, campaign = _words(varied, ends_only, air_c), self._campaign(scenarios)
+        per_flight = round(seconds / (interval_s * len(sensors)))
+        return Session("flight", words, contexts, per_flight, minutes, campaign, scenarios, REFERENCE_CM)
+
+    def _scenario(
+        self, name: str, varied: Sequence[str], ends_only: bool, seconds: float, air_c: float
+    ) -> dict[str, Any]:
+        climb = {"kind": "climb", "speed_m_s": 2.0, "acceleration_m_s2": 2.0}
+        heights: tuple[float, ...] = HEIGHTS_M if "true_range_cm" in varied else (USUAL_HEIGHT_M,)
+        heights = (heights[0], heights[-1]) if ends_only and len(heights) > 1 else heights
+        periods_s = [
+            *([GENTLE_S] if "range_rate_cm_s" in varied else []),
+            *([BRISK_S] if "throttle" in varied else []),
+        ]
+        share_s = seconds / (len(heights) * (1 + len(periods_s)))
+        segments: list[dict[str, Any]] = []
+        for height_m in heights:
+            segments += [climb | {"to_m": height_m}, {"kind": "hold", "duration_s": round(share_s, 1)}]
+            for period_s in periods_s:
+                cycles = max(round(share_s / period_s), 1)
+                segments.append({"kind": "sinusoid", "swing_m": SWING_M, "period_s": period_s, "cycles": cycles})
+        # The time for climbs from height to height, of 2 s each at most.
+        duration_s = round(seconds + 3.0 * len(heights) + sum(periods_s) * len(heights))
+        dashes = int(duration_s / (2.0 * DASH_S)) if "incidence_deg" in varied else 0
+        legs = [
+            {"duration_s": DASH_S, "speed_m_s": DASH_M_S, "heading_deg": heading}
+            for _ in range(dashes)
+            for heading in (0.0, 180.0)
+        ]
+        return {
+            "name": name,
+            "airframe": str(self.airframe_file),
+            "duration_s": duration_s,
+            "flight": {"altitude": segments, "track": {"acceleration_m_s2": DASH_M_S2, "legs": legs}},
+            "ground": {"surface": "concrete"},
+            "air": {"ground_c": air_c, "lapse_c_per_m": 0.0},
+        }
+
+    def _campaign(self, scenarios: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        flights = [
+            {
+                "flight": name,
+                "how": f"Fly what {name}.yaml describes, in air of {content['air']['ground_c']:g} deg C.",
+                "target": "concrete",
+                "scenario": f"{name}.yaml",
+            }
+            for name, content in scenarios.items()
+        ]
+        return {
+            "campaign": "decide",
+            "purpose": "Made by msp-lab design",
+            "reference": {
+                "method": "another range finder next to the sensors, logged with UTC",
+                "uncertainty_cm": REFERENCE_CM,
+            },
+            "airframe": str(self.airframe_file),
+            "flights": flights,
+        }
+
+
+def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> dict[str, str]:
+    heights = (HEIGHTS_M[0], HEIGHTS_M[-1]) if ends_only else HEIGHTS_M
+    words = {
+        "true_range_cm": f"hover at {', '.join(f'{each:g}' for each in heights)} m",
+        "range_rate_cm_s": f"climb and descend by {SWING_M:g} m every {GENTLE_S:g} s",
+        "throttle": f"climb and descend by {SWING_M:g} m every {BRISK_S:g} s",
+        "incidence_deg": f"dash forwards and back, {DASH_S:g} s each, with {DASH_M_S2:g} m/s^2",
+        "air_temperature_c": f"flights in air of {', '.join(f'{each:g}' for each in air_c)} C",
+    }
+    return {name: words[name] for name in varied}
+
+
+def _contexts(scenario: Scenario, run: str, interval_s: float) -> Columns:
+    """The truth of each ping of a flight."""
+    world = scenario.world()
+    vehicle = scenario.vehicle(world, np.random.default_rng(1))
+    beams = [
+        MountedBeam(
+            each.position_m,
+            each.boresight,
+            each.sensor_model.beam.half_angle_rad if each.sensor_model.medium == "sound" else None,
+        )
+        for each in scenario.airframe.sensors
+    ]
+    rows: dict[str, list[Any]] = {}
+    for number in range(int(scenario.duration_s / interval_s)):
+        time_s = number * interval_s
+        which = number % len(beams)
+        pose = vehicle.pose(time_s)
+        ping = world.ping(pose, beams[which])
+        row = ping._asdict() | {"time_s": time_s, "throttle": pose.throttle, "uptime_s": time_s, "run": run}
+        row["sensor"] = scenario.airframe.sensors[which].name
+        if ping.has_echo:
+            for key in TRUTH:
+                rows.setdefault(key, []).append(row[key])
+    return {key: np.array(values) for key, values in rows.items()}

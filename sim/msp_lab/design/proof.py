@@ -1,0 +1,144 @@
+"""The simulator holds a session first: how often the gap workflow then names the right answer.
+
+A design enters; its readings are drawn from each answer in turn, put with the old ones and named as `msp-lab gap` names
+them. The share that was right leaves, with its interval.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from msp_lab.design.answers import FittedAnswer, OldReadings
+from msp_lab.design.choose import Design
+from msp_lab.design.session import Columns, Session
+from msp_lab.gap import rules, workflow
+from msp_lab.gap.findings import FoundEffect, GapFindings
+from msp_lab.gap.intake import Readings
+from msp_lab.gap.problem import Progress
+from msp_lab.gap.workflow import Comparison
+from msp_range.recording.columns import WORD_COLUMNS
+from msp_range.recording.csv_form import MeasuredData
+from msp_sim.model.derived import sample_in_order
+from msp_sim.model.model import Model
+
+
+@dataclass(frozen=True)
+class Proof:
+    """How often the right answer was named.
+
+    Attributes
+    ----------
+    right, held
+        Sessions with the right answer, and all that were simulated.
+    wrong
+        What was found in the others, in words.
+    """
+
+    right: int
+    held: int
+    wrong: tuple[str, ...] = ()
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the power (Clopper and Pearson 1934).
+
+        Examples
+        --------
+        >>> print("{:.2f} {:.2f}".format(*Proof(20, 20).interval))
+        0.83 1.00
+        """
+        low = float(beta.ppf(0.025, self.right, self.held - self.right + 1)) if self.right else 0.0
+        high = float(beta.ppf(0.975, self.right + 1, self.held - self.right)) if self.right < self.held else 1.0
+        return low, high
+
+
+def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -> bool:
+    """Whether the old readings can go in with the new ones.
+
+    Not where they lack a column that an effect needs, since readings without it are left out; and not where they are so
+    many that the workflow would fit only some of the new ones.
+    """
+    effects = [each.answer.effect for each in answers if each.answer.effect is not None]
+    required = {column for each in effects for column in each.requires}
+    rows = int(old.columns["reading_cm"].size)
+    return required <= {*old.columns} and rows + new_rows <= 2 * rules.TRAINING_ROWS
+
+
+def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: int, report: Progress) -> Proof:
+    """Hold a design's session several times, each answer true in turn.
+
+    Parameters
+    ----------
+    old
+        Readings of the gap run, its model and its settings.
+    design
+        With a session.
+    joined
+        With the old readings.
+    sessions
+        How many.
+    seed
+        Of all draws.
+    report
+        Progress.
+    """
+    session = design.session
+    assert session is not None
+    right, wrong = 0, []
+    for number in range(sessions):
+        report(f"simulating session {number + 1} of {sessions}", number / sessions)
+        truth = number % len(design.answers)
+        rng = np.random.default_rng([seed, number])
+        new = held(session, design.answers[truth].model, rng)
+        data = merged(old.columns, new) if joined else new
+        comparison = Comparison.of(Readings(MeasuredData(data), ()), old.model, old.comparison.settings)
+        findings, _ = workflow.name(comparison, _EMPTY, lambda what, share: None)
+        if is_right(findings.effects, design, truth):
+            right += 1
+        else:
+            names = ", ".join(" or ".join(sorted(names_of(each))) for each in findings.effects) or "nothing"
+            wrong.append(f"{design.answers[truth].answer.label}: found {names}")
+    return Proof(right, sessions, tuple(wrong))
+
+
+_EMPTY = GapFindings(None, rows=0, runs=0)
+
+
+def held(session: Session, model: Model, rng: np.random.Generator) -> Columns:
+    """A session with readings drawn from a model; the table's true ranges err by an offset of each run."""
+    contexts = dict(session.contexts)
+    _, unit = np.unique(contexts["run"], return_inverse=True)
+    offset_cm = session.offset_cm * rng.standard_normal(int(unit.max()) + 1)
+    shifted = {**contexts, "true_range_cm": contexts["true_range_cm"] + offset_cm[unit]}
+    contexts["reading_cm"] = sample_in_order(model, shifted, int(rng.integers(2**31)))
+    return contexts
+
+
+def merged(old: Columns | Mapping[str, Any], new: Columns) -> dict[str, Any]:
+    """Two tables in one; what one of them lacks is blank there."""
+    sizes = [np.size(each["true_range_cm"]) for each in (old, new)]
+
+    def column(name: str, table: Mapping[str, Any], size: int) -> Any:
+        blank = np.full(size, "") if name in WORD_COLUMNS else np.full(size, np.nan)
+        return np.asarray(table[name]) if name in table else blank
+
+    parts = [(old, sizes[0]), (new, sizes[1])]
+    return {name: np.concatenate([column(name, *part) for part in parts]) for name in dict.fromkeys([*old, *new])}
+
+
+def names_of(found: FoundEffect) -> frozenset[str]:
+    """A finding's name with its alternatives."""
+    return frozenset({found.name, *(each.name for each in found.alternatives)})
+
+
+def is_right(effects: Sequence[FoundEffect], design: Design, truth: int) -> bool:
+    """Whether the true answer was found, and none of those that the session tells from it."""
+    classes = [names_of(each) for each in effects if each.verdict != "suggested"]
+    alike = {design.answers[place].answer.name for place in design.class_of(truth)}
+    others = {each.answer.name for each in design.answers} - alike - {None}
+    if any(found & others for found in classes):
+        return False
+    return None in alike or any(found & alike for found in classes)

@@ -1,0 +1,139 @@
+"""How far apart two answers are in a session's readings: the expected log-likelihood ratio.
+
+Two fitted answers and a session's contexts enter, nats leave. Readings are drawn from the first answer, and both are
+fitted to them; the second one with all of its numbers and those of the base free, so that what it can imitate does not
+count (T-optimality, Atkinson and Fedorov 1975).
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from msp_lab.design.answers import FittedAnswer
+from msp_lab.design.session import Columns
+from msp_lab.gap import rules
+from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.refit import refit
+from msp_lab.gap.runs import numbered, previous
+from msp_lab.readings.intake import PREVIOUS
+from msp_sim.model.model import Model
+
+_Array = NDArray[np.float64]
+
+DRAWN_ROWS = 3_000
+"""Readings that are drawn to find the nats per reading: 27 nats, those of a power of 95 %, in a session of so many
+readings are then known to 7. More: slower."""
+FIND_NATS = 8.0
+"""What an effect has to gain to be named where it may also be absent: what the largest of some 70 candidates gains by
+random variation is 6, and the shapes that are searched cost 1 or 2. Higher: longer sessions."""
+TRAINING_SHARE = 0.5
+"""The gap workflow names effects on half of the runs, and validates them on the other half."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a wrong answer is from the right one.
+
+    Attributes
+    ----------
+    truth, rival
+        Places of the right answer and of the wrong one.
+    within_nats, between_nats
+        Nats per reading by what differs inside runs, and by what differs between runs.
+    offsets
+        Variance of what runs differ by anyway, over that of a single reading.
+    correlation
+        Of neighbouring readings' errors.
+    """
+
+    truth: int
+    rival: int
+    within_nats: float
+    between_nats: float
+    offsets: float
+    correlation: float
+
+    def nats(self, readings: int, runs: int) -> float:
+        """Expected nats between the two on the training half of a session.
+
+        Correlated readings count as fewer; runs that have offsets of their own count as ``1 / (1 + n offsets)``.
+        """
+        independent = TRAINING_SHARE * readings * (1.0 - self.correlation) / (1.0 + self.correlation)
+        in_run = 2.0 * independent / max(runs, 1)
+        return independent * (self.within_nats + self.between_nats / (1.0 + in_run * self.offsets))
+
+
+def separation(
+    given: Model,
+    answers: tuple[FittedAnswer, FittedAnswer],
+    places: tuple[int, int],
+    contexts: Columns,
+    offset_cm: float,
+    rng: np.random.Generator,
+) -> Separation:
+    """How far the second answer is from the first one, which is true.
+
+    Parameters
+    ----------
+    given
+        Model to which the answers are added.
+    answers, places
+        The right answer and the wrong one, and which they are.
+    contexts
+        Of a session, (n,).
+    offset_cm
+        Standard deviation of what runs differ by: placements of the target, and offsets that were found.
+    rng
+        Draws the readings.
+    """
+    truth, rival = answers
+    columns: dict[str, Any] = dict(contexts)
+    reading_cm = truth.model.sample(columns, rng)
+    columns[PREVIOUS] = previous(columns, reading_cm)
+    prepared = Prepared.of(given, columns, reading_cm)
+    right = refit(prepared, truth.terms, truth.base)
+    wrong = max(
+        (refit(prepared, rival.terms, base) for base in (rival.base, truth.base)), key=lambda fit: fit.log_likelihood
+    )
+    nats = max(right.log_likelihood - wrong.log_likelihood, 0.0) / reading_cm.size
+    right_rows, wrong_rows = prepared.at(right.base, right.effects), prepared.at(wrong.base, wrong.effects)
+    sigma_cm = np.broadcast_to(right_rows.sigma_cm, reading_cm.shape)
+    shift = np.nan_to_num((right_rows.centre_cm - wrong_rows.centre_cm) / sigma_cm)
+    unit = numbered(np.asarray(columns["run"]))
+    counts = np.bincount(unit)
+    between = 0.5 * float((np.bincount(unit, shift) ** 2 / counts).sum()) / reading_cm.size
+    offsets = offset_cm**2 / float(np.mean(sigma_cm**2))
+    between = min(between, nats)
+    correlation = given.sensor.reading_model.correlation
+    return Separation(*places, nats - between, between, offsets, correlation)
+
+
+def needed_nats(power: float, threshold_nats: float) -> float:
+    """Expected nats D at which the ratio, about normal with mean D and variance 2 D, passes a threshold this often.
+
+    Examples
+    --------
+    >>> print(f"{needed_nats(0.95, 5.0):.1f}")
+    13.6
+    """
+    z = float(norm.ppf(power))
+    return ((z * sqrt(2.0) + sqrt(2.0 * z * z + 4.0 * threshold_nats)) / 2.0) ** 2
+
+
+def power_of(nats: float, threshold_nats: float) -> float:
+    """How often the ratio passes the threshold; `needed_nats` backwards."""
+    return float(norm.cdf((nats - threshold_nats) / sqrt(2.0 * nats))) if nats > 0.0 else 0.0
+
+
+def threshold_nats(truth: FittedAnswer, rival: FittedAnswer) -> float:
+    """What the new readings have to say for the right answer: to name it, and what the old ones say against it."""
+    if rival.answer.name is None:
+        return FIND_NATS
+    against = 0.0
+    if truth.log_likelihood is not None and rival.log_likelihood is not None:
+        against = rival.log_likelihood - truth.log_likelihood
+    return rules.ALTERNATIVE_NATS + float(np.clip(against, 0.0, rules.ALTERNATIVE_NATS))

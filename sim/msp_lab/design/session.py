@@ -1,0 +1,61 @@
+"""A session: what a person sets up or a pilot flies, the contexts of its readings, and how long it takes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Columns: TypeAlias = Mapping[str, NDArray[Any]]
+Kind: TypeAlias = Literal["bench", "flight"]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session of a kind, as long as it is.
+
+    Attributes
+    ----------
+    kind
+        At the bench, or in flight.
+    varied
+        Context columns that it varies, with their values in words.
+    contexts
+        Of its readings, (n,), `run` among them.
+    per_point
+        Readings of a sensor at a point, or in a flight.
+    minutes
+        Of setting up and of reading or flying.
+    campaign
+        Content of the campaign file.
+    scenarios
+        Content of the scenario files of its flights, by name.
+    offset_cm
+        Standard deviation of the true range's error of each run: the reference's.
+    """
+
+    kind: Kind
+    varied: Mapping[str, str]
+    contexts: Columns
+    per_point: int
+    minutes: float
+    campaign: Mapping[str, Any]
+    scenarios: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    offset_cm: float = 0.0
+
+    @property
+    def readings(self) -> int:
+        """How many."""
+        return int(np.size(self.contexts["true_range_cm"]))
+
+    @property
+    def runs(self) -> int:
+        """In how many runs."""
+        return int(np.unique(self.contexts["run"]).size)
+
+    def sampled(self, rows: int) -> Columns:
+        """The contexts of so many of its readings, evenly over the session; of a short session several times."""
+        place = (np.arange(rows) + 0.5) * self.readings / rows
+        # Steps that are no whole number, so that of sensors that ping in turn all are taken.
+        return {name: column[place.astype(np.intp)] for name, column in self.contexts.items()}

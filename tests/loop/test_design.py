@@ -1,0 +1,88 @@
+"""`msp-lab design` as a command: questions, sessions, and their readings put in with the old ones."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from msp_lab.cli import app
+from msp_range.recording.csv_form import write_csv
+from msp_sim.model.model import load_model
+from tests.support.measured import ROOT
+
+MODEL = ROOT / "configs/sensors/mb1242.yaml"
+RUNS, ROWS = 8, 150
+
+
+def run(*arguments: Any, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def one_cold_day() -> dict[str, Any]:
+    """Readings 2 % too short, all at 5 C: the air that the sensor does not know, its clock, or its thermometer."""
+    number = np.arange(RUNS * ROWS)
+    columns = {
+        "time_s": 0.4 * (number % ROWS),
+        "run": np.array([f"r{each}" for each in number // ROWS]),
+        "sensor": np.full(number.size, "left"),
+        "true_range_cm": 200.0 + 120.0 * np.sin(number / 13.0),
+        "air_temperature_c": np.full(number.size, 5.0),
+    }
+    given = load_model(MODEL)
+    return columns | {
+        "reading_cm": given.adding("range_scale", scale_pct=-3.0).sample(columns, np.random.default_rng(3))
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("design")
+    write_csv(made / "cold.csv", one_cold_day())
+    run("gap", made / "cold.csv", "--model", MODEL, "--out", made / "gap", "--until", "add")
+    return made / "gap"
+
+
+@pytest.mark.slow
+def test_the_readings_of_the_session_decide_between_air_and_clock(folder: Path) -> None:
+    """The real way: the campaign is collected from emulated sensors whose clock is slow, and the command is run."""
+    shown = run("design", folder, "--bench", "--sessions", "2")
+    assert "right in 2 of 2 sessions" in shown
+    questions = json.loads((folder / "design/design.json").read_text())["questions"]
+    (question,) = [each for each in questions if each["kind"] == "indistinguishable"]
+    named = {each["name"] for each in question["answers"]}
+    assert {"range_scale", "air_temperature"} <= named
+    assert any("thermometer offset" in each for each in question["same"])
+    session = question["session"]
+    assert session["expected_power"] >= 0.95
+    assert Path(session["folder"], "session.png").stat().st_size > 5_000
+
+    slow = yaml.safe_load(MODEL.read_text())
+    slow["effects"] = [*slow["effects"], {"name": "range_scale", "parameters": {"scale_pct": -3.0}}]
+    (folder / "slow.yaml").write_text(yaml.safe_dump(slow))
+    collect, gap = (shlex.split(each)[1:] for each in session["commands"])
+    run(*collect, "--simulate", "--model", folder / "slow.yaml")
+    run(*gap, "--until", "add")
+    (found,) = json.loads(Path(session["folder"], "gap/gap.json").read_text())["effects"]
+    names = {found["name"], *(each["name"] for each in found["alternatives"])}
+    assert "range_scale" in names
+    assert "air_temperature" not in names
+
+    assert "give --force" in run("design", folder, "--bench", code=3)
+
+
+@pytest.mark.slow
+def test_no_session_is_promised_in_less_time_than_it_takes(folder: Path) -> None:
+    shown = run("design", folder, "--bench", "--sessions", "0", "--max-minutes", "5", "--out", folder / "short")
+    assert "allow it with --max-minutes" in shown
+    assert not list((folder / "short").glob("*/campaign.yaml"))
+
+
+def test_a_folder_without_a_gap_run_says_how_to_make_one(tmp_path: Path) -> None:
+    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("design", tmp_path, code=3)
