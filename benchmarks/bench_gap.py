@@ -96,7 +96,7 @@ def measured(rows: int, seed: int) -> Columns:
 def workflow(folder: Path, rows: int) -> tuple[float, float, float]:
     """Seconds, processor seconds and the largest memory [GB] of `msp-lab gap` on a file of so many readings."""
     path = folder / f"{rows}.csv"
-    _write(path, rows)
+    write_readings(path, rows)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     started_s = time.perf_counter()
     command = [MSP_LAB, "gap", path, "--model", SENSOR, "--out", folder / f"{rows}"]
@@ -120,7 +120,8 @@ def screen_s(rows: int) -> float:
     return time.perf_counter() - started_s
 
 
-def _write(path: Path, rows: int) -> None:
+def write_readings(path: Path, rows: int) -> None:
+    """Write a CSV file of so many readings."""
     with path.open("w", encoding="utf-8") as file:
         for start in range(0, rows, AT_ONCE):
             columns = measured(min(AT_ONCE, rows - start), start)

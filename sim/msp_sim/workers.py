@@ -37,7 +37,7 @@ from msp_sim.terminal import Bar
 
 EXIT_SOME_FAILED = 4
 """Exit code: some items could not be computed; the others were."""
-MOST_TASKS = 500
+MOST_TASKS = 250
 """Longer lists are handed to the cluster in this many parts. Each part costs its scheduler 2 ms; fewer, longer parts
 leave processors idle at the end, and more is lost with a worker."""
 SILENT = logging.CRITICAL + 1

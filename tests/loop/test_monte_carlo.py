@@ -13,7 +13,7 @@ from msp_sim.flight import results
 from msp_sim.flight.flying import fly_scenario
 from msp_sim.monte_carlo import command
 from msp_sim.monte_carlo.command import fly_monte_carlo
-from msp_sim.monte_carlo.outcome import draw_sample, fly_sample
+from msp_sim.monte_carlo.outcome import Flights, draw_sample, fly_sample
 
 AIRFRAME = Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"
 FILES = ("flights.csv", "summary.json", "flights.png")
@@ -52,7 +52,7 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def bad_flight(flights: Any, index: int) -> dict[str, Any]:
+def bad_flight(flights: Flights, index: int) -> dict[str, Any]:
     """Fails in flight 2."""
     if index == 2:
         raise ZeroDivisionError("a defect")
@@ -95,7 +95,7 @@ def test_flights_in_the_folder_are_not_flown_again_and_bad_ones_are_named(
     assert [row["flight"] for row in table(tmp_path / "out")] == ["0", "1"]
     flown: list[int] = []
 
-    def noted(flights: Any, index: int) -> dict[str, Any]:
+    def noted(flights: Flights, index: int) -> dict[str, Any]:
         flown.append(index)
         return fly_sample(flights, index)
 
@@ -127,7 +127,7 @@ def test_the_model_alone_draws_as_the_emulated_sensors_do(scenario: Path) -> Non
 
     sampled = Sampled(load_scenario(scenario).model_copy(update={"vary": None}), "short")
     sampled.vary = sampled.vary.model_copy(update={"faults": None})
-    drawn = [draw_sample((sampled, 1, None), index) for index in range(20)]
+    drawn = [draw_sample(Flights(sampled, 1), index) for index in range(20)]
     missed = []
     for index in range(5):
         sample = sampled.sample(1, index)

@@ -12,10 +12,11 @@ import typer
 
 from msp_range.extras import require
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import OwnEffects
+from msp_sim.cli import Jobs, OwnEffects, Scheduler
 
 if TYPE_CHECKING:
     from msp_lab.gap.findings import GapFindings, Settings
+    from msp_lab.gap.separate import Each
     from msp_lab.gap.steps import Steps
 
 app = typer.Typer()
@@ -61,13 +62,18 @@ TruthOption = Annotated[
     ),
 ]
 Last: TypeAlias = Literal["compare", "name", "add", "show"]
+EachOption = Annotated[
+    Literal["log", "sensor"] | None,
+    typer.Option(help="a separate gap for each MEASURED, or for each sensor; with --jobs on several processors"),
+]
 Until = Annotated[Last, typer.Option(help="last step to do; 'show' draws the pictures")]
 
 GAP = """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes.
 
 In --out: report.html and its pictures, model.yaml (the model with what was added, for 'msp-sim fly' and 'sample'),
 gap.json (all numbers), named.json, and model_training_fit.yaml. Each step is also a command: 'compare', then 'name',
-'add', 'show'.
+'add', 'show'. With --each, in --out: a folder like that for each log or sensor, and gaps.csv, a row for each. A log
+that cannot be used is named, the others are compared, and the exit code is 4.
 """
 COMPARE = "Step 1 of gap: where readings and a model disagree, by slices of context."
 NAME = "Step 2 of gap: name what is missing, and list the alternatives that fit as well."
@@ -95,13 +101,21 @@ def _from_readings(last: Last) -> Callable[..., None]:
         of: Of = None,
         truth: TruthOption = "recorded",
         until: Until = last,
+        each: EachOption = None,
+        jobs: Jobs = 1,
+        scheduler: Scheduler = None,
         effects: OwnEffects = None,
     ) -> None:
         from msp_lab.gap.findings import Settings
         from msp_lab.logs.cli import with_logs_imported
 
-        measured, truth = with_logs_imported(measured, truth, column_map or [], out / "readings")
         settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
+        if each is not None:
+            _run_separately(measured, settings, out, effects, each, truth, until, jobs, scheduler)
+            return
+        if jobs != 1 or scheduler is not None:
+            raise ConfigError("--jobs and --scheduler: separate gaps are computed on several processors: give --each")
+        measured, truth = with_logs_imported(measured, truth, column_map or [], out / "readings")
         if truth == "others":
             if until not in ("add", "show") or last != "show":
                 raise ConfigError("--truth others: 'gap' does it, up to the step add or show")
@@ -132,6 +146,37 @@ def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFind
     with ProgressBar() as progress:
         findings = step(Steps(out, progress.clock, progress.report))
     print_findings(findings, out)
+
+
+def _run_separately(
+    measured: list[Path],
+    settings: "Settings",
+    out: Path,
+    effects: list[Path] | None,
+    each: "Each",
+    truth: str,
+    until: Last,
+    jobs: int,
+    scheduler: str | None,
+) -> None:
+    """Compare each log or sensor on its own, and print a row for each; exit code 4 if some could not be compared."""
+    require("lab", "The gap workflow")
+    from msp_lab.gap.separate import Common, jobs_of, separate_gaps
+    from msp_lab.gap.terminal import print_separate_gaps
+    from msp_sim.effects.own import add_own_effects
+    from msp_sim.terminal import make_folder
+    from msp_sim.workers import EXIT_SOME_FAILED, workers
+
+    if truth == "others":
+        raise ConfigError("--each: --truth others compares the sensors with each other; give one of them")
+    add_own_effects(effects or ())
+    make_folder(out)
+    common = Common(settings, truth, until, tuple(path.resolve() for path in effects or ()))
+    with workers(jobs, scheduler, "msp-lab gap") as where:
+        found = list(separate_gaps(jobs_of(measured, each, settings, out), common, where, out))
+    print_separate_gaps(found, where.died, out)
+    if any(gap.error for gap in found):
+        raise typer.Exit(EXIT_SOME_FAILED)
 
 
 def _run_sensors(measured: list[Path], settings: "Settings", out: Path, effects: list[Path] | None, draw: bool) -> None:

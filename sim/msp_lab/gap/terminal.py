@@ -14,6 +14,7 @@ from msp_lab.gap.findings import GapFindings, Measure
 from msp_lab.gap.labels import and_list, effect_label, parameter_words, slice_label
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
+from msp_lab.gap.separate import TABLE, SeparateGap
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import PlainConsole, console
 from msp_sim.terminal import Bar
@@ -64,6 +65,26 @@ def print_comparisons(found: Iterable[HiddenNumber]) -> None:
         value = "not named" if each.found is None else f"{each.found:.3g}"
         table.add_row(each.effect, each.parameter, f"{each.hidden:g}", value, interval, "yes" if each.holds else "no")
     console().print(table)
+
+
+def print_separate_gaps(gaps: Sequence[SeparateGap], died: int, folder: Path) -> None:
+    """What was found at each of many logs or sensors, and which could not be compared."""
+    out = console()
+    table = Table(box=box.SIMPLE_HEAD)
+    for heading, side in (("", "left"), ("readings", "right"), ("verdict", "left"), ("named", "left")):
+        table.add_column(heading, justify="right" if side == "right" else "left")
+    for heading in ("nats before", "after"):
+        table.add_column(heading, justify="right")
+    for each in gaps:
+        nats = ("-" if value is None else f"{value:.3g}" for value in (each.before_nats, each.after_nats))
+        table.add_row(each.name, f"{each.readings:,}", each.verdict, each.named, *nats)
+    out.print(table)
+    for each in gaps:
+        if each.error:
+            out.print(f"{each.name} could not be compared: {each.error}", style="red", highlight=False)
+    if died:
+        out.print(f"{died} worker processes died; what they computed was computed again", highlight=False)
+    out.print(f"in {folder}: a folder for each, and {TABLE}", highlight=False, soft_wrap=True)
 
 
 def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Path) -> None:

@@ -94,7 +94,9 @@ def run_import(
         return import_logs(files, out, wanted, model, column_map=mapping, shift=align, seed=seed, progress=bar.show)
 
 
-def with_logs_imported(measured: list[Path], truth: str, column_map: list[str], out: Path) -> tuple[list[Path], str]:
+def with_logs_imported(
+    measured: list[Path], truth: str, column_map: list[str], out: Path, *, is_shown: bool = True
+) -> tuple[list[Path], str]:
     """For commands that compare readings: flight logs among them become a dataset in ``out`` first.
 
     Returns
@@ -120,7 +122,9 @@ def with_logs_imported(measured: list[Path], truth: str, column_map: list[str], 
     as_they_are = [path for path in measured if path not in logs] if truth in (RECORDED, OTHERS) else []
     if is_dataset(out):
         shutil.rmtree(out)
-    show(run_import([path for path in measured if path not in as_they_are], out, wanted, column_map=column_map))
+    imported = run_import([path for path in measured if path not in as_they_are], out, wanted, column_map=column_map)
+    if is_shown:
+        show(imported)
     return [*as_they_are, out], truth if truth == OTHERS else RECORDED
 
 

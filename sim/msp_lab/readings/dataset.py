@@ -92,6 +92,11 @@ def write_run(folder: Path, run: str, tables: Mapping[str, MeasuredData], about:
         raise RecordingError(f"{error.filename or folder}: cannot be written: {error.strerror}") from None
 
 
+def sensors_of(folder: Path) -> list[str]:
+    """Names of the sensors of a dataset."""
+    return sorted({unquote(path.parts[-2].partition("=")[2]) for path in _files(folder)})
+
+
 def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
     """The readings of a dataset, run by run and sensor by sensor.
 

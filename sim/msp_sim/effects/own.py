@@ -10,6 +10,7 @@ them. A file holds one or more `Effect` objects at its top level; an entry point
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -55,6 +56,12 @@ def add_own_effects(files: Sequence[Path] = ()) -> None:
     for path in files:
         for effect in effects_of_file(path):
             _add(effect, str(path))
+
+
+@cache
+def add_own_effects_once(files: tuple[Path, ...]) -> None:
+    """As `add_own_effects`, once in each process: for functions that a worker calls for many items."""
+    add_own_effects(files)
 
 
 def effects_of_file(path: Path) -> list[Effect]:

@@ -21,7 +21,7 @@ from msp_range.terminal import PlainConsole, console, number_columns
 from msp_range.yaml_file import config_path
 from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, draw_sample, fly_sample
+from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, Flights, draw_sample, fly_sample
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, Store
 from msp_sim.monte_carlo.summary import Summary, summarise
 from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
@@ -67,7 +67,7 @@ def fly_monte_carlo(
     failed: dict[int, str] = {}
     try:
         with workers(jobs, scheduler, COMMAND) as where:
-            shared = sampled, seed, sensor_model
+            shared = Flights(sampled, seed, sensor_model, tuple(path.resolve() for path in effects))
             for outcome in where.map(draw_sample if model_only else fly_sample, wanted, shared, what="flights"):
                 if outcome.value is None:
                     failed[wanted[outcome.index]] = outcome.error or ""

@@ -6,7 +6,9 @@ autopilot received, as in docs/faults.md; with the model only, from readings tha
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.emulated import EmulatedSensor
 from msp_sim.effects.base import WORD_COLUMNS
+from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
@@ -67,13 +70,38 @@ Message = tuple[float, Any]
 Numbers = dict[str, Any]
 
 
-def fly_sample(flights: tuple[Sampled, int, SensorModel | None], index: int) -> Numbers:
+@dataclass(frozen=True)
+class Flights:
+    """What all flights have in common.
+
+    Attributes
+    ----------
+    sampled, seed
+        The scenario with what varies, and the random seed.
+    model
+        Sensor model for all sensors; None: each sensor's own.
+    effects
+        Files with effects that the models name, and that are not in the catalogue.
+    """
+
+    sampled: Sampled
+    seed: int
+    model: SensorModel | None = None
+    effects: tuple[Path, ...] = ()
+
+    def sample(self, index: int) -> Sample:
+        """Draw a flight, with the effects added to the catalogue of this process."""
+        add_own_effects_once(self.effects)
+        return self.sampled.sample(self.seed, index)
+
+
+def fly_sample(flights: Flights, index: int) -> Numbers:
     """Fly a sample with the bridge in virtual time.
 
     Parameters
     ----------
     flights
-        All flights, their random seed, and the sensor model for all sensors (None: each sensor's own).
+        All flights.
     index
         Number of the flight.
 
@@ -82,9 +110,8 @@ def fly_sample(flights: tuple[Sampled, int, SensorModel | None], index: int) -> 
     dict
         The numbers `FLOWN`, and what `about` gives.
     """
-    sampled, seed, model = flights
-    sample = sampled.sample(seed, index)
-    simulation = Simulation(sample.scenario, VirtualClock(), sample.seed, model=model)
+    sample = flights.sample(index)
+    simulation = Simulation(sample.scenario, VirtualClock(), sample.seed, model=flights.model)
     for _ in simulation.fly():
         pass
     scenario = sample.scenario
@@ -93,13 +120,12 @@ def fly_sample(flights: tuple[Sampled, int, SensorModel | None], index: int) -> 
     )
 
 
-def draw_sample(flights: tuple[Sampled, int, SensorModel | None], index: int) -> Numbers:
+def draw_sample(flights: Flights, index: int) -> Numbers:
     """Draw the readings of a sample from the sensors' models, without a bridge; parameters as for `fly_sample`.
 
     Faults are left out: they are the emulated sensor's and the bus's, which take no part.
     """
-    sampled, seed, model = flights
-    sample = sampled.sample(seed, index)
+    sample, model = flights.sample(index), flights.model
     scenario = sample.scenario
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()

@@ -1,0 +1,135 @@
+"""Separate gaps: the gap workflow for each of many logs or sensors on its own, on one processor or several.
+
+Paths and a model enter; a folder for each log or sensor leaves, as 'msp-lab gap' makes it, and a table with a row for
+each. Logs that cannot be used are named, and the others are compared. Files are read and written where the comparison
+is computed, so that the memory does not grow with their number: the workers of a cluster need them under the same path.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.labels import effect_label
+from msp_lab.gap.steps import Steps
+from msp_lab.logs.cli import with_logs_imported
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.dataset import is_dataset, sensors_of
+from msp_lab.readings.intake import load_readings
+from msp_lab.readings.runs import file_names
+from msp_range.clock import SystemClock
+from msp_sim.effects.own import add_own_effects_once
+from msp_sim.model.model import load_model
+from msp_sim.workers import Workers
+
+Each = Literal["log", "sensor"]
+Until = Literal["compare", "name", "add", "show"]
+TABLE = "gaps.csv"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One separate gap: its name, its files, the sensors of it that are used (none: all), and its folder."""
+
+    name: str
+    paths: tuple[Path, ...]
+    sensors: tuple[str, ...]
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Common:
+    """What all separate gaps have in common: settings, source of the truth, last step, and files with effects."""
+
+    settings: Settings
+    truth: str
+    until: Until
+    effects: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class SeparateGap:
+    """A row of the table.
+
+    Attributes
+    ----------
+    name
+        Name of the log or sensor.
+    readings, verdict
+        How many were compared, and the verdict; 0 and empty where they could not be.
+    named
+        Effects that were named, separated by commas.
+    before_nats, after_nats, noise_floor_nats
+        Gap per reading with the given model, with what was added, and what random variation gives.
+    sentence
+        The finding in a sentence.
+    error
+        Why it could not be compared; empty: it was.
+    """
+
+    name: str
+    readings: int = 0
+    verdict: str = ""
+    named: str = ""
+    before_nats: float | None = None
+    after_nats: float | None = None
+    noise_floor_nats: float | None = None
+    sentence: str = ""
+    error: str = ""
+
+
+def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) -> list[Job]:
+    """The separate gaps: one per path, or one per sensor of all of them."""
+    absolute = [path.resolve() for path in paths]
+    out = out.resolve()
+    if each == "log":
+        named = zip(file_names(absolute), absolute, strict=True)
+        return [Job(name, (path,), settings.of, out / name) for name, path in named]
+    if all(map(is_dataset, absolute)):
+        found = sorted({name for path in absolute for name in sensors_of(path)})
+    else:
+        column_map = load_map(settings.map) if settings.map else None
+        loaded = load_readings(absolute, load_model(settings.model).sensor, column_map, run_column=settings.run_column)
+        found = sorted(set(loaded.data["sensor"].tolist()))
+    return [Job(name, tuple(absolute), (name,), out / name) for name in found if name in (settings.of or found)]
+
+
+def separate_gap(common: Common, job: Job) -> SeparateGap:
+    """Compare one log or sensor with the model, and write its folder."""
+    add_own_effects_once(common.effects)
+    settings = replace(common.settings, of=job.sensors)
+    measured, _ = with_logs_imported(
+        list(job.paths), common.truth, list(settings.map), job.folder / "readings", is_shown=False
+    )
+    steps = Steps(job.folder, SystemClock(), lambda what, share: None)
+    return _row(job.name, steps.all(measured, settings, common.until))
+
+
+def separate_gaps(jobs: Sequence[Job], common: Common, where: Workers, out: Path) -> Iterator[SeparateGap]:
+    """Compare each, and write the table row by row, in order."""
+    with (out / TABLE).open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, [field.name for field in fields(SeparateGap)])
+        table.writeheader()
+        for outcome in where.map(separate_gap, jobs, common, what="gaps"):
+            row = outcome.value or SeparateGap(jobs[outcome.index].name, error=outcome.error or "")
+            table.writerow(asdict(row))
+            file.flush()
+            yield row
+
+
+def _row(name: str, findings: GapFindings) -> SeparateGap:
+    effects = [effect_label(each.name, each.of) for each in findings.effects if each.verdict != "suggested"]
+    unknown = [f"unknown {each.channel} over {' and '.join(each.variables)}" for each in findings.unknown]
+    nats = findings.gap.nats_per_reading if findings.gap is not None else None
+    return SeparateGap(
+        name,
+        findings.rows,
+        findings.verdict or "",
+        ", ".join([*effects, *unknown]),
+        nats.before if nats else None,
+        nats.after if nats else None,
+        nats.noise_floor if nats else None,
+        findings.sentence,
+    )
