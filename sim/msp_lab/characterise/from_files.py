@@ -1,0 +1,77 @@
+"""A sensor model for programs and notebooks: files of readings enter, findings and the model leave as dictionaries."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from msp_lab.characterise.analysis import characterise as analyse
+from msp_lab.characterise.findings import as_json
+from msp_lab.characterise.model_file import changed, write_model
+from msp_lab.readings.column_map import load_map
+from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
+from msp_lab.readings.intake import load_readings, without_impossible
+from msp_range.clock import SystemClock, date_of
+from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.yaml_file import config_path
+
+
+def characterise(
+    files: Files,
+    sensor: Path | str = "mb1242",
+    *,
+    columns: Columns | None = None,
+    out: Path | str | None = None,
+    seed: int = 1,
+) -> dict[str, Any]:
+    """Make a sensor model from readings at known ranges, as ``msp-lab characterise`` does.
+
+    Parameters
+    ----------
+    files
+        Readings with true ranges.
+    sensor
+        The model to start from: limits, codes, and what the readings do not determine.
+    columns
+        Where another table's columns are.
+    out
+        File for the new sensor model, which must not exist; None: none is written.
+    seed
+        Random seed of the goodness-of-fit test.
+
+    Returns
+    -------
+    dict
+        ``findings``: what was found, as in the findings.json of a report; ``model``: the new sensor model.
+
+    Raises
+    ------
+    UserError
+        The readings or files cannot be used; in a line, with what to do.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from msp_range.recording.csv_form import write_csv
+    >>> rng = np.random.default_rng(1)
+    >>> true_cm = np.repeat([50.0, 150.0, 250.0, 350.0], 40)
+    >>> reading_cm = np.round(true_cm + 2.0 + rng.normal(0.0, 1.0, true_cm.size))
+    >>> folder = TemporaryDirectory()
+    >>> table = Path(folder.name, "bench.csv")
+    >>> columns = {"time_s": np.arange(160.0), "sensor": np.full(160, "mine")}
+    >>> write_csv(table, {**columns, "reading_cm": reading_cm, "true_range_cm": true_cm})
+    >>> found = characterise(table)
+    >>> round(found["model"]["reading_model"]["sigma_cm"])
+    1
+    >>> folder.cleanup()
+    """
+    started = load_sensor_model(sensor)
+    mapping = None if columns is None else load_map(map_options(columns))
+    loaded = without_impossible(load_readings(paths_of(files), started, mapping), started)
+    today = date_of(SystemClock().utc())
+    findings, changes = analyse(loaded, started, date=today, rng=np.random.default_rng(seed))
+    model = changed(started, findings, changes)
+    if out is not None:
+        write_model(Path(out), model, findings, changes, config_path(sensor, "sensors").name)
+    return {"findings": json.loads(as_json(findings)), "model": model.model_dump(mode="json")}
