@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from draw_wiring import draw_wiring
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon, Rectangle
 
@@ -149,6 +150,7 @@ def _run(command: str, *arguments: str) -> None:
 
 PICTURES: dict[str, Callable[[Path], None]] = {
     "pallet": draw_pallet,
+    "wiring": draw_wiring,
     "flight": draw_flight,
     "boxes": draw_boxes,
     "gap": draw_gap,

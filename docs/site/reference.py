@@ -164,7 +164,7 @@ def _effects() -> str:
     parts = [
         "# Effects",
         "What a sensor model file may name under `effects:`, as `msp-lab effects` prints it: physical causes with "
-        "bounded parameters. [How to add one of your own](../developing.md#a-new-effect).",
+        "bounded parameters. [How to add one of your own](../extending.md#a-new-effect).",
     ]
     for effect in as_data(CATALOGUE):
         requires = [*effect["requires"], *([f"{effect['per']} (one of them)"] if effect["per"] else [])]

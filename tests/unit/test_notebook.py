@@ -35,7 +35,7 @@ def test_the_packages_alone_import_nothing_and_characterise_is_called_before_and
         "import sys, msp_range, msp_sim, msp_lab\n"
         "print({'numpy', 'pydantic', 'yaml', 'scipy', 'importlib.metadata'} & {*sys.modules})\n"
         "from msp_lab import characterise as before\n"
-        "import msp_lab.characterise.answer\n"
+        "import msp_lab.characterise.points\n"
         "from msp_lab import characterise as after\n"
         "for each in (before, after):\n"
         "    try: each('none.csv')\n"

@@ -1,0 +1,62 @@
+"""Commands of the documents exist with all their options, and each is run: here, or by the test that is named."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from msp_lab.cli import app as msp_lab
+from msp_range.cli import app as msp_range
+from msp_sim.cli import app as msp_sim
+from tests.docs import how
+from tests.docs.shown import DOCUMENTS, ROOT, blocks, commands, in_sentences, unseen
+
+PROGRAMS: dict[str, Any] = {str(app.info.name): typer.main.get_command(app) for app in (msp_range, msp_sim, msp_lab)}
+SHOWN = {command for path in DOCUMENTS for block in blocks(path) if block.script for command in commands(block.script)}
+
+
+def problem(line: str) -> str | None:
+    """What is wrong with a command of ours: no such command or option, or a value that is none; None: nothing."""
+    words = shlex.split(re.sub(r"\s*(\||>|&&|<<).*", "", line.replace("$seed", "1").replace("...", "")))
+    program = PROGRAMS[Path(words[0]).name]
+    if words[1] not in program.commands:
+        return f"no command {words[1]}"
+    command = program.commands[words[1]]
+    options = {option for each in command.params for option in each.opts}
+    unknown = [word for word in words[2:] if word.startswith("--") and word.split("=")[0] not in options]
+    return f"no option {unknown}" if unknown else None
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_commands_of_a_document_exist(path: Path) -> None:
+    shown = [command for block in blocks(path) if block.script for command in commands(block.script)]
+    ours = [re.sub(r"^(sudo |\.venv/bin/)", "", each) for each in [*shown, *in_sentences(path)]]
+    for command in ours:
+        if re.match(r"msp-(range|sim|lab) ", command):
+            assert problem(re.sub(r"[][]", "", command)) is None, command
+    assert [each for block in blocks(path) for each in unseen(block)] == [], "a command after what a command prints"
+
+
+def test_a_command_that_does_not_exist_is_found() -> None:
+    assert problem("msp-sim flie demo") == "no command flie"
+    assert problem(".venv/bin/msp-sim fly demo --sped 2") == "no option ['--sped']"
+    assert problem("msp-sim fly demo --speed 2") is None
+
+
+def test_the_tables_name_what_is_shown_and_tests_that_exist() -> None:
+    tables = [*how.INSTEAD, *how.ELSEWHERE, *how.NOT_RUN]
+    assert [key for key in tables if not any(how.found({key: "here"}, each) for each in SHOWN)] == []
+    assert len({*tables}) == len(tables)
+    assert [path for path in how.ELSEWHERE.values() if not (ROOT / path).exists()] == []
+    assert {*how.PREPARE, *how.ON_BUS} <= {str(path.relative_to(ROOT)) for path in DOCUMENTS}
+    assert len(how.NOT_RUN) <= 1
+
+
+def test_make_has_every_target_that_is_shown() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = [command.split()[1] for command in SHOWN if command.startswith("make ") and "px4_sitl" not in command]
+    assert len(targets) > 5
+    assert [each for each in targets if not re.search(rf"^{each}:", makefile, re.M)] == []
