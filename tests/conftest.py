@@ -17,9 +17,12 @@ from xdist.scheduler import LoadScopeScheduling
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 WALL_CLOCK = re.compile(
-    r"^(import|from) (socket|time)\b|\bkernel_bus\b|\brunning_service\b|\bLinkEnd\b|\breal_time\b", re.M
+    r"\btime\.(monotonic|perf_counter|sleep|time)\(|^(import|from) socket\b"
+    r"|\bkernel_bus\b|\brunning_service\b|\bLinkEnd\b|\breal_time\b",
+    re.M,
 )
-"""A module of tests in which this is found depends on the wall clock: it reads it, or talks to another program."""
+"""A module of tests in which this is found depends on the wall clock: it reads it, or talks to another program. Such a
+test has a module of its own, apart from those that compute."""
 
 
 class OneModuleOneProcess(LoadScopeScheduling):

@@ -5,8 +5,6 @@ the truth can be sent; a fault begins at `FROM_S` and ends at `TO_S`.
 """
 
 import random
-import sys
-import textwrap
 from collections import Counter
 from itertools import pairwise
 
@@ -14,8 +12,7 @@ import pytest
 
 from msp_range.reading import Status
 from msp_sim.device.device import Fault
-from tests.support.bench import CONFIGS, FUSED_ID, Bench, airframe, one_down, sensor
-from tests.support.kernel_bus import Sonar, kernel_bus
+from tests.support.bench import FUSED_ID, Bench, airframe, one_down, sensor
 from tests.support.plain_device import PlainDevice
 
 FROM_S, TO_S, END_S = 5.0, 8.0, 12.0
@@ -154,42 +151,6 @@ def test_a_stuck_sensor_does_not_hold_the_fused_stream_back() -> None:
     for time_s, message in bench.sent()[60:]:
         # Until the stuck one is known to be stuck, the stream may lag: a quarter of a second at most.
         assert message.current_distance == pytest.approx(climb("", time_s), abs=25)
-
-
-REGISTER_FREE = """
-import itertools
-from msp_range.bridge import Bridge
-from msp_range.bus.smbus import KernelBus
-from msp_range.clock import SystemClock
-from msp_range.config import load_airframe
-from tests.support.bench import Wire
-
-clock = SystemClock()
-airframe = load_airframe({airframe!r})
-bridge = Bridge(airframe, KernelBus(1), clock, Wire(clock))
-end_s = clock.now() + 1.3
-steps = []
-while clock.now() < end_s:
-    steps += bridge.step()
-print(*(step.ranging.reading.raw for step in steps))
-"""
-
-
-def test_no_register_is_read_and_every_answer_is_new() -> None:
-    """Through the real smbus2: one range command a ranging, and reads of two bytes that write nothing before."""
-    readings = [[210, 220, 230, 240], [310, 320, 330], [410, 420, 430], [510, 520, 530]]
-    sonars = [Sonar(0x70 + i, readings_cm) for i, readings_cm in enumerate(readings)]
-    with kernel_bus(sonars) as testbed:
-        code = textwrap.dedent(REGISTER_FREE).format(airframe=str(CONFIGS / "loopback.yaml"))
-        done = testbed.run([sys.executable, "-c", code])
-        assert done.returncode == 0, done.stderr
-        seen = [int(word) for word in done.stdout.split()]
-        assert len(seen) >= 8
-        assert seen == [readings[i % 4][i // 4] for i in range(len(seen))]
-        journal = testbed.journal()
-        assert {(each.verb, each.data) for each in journal if each.verb == "write"} == {("write", b"\x51")}
-        assert {len(each.data) for each in journal if each.verb == "read" and each.errno == 0} == {2}
-        assert len(seen) <= sum(each.verb == "write" for each in journal) <= len(seen) + 1
 
 
 @pytest.mark.parametrize("filters", [[], KALMAN])

@@ -1,10 +1,7 @@
-"""The LIDAR-Lite v3: its transfers, its faults through the whole bridge, its address, and the real smbus2."""
+"""The LIDAR-Lite v3: its transfers, its faults through the whole bridge, and its address."""
 
 import errno
 import math
-import sys
-import textwrap
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -23,7 +20,7 @@ from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault
+from msp_sim.device.device import Fault
 from msp_sim.device.emulated import emulated_bus
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
 from msp_sim.device.mb1242 import EmulatedMB1242
@@ -33,7 +30,6 @@ from msp_sim.world.surfaces import Box, GroundSection
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import AirSection, MountedBeam, Ping, World
 from tests.support.bench import CONFIGS, Bench, airframe, sensor
-from tests.support.kernel_bus import Sonar, kernel_bus
 from tests.support.plain_device import PlainDevice
 from tests.support.scripted_bus import Expected, read, scripted_bus, write
 
@@ -315,54 +311,3 @@ def test_it_flies_higher_than_sound_and_a_replay_has_the_same_answers(tmp_path: 
     assert [(each.status, each.raw, each.range_m) for each in again] == [
         (each.status, each.raw, each.range_m) for each in first
     ]
-
-
-# --- the real smbus2 on the kernel's interface ---
-
-BRIDGE = """
-from msp_range.bridge import Bridge
-from msp_range.bus.smbus import KernelBus
-from msp_range.clock import SystemClock
-from msp_range.config import load_airframe
-from tests.support.bench import Wire
-
-clock = SystemClock()
-bridge = Bridge(load_airframe({airframe!r}), KernelBus(1), clock, Wire(clock))
-end_s = clock.now() + 1.0
-while clock.now() < end_s:
-    for step in bridge.step():
-        reading = step.ranging.reading
-        print(reading.status.value, reading.raw, flush=True)
-"""
-
-
-def test_the_bridge_polls_it_through_the_kernel() -> None:
-    code = textwrap.dedent(BRIDGE).format(airframe=str(CONFIGS / "lidar_down.yaml"))
-    device = Sonar(ADDRESS, [258, 4000, 3999], timing=device_timing(), kind="lidar_lite_v3")
-    with kernel_bus([device]) as testbed:
-        done = testbed.run([sys.executable, "-c", code])
-        journal = testbed.journal()
-    assert done.returncode == 0, done.stderr
-    seen = done.stdout.splitlines()
-    assert len(seen) >= 6
-    assert seen[:6] == ["ok 258", "no_echo 4000", "ok 3999"] * 2
-    # Two plain transfers for a register: its number, a stop, and then the read.
-    verbs = [(each.verb, each.data) for each in journal if each.errno == 0]
-    assert {data for verb, data in verbs if verb == "write"} == {MEASURE, b"\x01", b"\x8f"}
-    assert all(before[0] == "write" for before, after in pairwise(verbs) if after[0] == "read")
-
-
-def device_timing() -> DeviceTiming:
-    return DeviceTiming(ready_s=0.02, s_per_cm=0.0, no_echo_s=0.02)
-
-
-def test_the_command_moves_it_through_the_kernel() -> None:
-    device = Sonar(ADDRESS, [258], timing=device_timing(), kind="lidar_lite_v3")
-    with kernel_bus([device]) as testbed:
-        command: list[str | Path] = [Path(sys.executable).with_name("msp-range"), "address", "0x62", "0x64", "--yes"]
-        done = testbed.run(command)
-        assert done.returncode == 0, done.stderr
-        assert "0x64: LIDAR-Lite v3: 258 cm" in done.stdout
-        assert "until its power is switched off" in done.stdout
-        writes = [each.data.hex() for each in testbed.journal() if each.verb == "write" and len(each.data) == 2]
-    assert writes[1:-1] == ["1830", "1980", "1a64", "1e08"]

@@ -19,7 +19,7 @@ from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_lab.readings.dataset import is_dataset, read_dataset
 from msp_lab.readings.others import OTHERS
-from msp_lab.readings.runs import with_runs
+from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.columns import BRIDGE_COLUMNS, WORD_COLUMNS
@@ -139,8 +139,8 @@ def load_readings(
             _check_overlap(path, table, zip(paths, tables, strict=False))
         tables.append(table)
         sources.append(source)
-    tables, renamed = with_runs(tables, paths, run_column)
-    columns = dict(_joined(tables).columns)
+    runs, renamed = runs_of(tables, paths, run_column)
+    columns = {**_joined(tables).columns, "run": np.concatenate(runs)}
     if "uptime_s" not in columns:
         columns.setdefault(TIME_IN_RUN, time_in_run_s(columns))
     # Many readings are held once, and not twice.

@@ -31,10 +31,10 @@ def file_names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def with_runs(
+def runs_of(
     tables: Sequence[MeasuredData], paths: Sequence[Path], run_column: str | None = None
-) -> tuple[list[MeasuredData], list[str]]:
-    """Return the tables with a run for each row, and messages about runs that were renamed.
+) -> tuple[list[NDArray[np.str_]], list[str]]:
+    """Return the run of each row, table by table, and messages about runs that were renamed.
 
     Rows without a run, and those whose run has the file's own name, are a run with the name from `file_names`. A name
     that occurs in several files is a run in each of them: recordings that were exported are all called after their
@@ -53,8 +53,7 @@ def with_runs(
         There is no such column.
     """
     if run_column is not None:
-        pairs = zip(tables, paths, strict=True)
-        return [_with(table, _words_of(table, path, run_column)) for table, path in pairs], []
+        return [_words_of(table, path, run_column) for table, path in zip(tables, paths, strict=True)], []
     files = file_names(paths)
     runs = [_own_runs(table, path, name) for table, path, name in zip(tables, paths, files, strict=True)]
     counts = Counter(run for column in runs for run in np.unique(column).tolist())
@@ -67,7 +66,7 @@ def with_runs(
     messages = [f"The run {run!r} is in {counts[run]} files and counts as {counts[run]} runs." for run in shared[:5]]
     if len(shared) > 5:
         messages.append(f"So do {len(shared) - 5} more names of runs.")
-    return [_with(table, run) for table, run in zip(tables, runs, strict=True)], messages
+    return runs, messages
 
 
 def _own_runs(table: MeasuredData, path: Path, name: str) -> NDArray[np.str_]:
@@ -83,7 +82,3 @@ def _words_of(table: MeasuredData, path: Path, run_column: str) -> NDArray[np.st
         raise ConfigError(f"--run-column {run_column}: {path} has the columns {', '.join(table.columns)}")
     column = table[run_column]
     return np.array([f"{each:g}" for each in column.tolist()]) if column.dtype.kind in "fiub" else column
-
-
-def _with(table: MeasuredData, run: NDArray[np.str_]) -> MeasuredData:
-    return MeasuredData({**table.columns, "run": run})
