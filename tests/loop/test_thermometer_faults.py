@@ -2,20 +2,12 @@
 
 import math
 import random
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from msp_range.acoustics.air import air_variance_m2
-from msp_range.bridge import Bridge
-from msp_range.clock import SystemClock
-from msp_range.correction.temperature import FileSource
-from msp_range.correction.thermometer import ThreadReader
-from msp_range.mavlink.transport import Nowhere
-from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
 from tests.support.slow import slow
 
@@ -23,7 +15,6 @@ HEIGHT_CM = 500
 JUMP_S = 15.0
 GOOD_S = 310.0
 """A thermometer that was good for this long is trusted more than its next value."""
-DS18B20_S = 0.75
 
 
 class Hover:
@@ -102,27 +93,3 @@ def test_a_dead_thermometer_is_reported_and_its_last_value_goes_on_with_a_growin
     assert 3.0 < last_air.std_c < 4.0
     sent = [message for _, message in bench.sent() if message.id == FUSED_ID][-1]
     assert 1e4 * air_variance_m2(sent.current_distance / 100, last_air) <= sent.covariance
-
-
-def readings_a_second(thermometer: Callable[[FileSource], float]) -> float:
-    """Of four sensors in real time, with a file that is read like this."""
-    clock = SystemClock()
-    reader = ThreadReader(clock, thermometer)
-    devices = [EmulatedMB1242(address, clock.now, lambda ping_s: 300) for address in range(0x70, 0x74)]
-    vehicle = airframe(temperature={"sources": [{"source": "file", "path": "temp1_input"}]})
-    bridge = Bridge(vehicle, EmulatedBus(devices, clock.now), clock, Nowhere(), thermometer=reader)
-    start_s, readings = clock.now(), 0
-    while clock.now() < start_s + 3.0:
-        readings += len(bridge.step())
-    reader.close()
-    return readings / 3.0
-
-
-def test_a_slow_thermometer_does_not_slow_the_polling() -> None:
-    """A DS18B20 takes 0.75 s for a value: 2.4 readings a second instead of 9.1."""
-
-    def slow(source: FileSource) -> float:
-        time.sleep(DS18B20_S)
-        return 21000.0
-
-    assert readings_a_second(slow) > 8.0

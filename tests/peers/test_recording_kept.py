@@ -22,7 +22,7 @@ from tests.support.slow import slow
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[300], down_cm=[300])
 MOST_LOST_S = 1.0
-FLOWN = 25
+FLOWN = 15
 """Distances before a cut, at 10 a second: a recording that is kept only now and then would not have most of them."""
 
 
