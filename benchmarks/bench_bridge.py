@@ -98,6 +98,7 @@ class _Watched:
         self.receive, self.close = transport.receive, transport.close
         self.description, self.stats, self.last_error, self.connected = "watched", transport.stats, None, True
         self.quiet_until_s = float("-inf")
+        self.files = ()
 
     def send(self, frame: bytes) -> bool:
         taken: bool = self._transport.send(frame)

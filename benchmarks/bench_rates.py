@@ -40,6 +40,7 @@ class _Counter:
 
     description, last_error, connected = "nowhere", None, True
     quiet_until_s = float("-inf")
+    files = ()
 
     def __init__(self) -> None:
         self.stats = TransportStats()

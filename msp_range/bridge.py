@@ -297,13 +297,14 @@ class Bridge:
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
-        clock.sleep_until(min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s))
+        due_s = min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s)
+        has_arrived = clock.sleep_until(due_s, link.files)
         steps = list(map(self._on_ranging, poller.step()))
         now_s = clock.now()
         outbox.send_due(now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:
             return steps
-        if now_s >= link.next_event_s:
+        if has_arrived or now_s >= link.next_event_s:
             link.service()
         if now_s >= self._next_look_s:
             self._look_after(now_s)

@@ -4,7 +4,9 @@
 and an hour of flight takes seconds.
 """
 
+import select
 import time
+from collections.abc import Sequence
 from typing import Protocol
 
 
@@ -14,8 +16,8 @@ class Clock(Protocol):
     def now(self) -> float:
         """Seconds on a clock that never goes backwards; its zero is arbitrary."""
 
-    def sleep_until(self, time_s: float) -> None:
-        """Return when ``now() >= time_s``, at once if that has passed."""
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
+        """Return when ``now() >= time_s``, at once if that has passed, or True when one of the files can be read."""
 
     def utc(self) -> float:
         """Seconds since 1970-01-01 UTC, for file names and logs only."""
@@ -28,11 +30,14 @@ class SystemClock:
         """Seconds since an arbitrary start, monotonic."""
         return time.monotonic()
 
-    def sleep_until(self, time_s: float) -> None:
-        """Sleep until ``time_s`` on this clock."""
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
+        """Sleep until ``time_s`` on this clock, or until one of the files can be read: then True."""
         delay_s = time_s - time.monotonic()
+        if files:
+            return bool(select.select(files, (), (), max(delay_s, 0.0))[0])
         if delay_s > 0:
             time.sleep(delay_s)
+        return False
 
     def utc(self) -> float:
         """The operating system's UTC; wrong on a computer without a real-time clock until it has been set."""
@@ -71,10 +76,11 @@ class VirtualClock:
         """Seconds since the virtual start."""
         return self._now_s
 
-    def sleep_until(self, time_s: float) -> None:
-        """Jump to ``time_s``; time never goes back."""
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
+        """Jump to ``time_s``; time never goes back, and no file is looked at."""
         if time_s > self._now_s:
             self._now_s = time_s
+        return False
 
     def utc(self) -> float:
         """The virtual time itself, so virtual flights always take place in 1970."""

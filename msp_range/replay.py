@@ -83,9 +83,9 @@ class PacedClock:
         """Seconds on the record's clock."""
         return self._system.now() + self._ahead_s
 
-    def sleep_until(self, time_s: float) -> None:
-        """Sleep until ``time_s`` of the record."""
-        self._system.sleep_until(time_s - self._ahead_s)
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
+        """Sleep until ``time_s`` of the record, or until one of the files can be read: then True."""
+        return self._system.sleep_until(time_s - self._ahead_s, files)
 
     def utc(self) -> float:
         """The operating system's idea of UTC."""

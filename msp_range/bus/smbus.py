@@ -72,6 +72,7 @@ class KernelBus:
         self._bus = bus
         self._smbus: SMBus | None = None
         self._was_open = False
+        self._reads: dict[tuple[int, int], i2c_msg] = {}
 
     @property
     def path(self) -> Path:
@@ -84,7 +85,10 @@ class KernelBus:
 
     def read(self, address: int, count: int) -> bytes:
         """Read ``count`` bytes from ``address`` as one message."""
-        message = i2c_msg.read(address, count)
+        message = self._reads.get((address, count))
+        if message is None:
+            # Made once: a sensor that ranges is read again every few milliseconds.
+            message = self._reads[address, count] = i2c_msg.read(address, count)
         self._transfer(message, "read", address)
         return bytes(message)
 

@@ -6,7 +6,7 @@ work, whatever arrives.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from msp_range import __version__
@@ -24,7 +24,11 @@ from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
 
 SERVICE_INTERVAL_S = 0.005
-"""Time between two reads of the transport [s]."""
+"""Time between two reads of the transport [s], where messages are dense or it has no files that show them. Less wakes
+the bridge more often, more makes what it does with messages later."""
+DENSE_S = 2.0 * SERVICE_INTERVAL_S
+"""Messages that arrive within so long after the ones before are dense [s]: then the bridge reads them together. A
+serial port can be read again after every few bytes. Longer than the interval, so that a flood stays dense."""
 DECODED_FROM_AUTOPILOT, DECODED_FROM_OTHERS = 32, 4
 """Largest number of messages that one call decodes: 6400 and 800 a second, while autopilots send some hundreds.
 Decoding takes 3 us on a desktop computer and some 15 us on a small one: with 32 a flood delays the polling by less than
@@ -40,7 +44,8 @@ SENT_KEPT = 512
 """Number of own frames that are remembered to recognise them if they come back: those of 10 s or more. With fewer, a
 late echo is taken for another program's."""
 QUIET_INTERVAL_S = 0.05
-"""The same if the transport knows that nothing arrives in between [s]; requests are at most this late."""
+"""The same if nothing arrives in between, or the transport has files that show it [s]; requests are at most this late.
+"""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Time without a heartbeat after which the autopilot counts as lost [s]."""
@@ -105,6 +110,8 @@ class Link:
         self.system_status: int = dialect.MAV_STATE_BOOT
         self._next_heartbeat_s = now_s
         self.next_event_s = now_s
+        self._received_s = float("-inf")
+        self._waits_for_files = False
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)
@@ -115,6 +122,11 @@ class Link:
     def autopilot_is_present(self) -> bool:
         """True while heartbeats of an autopilot are received."""
         return self._clock.now() - self._heartbeat_s < AUTOPILOT_LOST_S
+
+    @property
+    def files(self) -> Sequence[int]:
+        """Files that, as soon as one can be read, are a reason for `service` before ``next_event_s``."""
+        return self.transport.files if self._waits_for_files else ()
 
     def send(self, message: Any) -> bytes | None:
         """Send a message at once; returns the frame, or None if the transport dropped it."""
@@ -137,7 +149,8 @@ class Link:
         """Process received messages, and send what is due."""
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
-        frames = self._frames.read(self.transport.receive())
+        received = self.transport.receive()
+        frames = self._frames.read(received)
         if frames:
             self._sort(now_s, frames)
         self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
@@ -147,7 +160,12 @@ class Link:
             self.send(self._heartbeat())
         if now_s - self._heartbeat_s < AUTOPILOT_LOST_S:
             self._ask(now_s)
-        quiet_until_s = self.transport.quiet_until_s
+        is_dense = False
+        if received:
+            is_dense = now_s < self._received_s + DENSE_S
+            self._received_s = now_s
+        self._waits_for_files = not is_dense and bool(self.transport.files)
+        quiet_until_s = float("inf") if self._waits_for_files else self.transport.quiet_until_s
         if quiet_until_s > self.next_event_s and not self._from_autopilot and not self._from_others:
             self.next_event_s = min(quiet_until_s, now_s + QUIET_INTERVAL_S, self._next_heartbeat_s)
 

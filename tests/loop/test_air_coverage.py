@@ -56,6 +56,7 @@ class Sensor:
 
     description, last_error, connected = "sensor", None, True
     quiet_until_s = float("-inf")
+    files = ()
 
     def __init__(self, clock: Clock, message: Any) -> None:
         self.stats = TransportStats()

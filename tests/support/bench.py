@@ -74,6 +74,7 @@ class Wire:
         self.last_error: str | None = None
         self.connected = True
         self.quiet_until_s = float("-inf")
+        self.files = ()
         self.arriving = b""
         self.frames: list[tuple[float, bytes]] = []
         self._clock = clock

@@ -13,6 +13,7 @@ class MemoryTransport:
     description = "memory"
     connected = True
     quiet_until_s = float("-inf")
+    files: tuple[int, ...] = ()
     last_error: str | None = None
 
     def __init__(self) -> None:

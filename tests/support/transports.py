@@ -4,7 +4,7 @@ import contextlib
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from pymavlink.dialects.v20 import common
 
@@ -25,8 +25,9 @@ class StepClock:
     def now(self) -> float:
         return self.now_s
 
-    def sleep_until(self, time_s: float) -> None:
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
         self.now_s = max(self.now_s, time_s)
+        return False
 
     def utc(self) -> float:
         return self.now_s

@@ -1,7 +1,7 @@
 """What is on the bus, and address changes that must not lose a sensor."""
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -196,11 +196,11 @@ class BusyClock(VirtualClock):
         super().__init__(10.0)
         self._late = late
 
-    def sleep_until(self, time_s: float) -> None:
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
         if 0.0 < time_s - self.now() < 0.02 and self._late > 0:
             self._late -= 1
             time_s += 0.2
-        super().sleep_until(time_s)
+        return super().sleep_until(time_s, files)
 
 
 @pytest.mark.parametrize(("late", "ranged"), [(1, True), (4, True), (99, False)])

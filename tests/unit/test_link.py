@@ -30,9 +30,15 @@ START_S = 1000.0
 class Bench:
     """A link, its clock, its transport, and what it has sent."""
 
-    def __init__(self, wanted: Mapping[str, float] | None = None, component_id: int = 191, **link: Any) -> None:
+    def __init__(
+        self,
+        wanted: Mapping[str, float] | None = None,
+        component_id: int = 191,
+        transport: MemoryTransport | None = None,
+        **link: Any,
+    ) -> None:
         self.clock = VirtualClock(START_S)
-        self.transport = MemoryTransport()
+        self.transport = transport or MemoryTransport()
         self.received: list[Any] = []
         self.link = Link(
             self.transport,
@@ -100,6 +106,39 @@ def met() -> Bench:
     bench.arrive(Component(7).heartbeat())
     bench.sent()
     return bench
+
+
+class Listening(MemoryTransport):
+    """A transport that can be waited for."""
+
+    files = (3,)
+
+
+class TestWaiting:
+    def test_without_files_the_transport_is_asked_every_5_ms(self, bench: Bench) -> None:
+        bench.link.service()
+        assert bench.link.files == ()
+        assert bench.link.next_event_s == pytest.approx(START_S + 0.005)
+
+    def test_with_files_the_link_waits_for_them(self) -> None:
+        bench = Bench(transport=Listening())
+        bench.link.service()
+        assert bench.link.files == (3,)
+        assert bench.link.next_event_s == pytest.approx(START_S + 0.05)
+        bench.run(10.0)
+        assert len(bench.sent("HEARTBEAT")) == 10
+
+    def test_messages_that_follow_each_other_closely_are_read_together(self) -> None:
+        bench = Bench(transport=Listening())
+        bench.link.service()
+        waits = []
+        for at_ms in (3, 4, 9, 14, 34):
+            bench.clock.sleep_until(START_S + at_ms / 1000)
+            bench.transport.arrived += Component(7).heartbeat()
+            bench.link.service()
+            waits.append(bool(bench.link.files))
+            assert bench.link.next_event_s - bench.clock.now() == pytest.approx(0.05 if waits[-1] else 0.005)
+        assert waits == [True, False, False, False, True]
 
 
 class TestHeartbeat:

@@ -10,7 +10,7 @@ import resource
 import struct
 import threading
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ class ClockSetInFlight:
     def now(self) -> float:
         return START_S
 
-    def sleep_until(self, time_s: float) -> None:
+    def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
         raise AssertionError("a recorder never sleeps")
 
     def utc(self) -> float:

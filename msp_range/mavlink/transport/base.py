@@ -1,6 +1,7 @@
 """The interface of a transport, and the schedule of its reopening after a failure."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -54,6 +55,10 @@ class Transport(Protocol):
     def quiet_until_s(self) -> float:
         """Time before which nothing arrives [s]; minus infinity if unknown, as on every real link."""
 
+    @property
+    def files(self) -> Sequence[int]:
+        """Files that can be read as soon as something has arrived; none: ask again and again."""
+
     def send(self, frame: bytes) -> bool:
         """Send a complete frame now or within its deadline; False if it was dropped at once."""
 
@@ -71,6 +76,7 @@ class Nowhere:
     last_error = None
     connected = True
     quiet_until_s = float("inf")
+    files = ()
 
     def __init__(self) -> None:
         self.stats = TransportStats()
@@ -111,6 +117,11 @@ class Wrapped:
         """That of the other one."""
         return self._transport.quiet_until_s
 
+    @property
+    def files(self) -> Sequence[int]:
+        """Those of the other one."""
+        return self._transport.files
+
     def send(self, frame: bytes) -> bool:
         """Send by the other one."""
         return self._transport.send(frame)
@@ -148,6 +159,11 @@ class Reconnecting(ABC):
     @abstractmethod
     def _release(self) -> None:
         """Close what `_open` opened, also partly; may be called repeatedly."""
+
+    @property
+    def files(self) -> Sequence[int]:
+        """None, as long as it is not open: `receive` opens it."""
+        return ()
 
     def close(self) -> None:
         """Release the link; it is not opened again."""

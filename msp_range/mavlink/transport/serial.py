@@ -54,6 +54,10 @@ class Serial(StreamTransport):
         assert self._file is not None
         return os.read(self._file, RECEIVE_BOUND_BYTES)
 
+    def _fileno(self) -> int:
+        assert self._file is not None
+        return self._file
+
     def _release(self) -> None:
         if self._file is not None:
             with suppress(OSError, termios.error):

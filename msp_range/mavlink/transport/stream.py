@@ -7,7 +7,7 @@ range, not all of them.
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import Reconnecting, TransportStats
@@ -53,6 +53,11 @@ class FrameStream:
         """True if the last write was incomplete."""
         return self._blocked_since_s is not None
 
+    @property
+    def is_empty(self) -> bool:
+        """True if no frame waits."""
+        return not self._waiting and not self._rest
+
     def send(self, frame: bytes) -> bool:
         """Write ``frame``, or keep it until its deadline; False if too many are waiting.
 
@@ -78,7 +83,7 @@ class FrameStream:
         OSError
             The stream is broken; TimeoutError if it accepted nothing for too long.
         """
-        if not self._waiting and not self._rest:
+        if self.is_empty:
             return
         now_s = self._clock.now()
         while self._waiting or self._rest:
@@ -128,6 +133,15 @@ class StreamTransport(Reconnecting):
     @abstractmethod
     def _read(self) -> bytes:
         """What has arrived; ``b""`` for the end of the stream, BlockingIOError for nothing."""
+
+    @abstractmethod
+    def _fileno(self) -> int:
+        """The open stream's file."""
+
+    @property
+    def files(self) -> Sequence[int]:
+        """The stream; none while frames wait, which `receive` writes."""
+        return () if self._stream is None or not self._stream.is_empty else (self._fileno(),)
 
     @property
     def connected(self) -> bool:

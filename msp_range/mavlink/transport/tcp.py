@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+from collections.abc import Sequence
 from contextlib import suppress
 
 from msp_range.clock import Clock
@@ -70,6 +71,10 @@ class TcpOut(StreamTransport):
         assert self._socket is not None
         return self._socket.recv(RECEIVE_BOUND_BYTES)
 
+    def _fileno(self) -> int:
+        assert self._socket is not None
+        return self._socket.fileno()
+
     def _release(self) -> None:
         if self._socket is not None:
             self._socket.close()
@@ -105,6 +110,13 @@ class TcpIn(Reconnecting):
     def connected(self) -> bool:
         """True while there is a client."""
         return bool(self._clients)
+
+    @property
+    def files(self) -> Sequence[int]:
+        """All sockets; none while frames wait, which `receive` writes."""
+        if self._listener is None or not all(client.stream.is_empty for client in self._clients):
+            return ()
+        return (self._listener.fileno(), *(client.tcp.fileno() for client in self._clients))
 
     def send(self, frame: bytes) -> bool:
         """Send a frame to every client, now or within 0.25 s; False if no client can get it."""

@@ -6,6 +6,7 @@ UDP has no connections. A frame counts as sent when the operating system has acc
 import errno
 import socket
 from abc import abstractmethod
+from collections.abc import Sequence
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
@@ -36,6 +37,11 @@ class _Udp(Reconnecting):
         self._resolver = Resolver(url.host)
         self._socket: socket.socket | None = None
         self._try_open()
+
+    @property
+    def files(self) -> Sequence[int]:
+        """The socket."""
+        return () if self._socket is None else (self._socket.fileno(),)
 
     def receive(self) -> bytes:
         """Return the datagrams that have arrived, joined."""

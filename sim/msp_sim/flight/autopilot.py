@@ -113,6 +113,11 @@ class LoopbackAutopilot:
         return True
 
     @property
+    def files(self) -> Sequence[int]:
+        """None: `quiet_until_s` is known."""
+        return ()
+
+    @property
     def quiet_until_s(self) -> float:
         """Time of its next message [s on the flight's clock]."""
         if self._outgoing:
