@@ -293,3 +293,24 @@ def test_a_run_is_added_once(tmp_path: Path) -> None:
     assert done.exit_code == 3
     assert "there is a run 'px4' already" in done.output
     assert set(read_dataset(tmp_path / "set")["run"]) == {"px4", "arducopter"}
+
+
+def test_a_bad_log_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
+    (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
+    done = run("import", tmp_path / "cut.ulg", LOGS / "px4.ulg", "--out", tmp_path / "set")
+    assert done.exit_code == 4
+    assert "1 of 2 logs could not be imported:" in done.stderr
+    assert "cut.ulg" in done.stderr
+    assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
+
+
+@pytest.mark.slow
+def test_the_same_dataset_whatever_the_number_of_jobs(tmp_path: Path) -> None:
+    logs = LOGS / "px4.ulg", LOGS / "arducopter.BIN"
+    for jobs in (1, 2):
+        imported(*logs, "--out", tmp_path / str(jobs), "--jobs", jobs)
+    files = [sorted(path for path in (tmp_path / jobs).rglob("*") if path.is_file()) for jobs in "12"]
+    assert len(files[0]) == 3
+    for one, two in zip(*files, strict=True):
+        assert one.relative_to(tmp_path / "1") == two.relative_to(tmp_path / "2")
+        assert one.read_bytes() == two.read_bytes()

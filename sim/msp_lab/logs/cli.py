@@ -2,13 +2,18 @@
 
 import json
 import shutil
-from dataclasses import asdict
+import sys
+from contextlib import ExitStack
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from msp_range.extras import require
+from msp_range.input_file import printable
+from msp_range.recording.error import RecordingError
+from msp_sim.cli import Jobs, Scheduler
 
 if TYPE_CHECKING:
     from msp_lab.logs.importing import Imported
@@ -20,7 +25,8 @@ IMPORT = """Import flight logs as one dataset of readings with true range and co
 
 Reads ArduPilot .BIN, PX4 .ulg, .tlog of ground stations, ROS 1 and 2 bags, recordings of msp-range (.mcap), and CSV
 (with --map where its columns have other names). In --out: Parquet files by run and sensor, and dataset.json with what
-was found in each log. Runs are added to a dataset that is there.
+was found in each log. Runs are added to a dataset that is there. A log that cannot be used is named, the others are
+imported, and the exit code is 4; with --jobs, several logs are read at the same time.
 
 --truth is what readings are compared with: recorded, rtk, mocap, ekf, simulator, barometer, others, none, sensor:NAME
 (another range finder of the log), or column:MESSAGE.FIELD*FACTOR (any field, in metres after the factor). Default: the
@@ -51,14 +57,32 @@ def _import(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print what was found as JSON")] = False,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the intervals")] = 1,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     from msp_lab.logs.show import show
+    from msp_sim.workers import EXIT_SOME_FAILED
 
-    found = run_import(files, out, truth, sensor=sensor, column_map=column_map, align=align, seed=seed)
+    found, failed = run_import(
+        files,
+        out,
+        truth,
+        sensor=sensor,
+        column_map=column_map,
+        align=align,
+        seed=seed,
+        jobs=jobs,
+        scheduler=scheduler,
+    )
     if as_json:
         print(json.dumps([asdict(each) for each in found], indent=2))
     else:
         show(found, out)
+    if failed:
+        print(f"{len(failed)} of {len(files)} logs could not be imported:", file=sys.stderr)
+        for why in failed.values():
+            print(printable(why), file=sys.stderr)
+        raise typer.Exit(EXIT_SOME_FAILED)
 
 
 def run_import(
@@ -70,12 +94,25 @@ def run_import(
     column_map: list[str] | None = None,
     align: bool = False,
     seed: int = 1,
-) -> "list[Imported]":
-    """Import logs with a progress bar on the terminal; also for commands that take logs as they are."""
+    jobs: int = 1,
+    scheduler: str | None = None,
+) -> "tuple[list[Imported], dict[Path, str]]":
+    """Import logs with a progress bar on the terminal; also for commands that take logs as they are.
+
+    Returns
+    -------
+    tuple
+        What was found in each log, and why others could not be imported.
+
+    Raises
+    ------
+    RecordingError
+        None of the logs can be imported; or as `import_logs`.
+    """
     require("logs", "msp-lab import")
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    from msp_lab.logs.importing import import_logs
+    from msp_lab.logs.importing import Import, import_logs
     from msp_lab.logs.truth import Truth, parse_truth
     from msp_lab.readings.column_map import load_map
     from msp_range.reading_model.sensor_model import load_sensor_model
@@ -83,6 +120,7 @@ def run_import(
     from msp_range.terminal import PlainConsole
     from msp_range.yaml_file import config_path
     from msp_sim.terminal import Bar, make_folder
+    from msp_sim.workers import Workers, workers
 
     wanted = Truth() if truth is None else parse_truth(truth) if isinstance(truth, str) else truth
     model = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
@@ -90,8 +128,22 @@ def run_import(
     make_folder(out)
     text = TextColumn("{task.description}", markup=False)
     columns = (text, BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Bar(*columns, total=1.0, on=PlainConsole(stderr=True)) as bar:
-        return import_logs(files, out, wanted, model, column_map=mapping, shift=align, seed=seed, progress=bar.show)
+    common = Import(out, wanted, model, mapping, align, seed)
+    with ExitStack() as opened:
+        if jobs == 1 and scheduler is None:
+            bar = opened.enter_context(Bar(*columns, total=1.0, on=PlainConsole(stderr=True)))
+            where, common = Workers(), replace(common, progress=bar.show)
+        else:
+            where = opened.enter_context(workers(jobs, scheduler, "msp-lab import"))
+        if scheduler is not None:
+            # Other machines have other working folders.
+            files, common = [path.resolve() for path in files], replace(common, out=out.resolve())
+        found, failed = import_logs(files, common, where)
+    if where.died:
+        print(f"{where.died} worker processes died; what they read was read again", file=sys.stderr)
+    if not found:
+        raise RecordingError("\n".join(failed.values()))
+    return found, failed
 
 
 def with_logs_imported(
@@ -122,7 +174,10 @@ def with_logs_imported(
     as_they_are = [path for path in measured if path not in logs] if truth in (RECORDED, OTHERS) else []
     if is_dataset(out):
         shutil.rmtree(out)
-    imported = run_import([path for path in measured if path not in as_they_are], out, wanted, column_map=column_map)
+    to_import = [path for path in measured if path not in as_they_are]
+    imported, failed = run_import(to_import, out, wanted, column_map=column_map)
+    if failed:
+        raise RecordingError("\n".join(failed.values()))
     if is_shown:
         show(imported)
     return [*as_they_are, out], truth if truth == OTHERS else RECORDED

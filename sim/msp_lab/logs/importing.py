@@ -17,7 +17,7 @@ from msp_lab.logs.log import TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import OTHERS, Truth, choose
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.dataset import origin, write_run
+from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
 from msp_lab.readings.runs import file_names
 from msp_lab.readings.vehicle import others_as_reference
@@ -28,6 +28,7 @@ from msp_range.recording.reader import Recording
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.model.model import Model
+from msp_sim.workers import Workers
 
 Progress = Callable[[str, float], None]
 
@@ -161,23 +162,12 @@ class Imported:
     notes: tuple[str, ...]
 
 
-def import_logs(
-    paths: Sequence[Path],
-    out: Path,
-    truth: Truth,
-    sensor: SensorModel,
-    *,
-    column_map: ColumnMap | None = None,
-    shift: bool = False,
-    seed: int = 1,
-    progress: Progress = lambda what, share: None,
-) -> list[Imported]:
-    """Import logs into a dataset.
+@dataclass(frozen=True)
+class Import:
+    """What all logs of an import have in common.
 
-    Parameters
+    Attributes
     ----------
-    paths
-        The logs.
     out
         The dataset; runs are added to one that is there.
     truth
@@ -191,47 +181,105 @@ def import_logs(
     seed
         Random seed of the intervals.
     progress
-        Called with what is being done and the share that is done.
+        Called with what is being done and the share of all logs that is done; None: not called.
+    """
+
+    out: Path
+    truth: Truth
+    sensor: SensorModel
+    column_map: ColumnMap | None = None
+    shift: bool = False
+    seed: int = 1
+    progress: Progress | None = None
+
+
+@dataclass(frozen=True)
+class NamedLog:
+    """A log, the name of its run, and its place among all logs (from 0, and how many)."""
+
+    path: Path
+    run: str
+    place: tuple[int, int]
+
+
+def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[list[Imported], dict[Path, str]]:
+    """Import logs into a dataset.
+
+    Parameters
+    ----------
+    paths
+        The logs.
+    common
+        How.
+    where
+        Where the logs are read, and the readings written.
+
+    Returns
+    -------
+    tuple
+        What was found in each log, and the logs that cannot be used, with the reason.
 
     Raises
     ------
     RecordingError
-        A log cannot be used; the runs before it are in the dataset.
+        A file is of no known kind, or the dataset has a run of this name already; nothing is imported.
     """
     for path in paths:
         kind_of(path)
     names = file_names(paths)
-    known = origin(out)
+    known = origin(common.out)
     taken = [name for name in names if name in known]
     if taken:
         raise RecordingError(
-            f"{out}: there is a run {taken[0]!r} already, of {known[taken[0]].get('file')}; use another --out"
+            f"{common.out}: there is a run {taken[0]!r} already, of {known[taken[0]].get('file')}; use another --out"
         )
-    found = []
-    for index, (path, run) in enumerate(zip(paths, names, strict=True)):
-
-        def share(of_file: float, index: int = index, path: Path = path) -> None:
-            progress(f"reading {path.name}", (index + of_file) / len(paths))
-
-        share(0.0)
-        field = "" if truth.file else truth.field
-        log = open_log(path, share, field=field, column_map=column_map, maximum_cm=sensor.maximum_cm)
-        if not log.rangers:
-            raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
-        notes: list[str] = []
-        if truth.file is None:
-            reference = choose(log, truth)
-        else:
-            reference, difference_s = reference_of(truth.file, truth, log)
-            notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
-        joined = join(log, reference, np.random.default_rng(seed), shift=shift or truth.file is not None)
-        if truth.kind == OTHERS:
-            joined, notes = _others(path, joined, sensor)
-        account = _account(run, log, reference, joined, notes, truth)
-        for name, tables in _by_run(run, joined).items():
-            write_run(out, name, tables, asdict(account))
+    logs = [NamedLog(path, run, (i, len(paths))) for i, (path, run) in enumerate(zip(paths, names, strict=True))]
+    found: list[Imported] = []
+    failed: dict[Path, str] = {}
+    for outcome in where.map(import_log, logs, common, what="logs"):
+        if outcome.value is None:
+            failed[paths[outcome.index]] = outcome.error or ""
+            continue
+        account, runs = outcome.value
+        record_runs(common.out, runs, asdict(account))
         found.append(account)
-    return found
+    return found, failed
+
+
+def import_log(common: Import, named: NamedLog) -> tuple[Imported, list[str]]:
+    """Read a log and write its readings; what was found, and the names of its runs, which the dataset does not list
+    yet.
+
+    Raises
+    ------
+    RecordingError
+        The log cannot be used.
+    """
+    path, run, truth = named.path, named.run, common.truth
+
+    def share(of_file: float) -> None:
+        if common.progress is not None:
+            common.progress(f"reading {path.name}", (named.place[0] + of_file) / named.place[1])
+
+    share(0.0)
+    field = "" if truth.file else truth.field
+    log = open_log(path, share, field=field, column_map=common.column_map, maximum_cm=common.sensor.maximum_cm)
+    if not log.rangers:
+        raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
+    notes: list[str] = []
+    if truth.file is None:
+        reference = choose(log, truth)
+    else:
+        reference, difference_s = reference_of(truth.file, truth, log)
+        notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
+    joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
+    if truth.kind == OTHERS:
+        joined, notes = _others(path, joined, common.sensor)
+    account = _account(run, log, reference, joined, notes, truth)
+    runs = _by_run(run, joined)
+    for name, tables in runs.items():
+        write_tables(common.out, name, tables)
+    return account, list(runs)
 
 
 def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:

@@ -7,7 +7,8 @@ it is from and what was found there. Only the files and columns that are asked f
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -26,7 +27,7 @@ _MOST_ORIGIN_BYTES = 64 * 2**20
 
 
 def is_dataset(path: Path) -> bool:
-    """True for a folder that `write_run` has made."""
+    """True for a folder that `record_runs` has made."""
     return (path / ORIGIN).is_file()
 
 
@@ -49,8 +50,8 @@ def origin(folder: Path) -> dict[str, Any]:
     return runs
 
 
-def write_run(folder: Path, run: str, tables: Mapping[str, MeasuredData], about: Mapping[str, Any]) -> None:
-    """Add a run to a dataset, which is made where there is none.
+def write_tables(folder: Path, run: str, tables: Mapping[str, MeasuredData]) -> None:
+    """Write the readings of a run, which is part of the dataset when `record_runs` has listed it.
 
     Parameters
     ----------
@@ -60,22 +61,17 @@ def write_run(folder: Path, run: str, tables: Mapping[str, MeasuredData], about:
         Name of the run.
     tables
         Sensor -> its readings; columns ``run`` and ``sensor`` are not needed.
-    about
-        What ``dataset.json`` is to say of the run.
 
     Raises
     ------
     RecordingError
-        There is such a run already, or a file cannot be written.
+        A file cannot be written.
     """
     require("logs", "A dataset of readings")
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    runs = origin(folder)
-    if run in runs:
-        raise RecordingError(f"{folder}: there is a run {run!r} already, of {runs[run].get('file')}; use another --out")
-    try:
+    with _writing(folder):
         for sensor, table in tables.items():
             place = folder / f"run={quote(run, safe='')}" / f"sensor={quote(sensor, safe='')}"
             place.mkdir(parents=True, exist_ok=True)
@@ -86,8 +82,39 @@ def write_run(folder: Path, run: str, tables: Mapping[str, MeasuredData], about:
             }
             with making(place / READINGS, replacing=True) as unfinished:
                 pq.write_table(pa.table(columns), unfinished, compression="zstd")
-        with making(folder / ORIGIN, replacing=True) as unfinished:
-            unfinished.write_text(json.dumps({"runs": runs | {run: dict(about)}}, indent=2), encoding="utf-8")
+
+
+def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) -> None:
+    """List runs in a dataset, which is made where there is none; one after the other, as each rewrites the list.
+
+    Parameters
+    ----------
+    folder
+        The dataset.
+    names
+        Names of runs of one log.
+    about
+        What ``dataset.json`` is to say of them.
+
+    Raises
+    ------
+    RecordingError
+        There is such a run already, or the file cannot be written.
+    """
+    runs = origin(folder)
+    for run in names:
+        if run in runs:
+            file = runs[run].get("file")
+            raise RecordingError(f"{folder}: there is a run {run!r} already, of {file}; use another --out")
+    with _writing(folder), making(folder / ORIGIN, replacing=True) as unfinished:
+        listed = runs | {run: dict(about) for run in names}
+        unfinished.write_text(json.dumps({"runs": listed}, indent=2), encoding="utf-8")
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise RecordingError(f"{error.filename or folder}: cannot be written: {error.strerror}") from None
 
