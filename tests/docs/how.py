@@ -80,6 +80,7 @@ ELSEWHERE = {
     "msp-lab design gaps/june --bench ...": "tests/loop/test_design.py",
     "msp-lab collect gaps/june/design/1-.../campaign.yaml --out new": "tests/peers/test_collect_kernel.py",
     "msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july": "tests/loop/test_gap.py",
+    "msp-lab gap one.csv two.csv --model configs/sensors/mb1242.yaml --each log ...": "tests/unit/test_gap_separate.py",
     "dask scheduler ...": "tests/unit/test_workers.py",
     "dask worker ...": "tests/unit/test_workers.py",
     "msp-sim monte-carlo rough_grass --flights 5 --scheduler ...": "tests/unit/test_workers.py",

@@ -2,6 +2,12 @@
 
 import os
 import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +16,8 @@ import pytest
 from msp_range.yaml_file import ConfigError
 from msp_sim import workers as module
 from msp_sim.workers import Outcome, Workers, workers
+
+ROOT = Path(__file__).parents[2]
 
 
 def square(add: int, item: int) -> int:
@@ -114,6 +122,54 @@ def test_a_cluster_of_another_version_or_with_threads_or_without_workers_is_refu
             address = cluster.scheduler_address
             with pytest.raises(ConfigError, match=reason), workers(1, address, "a command"):
                 pass
+
+
+@pytest.mark.slow
+def test_a_cluster_as_the_document_starts_it(tmp_path: Path) -> None:
+    """Scheduler and workers are the programs of docs/fleets.md, in a folder of their own; one worker is killed."""
+    programs = Path(sys.executable).parent
+    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
+    quiet: dict[str, Any] = {
+        "cwd": tmp_path,
+        "env": environ,
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+    }
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    own = ["--host", "127.0.0.1", "--port", str(port), "--dashboard-address", "127.0.0.1:0"]
+    joins = ["--nworkers", "2", "--nthreads", "1", "--no-dashboard"]
+    started = [subprocess.Popen([programs / "dask", "scheduler", *own], **quiet)]
+    try:
+        started.append(subprocess.Popen([programs / "dask", "worker", address, *joins], **quiet))
+        items = ["die once" if number == 5 else str(number) for number in range(12)]
+        with connected(address) as found:
+            outcomes = list(found.map(deadly, items, tmp_path / "mark", what="items"))
+            assert found.died == 1
+        assert [each.value for each in outcomes] == items
+    finally:
+        # The workers first: they tell the scheduler that they end.
+        for program in reversed(started):
+            program.terminate()
+            program.wait(30)
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Workers]:
+    """Workers of a cluster that is being started."""
+    for attempt in range(20):
+        try:
+            opened = ExitStack()
+            found = opened.enter_context(workers(1, address, "a command"))
+        except ConfigError:
+            assert attempt < 19
+            time.sleep(0.5)
+            continue
+        with opened:
+            yield found
+        return
 
 
 def other_version(pickled: bytes, part: Any, expected: str) -> Any:
