@@ -1,9 +1,10 @@
 """msp-lab: the commands of the laboratory."""
 
 import json
+from dataclasses import replace
 from datetime import date as day
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,7 +14,10 @@ from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
 from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import OwnEffects
+from msp_sim.cli import Jobs, OwnEffects, Scheduler
+
+if TYPE_CHECKING:
+    from msp_lab.characterise.sensors import Characterisation
 
 EXIT_FOUND = 1
 """'check-effect' found something."""
@@ -150,60 +154,92 @@ def characterise(
     ] = False,
     date: Annotated[str | None, typer.Option(help="date to record, YYYY-MM-DD (default: today)")] = None,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the goodness-of-fit test")] = 1,
+    each: Annotated[
+        Literal["sensor"] | None,
+        typer.Option(
+            help="a model for each sensor; --out is the folder for SENSOR.yaml, --report has a folder for each"
+        ),
+    ] = None,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
 ) -> None:
-    """Make a sensor model from readings at known ranges: calibration, kinds of reading, field of view, influences."""
-    require("lab", "msp-lab characterise")
-    from numpy.random import default_rng
+    """Make a sensor model from readings at known ranges: calibration, kinds of reading, field of view, influences.
 
-    from msp_lab.characterise.analysis import characterise as analyse
-    from msp_lab.characterise.model_file import changed, write_model
+    With --each sensor, in --out: a model for each, and sensors.csv. A sensor of which no model can be made is named,
+    and the exit code is 4.
+    """
+    require("lab", "msp-lab characterise")
+    from msp_lab.characterise.model_file import write_model
     from msp_lab.characterise.publish import check_free, publish_findings
+    from msp_lab.characterise.sensors import Characterisation, characterised
     from msp_lab.characterise.show import show_findings
-    from msp_lab.readings.column_map import load_map
-    from msp_lab.readings.intake import load_readings, without_impossible
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.sensors.table import DRIVERS
     from msp_range.terminal import PlainConsole
     from msp_range.yaml_file import config_path
 
-    check_free(out, report)
     if date is not None and not _is_date(date):
         raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
-    starting_model = sensor or config_path(next(iter(DRIVERS)), "sensors")
-    started = load_sensor_model(starting_model)
-    mapping = load_map(column_map) if column_map else None
+    how = Characterisation(
+        tuple(data),
+        sensor or config_path(next(iter(DRIVERS)), "sensors"),
+        tuple(column_map or ()),
+        truth,
+        date or date_of(SystemClock().utc()),
+        seed,
+        reference_std_cm,
+        set_up_std_cm,
+    )
+    if each is not None:
+        if compare_with_report:
+            raise ConfigError("--each and --compare-with-report: give one of them")
+        _characterise_each(how, out, report, of or [], jobs, scheduler)
+        return
+    if jobs != 1 or scheduler is not None:
+        raise ConfigError("--jobs and --scheduler: models of several sensors are made at a time: give --each sensor")
+    check_free(out, report)
     if compare_with_report:
         if report is None:
             raise ConfigError("--compare-with-report: give --report too, the folder for its page")
         from msp_lab.comparison.report import check_sensor
 
-        check_sensor(started)
+        check_sensor(load_sensor_model(how.start))
     progress = PlainConsole(stderr=True)
     pages: list[Path] = []
     with progress.status("reading") as status:
-        loaded = without_impossible(load_readings(data, started, mapping, sensors=of or (), truth=truth), started)
-        findings, changes = analyse(
-            loaded,
-            started,
-            date=date or date_of(SystemClock().utc()),
-            rng=default_rng(seed),
-            reference_std_cm=reference_std_cm,
-            set_up_std_cm=set_up_std_cm,
-            progress=status.update,
-        )
-        model = changed(started, findings, changes)
-        write_model(out, model, findings, changes, starting_model.name)
+        made = characterised(how, of or (), status.update)
+        write_model(out, made.model, made.findings, made.changes, how.start.name)
         if report is not None:
             status.update("drawing the report")
-            pages = [publish_findings(findings, loaded.data, model, report)]
+            pages = [publish_findings(made.findings, made.data, made.model, report)]
             if compare_with_report:
                 from msp_lab.comparison.write import write_comparison
 
-                pages.append(write_comparison(findings, loaded.data, model, report))
+                pages.append(write_comparison(made.findings, made.data, made.model, report))
     console = PlainConsole()
-    show_findings(findings, console)
+    show_findings(made.findings, console)
     console.print(f"{out}: loads as a sensor model" + "".join(f"; {page}" for page in pages))
+
+
+def _characterise_each(
+    how: "Characterisation", out: Path, report: Path | None, of: list[str], jobs: int, scheduler: str | None
+) -> None:
+    """Make a model of each sensor, and print a row for each; exit code 4 if some could not be made."""
+    from msp_lab.characterise.sensors import EachSensor, characterise_sensors, sensors_in
+    from msp_lab.characterise.show import show_sensors
+    from msp_sim.terminal import make_folder
+    from msp_sim.workers import EXIT_SOME_FAILED, workers
+
+    make_folder(out)
+    how = replace(how, data=tuple(path.resolve() for path in how.data), start=how.start.resolve())
+    sensors = [name for name in sensors_in(how) if name in of or not of]
+    common = EachSensor(how, out.resolve(), report.resolve() if report is not None else None)
+    with workers(jobs, scheduler, "msp-lab characterise") as where:
+        found = characterise_sensors(common, sensors, where)
+    show_sensors(found, where.died, out)
+    if any(row.error for row in found):
+        raise typer.Exit(EXIT_SOME_FAILED)
 
 
 def _is_date(text: str) -> bool:

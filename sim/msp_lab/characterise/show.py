@@ -3,8 +3,10 @@
 Findings enter, the table of the page leaves as lines; the page has the rest.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
+from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
@@ -12,6 +14,8 @@ from rich.text import Text
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import Kind, conclusions, summarise
 from msp_lab.characterise.page.text import interval
+from msp_lab.characterise.sensors import TABLE, OfSensor
+from msp_range.terminal import console, number_columns
 
 STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
@@ -33,6 +37,24 @@ def show_findings(findings: Findings, console: Console) -> None:
         console.print(f"not in these data: {names}: {why}", style="dim", highlight=False)
     for warning in findings.warnings:
         console.print(f"warning: {warning}", style="yellow", highlight=False)
+
+
+def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
+    """Print the models of several sensors, and those that could not be made."""
+    out = console()
+    headings = ("readings", "sigma [cm]", "short", "missed", "random")
+    table = Table(Column(""), *number_columns(*headings), box=box.SIMPLE_HEAD)
+    for each in found:
+        numbers = (each.sigma_cm, each.short, each.missed, each.random)
+        shown = ("-" if number is None else f"{number:.3g}" for number in numbers)
+        table.add_row(each.sensor, f"{each.readings:,}", *shown)
+    out.print(table)
+    for each in found:
+        if each.error:
+            out.print(f"{each.sensor}: no model: {each.error}", style="red", highlight=False)
+    if died:
+        out.print(f"{died} worker processes died; their sensors were computed again", highlight=False)
+    out.print(f"in {folder}: a sensor model for each, and {TABLE}", highlight=False, soft_wrap=True)
 
 
 def _numbers(findings: Findings) -> Iterator[str]:

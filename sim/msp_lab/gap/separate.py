@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
+from urllib.parse import quote
 
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.labels import effect_label
@@ -93,7 +94,11 @@ def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) ->
         column_map = load_map(settings.map) if settings.map else None
         loaded = load_readings(absolute, load_model(settings.model).sensor, column_map, run_column=settings.run_column)
         found = sorted(set(loaded.data["sensor"].tolist()))
-    return [Job(name, tuple(absolute), (name,), out / name) for name in found if name in (settings.of or found)]
+    return [
+        Job(name, tuple(absolute), (name,), out / quote(name, safe=""))
+        for name in found
+        if name in (settings.of or found)
+    ]
 
 
 def separate_gap(common: Common, job: Job) -> SeparateGap:
