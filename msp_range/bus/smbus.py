@@ -5,17 +5,19 @@ start a new measurement, and calls of ``write_byte`` from two threads can go to 
 
 Two programs that poll the same sensors would trigger each other's measurements and read each other's answers. Therefore
 the device file is locked (flock) while it is open. The lock is released when the process ends, for whatever reason.
+
+smbus2 and fcntl exist on Linux only, so they are imported where the bus is used.
 """
 
 import errno
-import fcntl
 import os
 from pathlib import Path
-from typing import Any
-
-from smbus2 import SMBus, i2c_msg
+from typing import TYPE_CHECKING, Any
 
 from msp_range.bus.base import BusError
+
+if TYPE_CHECKING:
+    from smbus2 import SMBus, i2c_msg
 
 
 def bus_of(text: str) -> int | str:
@@ -81,18 +83,22 @@ class KernelBus:
 
     def write(self, address: int, data: bytes) -> None:
         """Send ``data`` to ``address`` as one message."""
+        from smbus2 import i2c_msg
+
         self._transfer(i2c_msg.write(address, data), "write", address)
 
     def read(self, address: int, count: int) -> bytes:
         """Read ``count`` bytes from ``address`` as one message."""
         message = self._reads.get((address, count))
         if message is None:
+            from smbus2 import i2c_msg
+
             # Made once: a sensor that ranges is read again every few milliseconds.
             message = self._reads[address, count] = i2c_msg.read(address, count)
         self._transfer(message, "read", address)
         return bytes(message)
 
-    def _transfer(self, message: i2c_msg, verb: str, address: int) -> None:
+    def _transfer(self, message: "i2c_msg", verb: str, address: int) -> None:
         if self._smbus is None:
             self.reopen()
         assert self._smbus is not None
@@ -107,6 +113,10 @@ class KernelBus:
 
     def reopen(self) -> None:
         """Close and open the device file; raises BusInUse if another process has locked it."""
+        import fcntl
+
+        from smbus2 import SMBus
+
         self.close()
         try:
             smbus: Any = SMBus(str(self.path))

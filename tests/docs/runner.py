@@ -3,8 +3,10 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from tests.docs import how
@@ -75,3 +77,22 @@ def fly_four(folder: Path) -> Path:
         done"""
     subprocess.run(["bash", "-ec", script], cwd=place, env=environment(place), check=True, capture_output=True)
     return folder / "made"
+
+
+def run(script: str, place: Path, surroundings: dict[str, str], limit_s: float) -> tuple[str, int]:
+    """Run a script in a folder; its output and exit code. What it has started ends with it."""
+    with subprocess.Popen(
+        ["bash", "-ec", script],
+        cwd=place,
+        env=surroundings,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as program:
+        try:
+            return program.communicate(timeout=limit_s)[0], program.wait()
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(program.pid, signal.SIGKILL)

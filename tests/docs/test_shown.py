@@ -1,12 +1,11 @@
 """What documents show is run as they show it: commands and Python programs, in their order."""
 
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.docs import how
-from tests.docs.runner import clone, environment, fly_four, scripts
+from tests.docs.runner import clone, environment, fly_four, run, scripts
 from tests.docs.shown import DOCUMENTS, ROOT
 from tests.support.data import measured_data
 
@@ -38,13 +37,5 @@ def test_what_a_document_shows_runs(path: Path, request: pytest.FixtureRequest, 
     flights = request.getfixturevalue("flown") if "$FLOWN" in before else None
     place = clone(tmp_path)
     for script in [before, *shown]:
-        done = subprocess.run(
-            ["bash", "-ec", script],
-            cwd=place,
-            env=environment(place, flights),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-        )
-        assert done.returncode == 0, f"{script}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        output, code = run(script, place, environment(place, flights), LIMIT_S)
+        assert code == 0, f"{script}\n{output[-4000:]}"

@@ -1,5 +1,8 @@
 """Links as people write them."""
 
+import re
+import termios
+
 import pytest
 
 from msp_range.mavlink.transport import NetworkUrl, SerialUrl, parse_url
@@ -68,5 +71,4 @@ def test_what_is_wrong_is_reported(text: str, found: str, expected: str, example
 
 
 def test_the_usual_rates_are_known() -> None:
-    assert {9600, 57600, 115200, 230400, 460800, 921600} <= BAUD_RATES.keys()
-    assert 0 not in BAUD_RATES
+    assert set(BAUD_RATES) == {int(name[1:]) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)}

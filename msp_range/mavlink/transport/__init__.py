@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import Nowhere, Transport, TransportStats, Wrapped
-from msp_range.mavlink.transport.serial import Serial
 from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
@@ -42,5 +41,8 @@ def open_transport(url: TransportUrl | str, clock: Clock) -> Transport:
     if isinstance(url, str):
         url = parse_url(url)
     if isinstance(url, SerialUrl):
+        # Needs fcntl and termios, which virtual flights on other systems than Linux do not have.
+        from msp_range.mavlink.transport.serial import Serial
+
         return Serial(url, clock)
     return _NETWORK[url.kind](url, clock)

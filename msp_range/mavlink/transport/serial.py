@@ -9,7 +9,7 @@ from contextlib import suppress
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
-from msp_range.mavlink.transport.url import BAUD_RATES, SerialUrl
+from msp_range.mavlink.transport.url import SerialUrl
 
 #: Start bit, eight data bits, stop bit.
 BITS_PER_BYTE = 10
@@ -23,7 +23,7 @@ class Serial(StreamTransport):
     def __init__(self, url: SerialUrl, clock: Clock) -> None:
         super().__init__(str(url), clock)
         self._path = url.path
-        self._speed = BAUD_RATES[url.baud]
+        self._speed: int = getattr(termios, f"B{url.baud}")
         self._most_queued_bytes = int(url.baud / BITS_PER_BYTE * FRAME_DEADLINE_S)
         self._file: int | None = None
         self._try_open()
