@@ -12,7 +12,7 @@ from msp_range.commission.samples import Array, Record, Samples, SensorReadings,
 from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_places
 from msp_range.config import Airframe, load_airframe_from
-from msp_range.doctor.finding import right, unknown, wrong
+from msp_range.doctor.finding import Finding, right, unknown, wrong
 from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
 
@@ -56,13 +56,17 @@ def hover(session: Session) -> StepOutcome:
     outcome.findings.append(
         right("hover", f"{path.name}: {times_s[-1] - times_s[0]:.0f} s at {np.median(part.fused[:, 1]):.1f} m")
     )
+    outcome.findings.append(gaps(times_s))
+    return outcome
+
+
+def gaps(times_s: Array) -> Finding:
+    """Whether fused distances came all the time, by their times [s]."""
     longest_s = float(np.diff(times_s).max())
     text = f"{len(times_s) / (times_s[-1] - times_s[0]):.1f} a second, at most {longest_s:.2f} s apart"
     if longest_s > SILENT_S:
-        outcome.findings.append(wrong("fused distance", text, "the review says which sensor has no readings, and why"))
-    else:
-        outcome.findings.append(right("fused distance", text))
-    return outcome
+        return wrong("fused distance", text, "the review says which sensor has no readings, and why")
+    return right("fused distance", text)
 
 
 def review(session: Session) -> StepOutcome:
