@@ -36,6 +36,17 @@ def test_readings_context_and_reference(tmp_path: Path) -> None:
     assert "EK3_SRC1_POSZ is 2" in refused.refused
 
 
+def test_a_maximum_of_zero_is_none(tmp_path: Path) -> None:
+    """Some drivers state none; every reading would be beyond it."""
+    messages = telemetry()
+    for _, _, message in messages:
+        if hasattr(message, "max_distance"):
+            message.max_distance = 0
+    down, _ = read_telemetry(write_telemetry(tmp_path / "a.tlog", messages), nothing).rangers
+    assert down.maximum_cm == np.inf
+    assert down.series.values[1] == round(100 * height_m(-0.05))
+
+
 def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
     path = write_telemetry(tmp_path / "a.tlog", telemetry())
     readings, heights = [], []

@@ -16,6 +16,7 @@ from msp_lab.logs.dataflash import Messages, Progress, read_messages
 from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3
 from msp_lab.logs.log import (
     CLIMB,
+    RTK_FIXED,
     THROTTLE,
     TILT,
     Ranger,
@@ -27,13 +28,10 @@ from msp_lab.logs.log import (
     series,
     tilt_deg,
 )
+from msp_range.mavlink.orientation import DOWN
 
-DOWN = 25
-"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
 _NO_DATA, _TOO_FAR = 1, 3
 """RangeFinder::Status: nothing was read; out of range, far (AP_RangeFinder.h)."""
-_RTK_FIXED = 6
-"""AP_GPS::GPS_OK_FIX_3D_RTK_FIXED: to centimetres; a float solution (5) is off by decimetres."""
 
 WANTED = {
     "RFND": ("TimeUS", "TimeMS", "Instance", "I", "Dist", "Stat", "Orient", "Dist1", "Orient1", "Dist2", "Orient2"),
@@ -127,10 +125,10 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
     if (simulated := _first(found, "SIM", "Alt")) is not None:
         references.append(TruthSource("simulator", simulated))
     gps = found.get("GPS", {})
-    if (altitude := _first(found, "GPS", "Alt")) is not None and (gps.get("Status", np.zeros(1)) == _RTK_FIXED).any():
+    if (altitude := _first(found, "GPS", "Alt")) is not None and (gps.get("Status", np.zeros(1)) == RTK_FIXED).any():
         fixed = _first(found, "GPS", "Status")
         assert fixed is not None
-        values = np.where(fixed.values == _RTK_FIXED, altitude.values, np.nan)
+        values = np.where(fixed.values == RTK_FIXED, altitude.values, np.nan)
         references.append(
             TruthSource("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
         )

@@ -22,7 +22,7 @@ noise of the reference; longer: the ends of a climb are rounded."""
 
 
 @dataclass(frozen=True)
-class ReferenceError:
+class TruthAccuracy:
     """How well a reference is known: standard deviation [cm], its 95 % interval, and from what."""
 
     std_cm: float
@@ -52,7 +52,7 @@ class Joined:
     ranger: Ranger
     data: MeasuredData
     alignment: Alignment | None = None
-    error: ReferenceError | None = None
+    error: TruthAccuracy | None = None
     is_shifted: bool = False
 
 
@@ -123,17 +123,17 @@ def _error(
     answered_cm: Array,
     alignment: Alignment | None,
     rng: np.random.Generator,
-) -> ReferenceError | None:
+) -> TruthAccuracy | None:
     """How well the reference is known, by another one next to it, or by its own word."""
     other = second(log, reference)
     if other is not None and alignment is not None:
         at = time_s - (alignment.lag_s if alignment.has_lag else 0.0)
         found = reference_std_cm(answered_cm, _expected_cm(log, reference, at), _expected_cm(log, other, at), rng)
         if found is not None:
-            return ReferenceError(*found, f"its differences to {other.series.source} and to the readings")
+            return TruthAccuracy(*found, f"its differences to {other.series.source} and to the readings")
     if reference.std is not None and len(reference.std):
         std_cm = 100.0 * float(np.nanmedian(reference.std.values))
-        return ReferenceError(std_cm, std_cm, std_cm, f"the receiver's own word ({reference.std.source})")
+        return TruthAccuracy(std_cm, std_cm, std_cm, f"the receiver's own word ({reference.std.source})")
     return None
 
 
@@ -142,7 +142,7 @@ def _true(
     reference: TruthSource,
     at_s: Array,
     alignment: Alignment | None,
-    error: ReferenceError | None,
+    error: TruthAccuracy | None,
     shift: bool,
 ) -> Mapping[str, Column]:
     """Columns of the true range at these times."""

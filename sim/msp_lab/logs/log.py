@@ -20,6 +20,9 @@ LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
 of the series [s]. Longer: a value is made up where the log was silent; shorter: series of 1 Hz have holes."""
 
+RTK_FIXED = 6
+"""Kind of a satellite fix, in MAVLink, ArduPilot and PX4 alike: RTK, to centimetres; a float solution (5) is off by
+decimetres."""
 TILT, CLIMB, THROTTLE = "tilt_deg", "climb_m_s", "throttle"
 CONTEXT = {
     TILT: "angle between the vehicle's down axis and straight down [deg]",
@@ -188,6 +191,18 @@ def negative(found: Series) -> Series:
 def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
     """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
     return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
+
+
+def longest_m(maximum_m: Array) -> float:
+    """The longest range that a log states [m]; infinite where it states none, as zero is none.
+
+    Examples
+    --------
+    >>> longest_m(np.array([0.0, 7.0])), longest_m(np.array([0.0, np.nan, np.inf]))
+    (7.0, inf)
+    """
+    known = maximum_m[np.isfinite(maximum_m) & (maximum_m > 0.0)]
+    return float(known.max()) if known.size else np.inf
 
 
 def readings_cm(range_m: Array, maximum_m: float = np.inf) -> Array:

@@ -17,14 +17,24 @@ from pyulog import ULog
 from pyulog.core import ULogException
 
 from msp_lab.logs.fused import by_px4
-from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Ranger, Series, TruthSource, VehicleLog, readings_cm, series
+from msp_lab.logs.log import (
+    CLIMB,
+    RTK_FIXED,
+    THROTTLE,
+    TILT,
+    Array,
+    Ranger,
+    Series,
+    TruthSource,
+    VehicleLog,
+    longest_m,
+    readings_cm,
+    series,
+)
 from msp_range.input_file import open_input
+from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 
-DOWN = 25
-"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
-_RTK_FIXED = 6
-"""sensor_gps.fix_type: RTK fixed."""
 _DEFAULT_TEMPERATURE = 0
 """vehicle_air_data.temperature_source: no thermometer, 15 deg C are assumed."""
 LARGEST_BYTES = 4 * 2**30
@@ -133,7 +143,7 @@ def _rangers(found: _Topics) -> list[Ranger]:
     for name, data in found.items():
         if not name.startswith("distance_sensor"):
             continue
-        maximum_m = float(data["max_distance"].max())
+        maximum_m = longest_m(data["max_distance"])
         reading_cm = readings_cm(data["current_distance"], maximum_m)
         # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
         reading_cm[data.get("signal_quality", np.full(reading_cm.size, -1)) == 0] = np.nan
@@ -186,7 +196,7 @@ def _without_fused(height: Series, flags: Series | None, parameters: Mapping[str
 
 def _rtk(found: _Topics) -> Series | None:
     gps = found.get("vehicle_gps_position", {})
-    fixed = gps.get("fix_type", np.zeros(0)) == _RTK_FIXED
+    fixed = gps.get("fix_type", np.zeros(0)) == RTK_FIXED
     if not fixed.any():
         return None
     # Millimetres before 1.14.

@@ -15,7 +15,19 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from msp_lab.logs.log import CLIMB, THROTTLE, TILT, Array, Ranger, Series, TruthSource, VehicleLog, readings_cm, series
+from msp_lab.logs.log import (
+    CLIMB,
+    THROTTLE,
+    TILT,
+    Array,
+    Ranger,
+    Series,
+    TruthSource,
+    VehicleLog,
+    longest_m,
+    readings_cm,
+    series,
+)
 from msp_range.recording.error import RecordingError
 
 _EXTERNAL = re.compile(r"vicon|vrpn|mocap|motion_capture|optitrack|qualisys|ground_?truth|gazebo", re.IGNORECASE)
@@ -129,8 +141,7 @@ def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
     rangers = []
     for each in topics.values():
         if each.kind == "Range" and each["range"].size:
-            maximum_m = float(np.nanmax(each["max_range"]))
-            maximum_m = maximum_m if np.isfinite(maximum_m) and maximum_m > 0.0 else np.inf
+            maximum_m = longest_m(each["max_range"])
             range_m = each["range"]
             reading_cm = readings_cm(np.where(np.isneginf(range_m), np.nan, range_m), maximum_m)
             reading_cm[np.isinf(reading_cm)] = np.nan

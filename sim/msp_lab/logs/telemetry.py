@@ -16,6 +16,7 @@ import numpy as np
 from msp_lab.logs.fused import by_any
 from msp_lab.logs.log import (
     CLIMB,
+    RTK_FIXED,
     THROTTLE,
     TILT,
     Array,
@@ -23,6 +24,7 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    longest_m,
     negative,
     readings_cm,
     series,
@@ -31,13 +33,10 @@ from msp_lab.logs.log import (
 from msp_range.input_file import open_input
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
 
-DOWN = 25
-"""MAV_SENSOR_ROTATION_PITCH_270: looks down."""
-RTK_FIXED = 6
-"""GPS_FIX_TYPE_RTK_FIXED."""
 LATEST_US = 4_000_000_000_000_000
 """Times after the year 2096 are none [us]: the log is damaged there."""
 MOST_BAD_BYTES = 2**20
@@ -199,7 +198,7 @@ def _rangers(distances: Mapping[tuple[int, int, int], _Columns]) -> list[Ranger]
     numbers = [number for _, _, number in distances]
     for (system, component, number), found in distances.items():
         name = f"distance_sensor_{number}" + (f"_of_{system}_{component}" if numbers.count(number) > 1 else "")
-        maximum_m = float(found["max_distance"].max()) / 100.0
+        maximum_m = longest_m(found["max_distance"] / 100.0)
         reading_cm = readings_cm(found["current_distance"] / 100.0, maximum_m)
         # 1 is an invalid signal, 0 an unknown one (common.xml).
         reading_cm[found["signal_quality"] == 1] = np.nan
