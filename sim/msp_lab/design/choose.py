@@ -37,6 +37,11 @@ MARGIN = 1.1
 """A session gets so many times the readings that are needed: the nats per reading are known to about a tenth."""
 MOST_READINGS = 2 * rules.TRAINING_ROWS
 """Readings of a session at most: the gap workflow fits no more."""
+CHECKED_ROWS = 20_000
+"""Readings that are drawn to check the session that was chosen: 13.6 nats in 2,000 are then known to an eighth.
+More: slower."""
+HARD = 3.0
+"""Pairs with less than so many times the nats that they need are checked. Higher: slower."""
 LONGER = 1.25
 """Steps in which a session is made longer until it is long enough."""
 
@@ -179,8 +184,8 @@ def cheapest(
     def needed(truth: int, rival: int) -> float:
         return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[rival]))
 
-    def separations(session: Session, of: Iterable[tuple[int, int]]) -> list[Separation]:
-        contexts = session.sampled(DRAWN_ROWS)
+    def separations(session: Session, of: Iterable[tuple[int, int]], rows: int = DRAWN_ROWS) -> list[Separation]:
+        contexts = session.sampled(rows)
         offset_cm = float(np.hypot(session.offset_cm, run_offset_cm))
         return [separation(given, (answers[a], answers[b]), (a, b), contexts, offset_cm, rng) for a, b in of]
 
@@ -190,45 +195,43 @@ def cheapest(
         for each in separations(most, pairs):
             pair = each.truth, each.rival
             reach[pair] = max(reach[pair], each.nats(MOST_READINGS, most.runs))
-    same = tuple(
-        Same(one, other, min(nats for pair, nats in reach.items() if set(pair) == {one, other}))
-        for one, other in combinations(range(len(answers)), 2)
-        if any(set(pair) == {one, other} and nats < needed(*pair) for pair, nats in reach.items())
-    )
-    classes = _classes(len(answers), same)
-    pairs = [pair for pair in pairs if not any({*pair} <= each for each in classes)]
-    if not pairs:
-        return Design(
-            question, answers, None, same=same, classes=classes, why="no session that can be held here tells them apart"
-        )
-    best: Design | None = None
+    same: list[Same] = []
+    for one, other in combinations(range(len(answers)), 2):
+        short = [nats for pair, nats in reach.items() if {*pair} == {one, other} and nats < needed(*pair)]
+        same += [Same(one, other, min(short))] if short else []
     trials = sorted(_trials(record, usable), key=lambda each: each[1].minutes)
-    for number, (make, shortest) in enumerate(trials):
-        if best is not None and best.session is not None and shortest.minutes >= best.session.minutes:
-            break
-        report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
-        found = separations(shortest, pairs)
-        session = _long_enough(make, shortest, found, needed)
-        if session is not None and (best is None or best.session is None or session.minutes < best.session.minutes):
-            best = Design(
-                question,
-                answers,
-                session,
-                tuple(found),
-                same,
-                classes,
-                _power(session, found, answers),
-                wanted=power,
-                make=make,
-            )
-    if best is None or best.session is None:
-        return Design(
-            question, answers, None, same=same, classes=classes, why=f"no session of {MOST_READINGS} readings is enough"
-        )
-    if best.session.minutes > max_minutes:
-        why = f"the shortest session takes {best.session.minutes:.0f} minutes; allow it with --max-minutes"
-        return Design(question, answers, None, same=same, classes=classes, why=why)
-    return best
+    known: dict[int, list[Separation]] = {}
+    why = "no session that can be held here tells them apart"
+    while True:
+        classes = _classes(len(answers), same)
+        left = [pair for pair in pairs if not any({*pair} <= each for each in classes)]
+        if not left:
+            return Design(question, answers, None, same=tuple(same), classes=classes, why=why)
+        best: Design | None = None
+        for number, (make, shortest) in enumerate(trials):
+            if best is not None and best.session is not None and shortest.minutes >= best.session.minutes:
+                break
+            if shortest.minutes > max_minutes and best is None and number:
+                break
+            report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
+            if number not in known:
+                known[number] = separations(shortest, left)
+            found = [each for each in known[number] if (each.truth, each.rival) in left]
+            session = _long_enough(make, shortest, found, needed)
+            if session is not None and (best is None or best.session is None or session.minutes < best.session.minutes):
+                own_power = _power(session, found, answers)
+                best = Design(
+                    question, answers, session, tuple(found), tuple(same), classes, own_power, wanted=power, make=make
+                )
+        if best is not None and best.session is not None:
+            best = _checked(best, needed, separations)
+        if best is not None and best.session is not None and best.session.minutes <= max_minutes:
+            return best
+        if best is not None and best.session is not None:
+            why = f"the shortest session takes {best.session.minutes:.0f} minutes; allow it with --max-minutes"
+        # What is hardest to tell apart is given up first: the rest may be decided by a shorter session.
+        hardest = min(left, key=lambda pair: reach[pair] / needed(*pair))
+        same.append(Same(min(hardest), max(hardest), reach[hardest]))
 
 
 Make: TypeAlias = Callable[[int], Session]
@@ -269,6 +272,30 @@ def _long_enough(
         if shortest.readings * longer > MOST_READINGS:
             return None
     return make(ceil(longer * shortest.per_point))
+
+
+def _checked(
+    design: Design,
+    needed: Callable[[int, int], float],
+    separations: Callable[[Session, Iterable[tuple[int, int]], int], list[Separation]],
+) -> Design:
+    """The design with its hardest pairs computed anew from more readings, and as long as these need.
+
+    The shortest of many sessions is one of those whose nats were drawn too large.
+    """
+    session, make = design.session, design.make
+    assert session is not None
+    assert make is not None
+
+    def is_hard(each: Separation) -> bool:
+        return each.nats(session.readings, session.runs) < HARD * needed(each.truth, each.rival)
+
+    hard = [(each.truth, each.rival) for each in design.separations if is_hard(each)]
+    found = [*(each for each in design.separations if not is_hard(each)), *separations(session, hard, CHECKED_ROWS)]
+    longer = _long_enough(make, session, found, needed)
+    if longer is None:
+        return replace(design, session=None)
+    return replace(design, session=longer, separations=tuple(found), power=_power(longer, found, design.answers))
 
 
 def _power(session: Session, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:

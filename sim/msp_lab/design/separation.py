@@ -96,9 +96,8 @@ def separation(
     columns[PREVIOUS] = previous(columns, reading_cm)
     prepared = Prepared.of(given, columns, reading_cm)
     right = refit(prepared, truth.terms, truth.base)
-    wrong = max(
-        (refit(prepared, rival.terms, base) for base in (rival.base, truth.base)), key=lambda fit: fit.log_likelihood
-    )
+    start = max((rival.base, right.base), key=lambda base: float(prepared.log_prob(base, rival.terms).sum()))
+    wrong = refit(prepared, rival.terms, start)
     nats = max(right.log_likelihood - wrong.log_likelihood, 0.0) / reading_cm.size
     right_rows, wrong_rows = prepared.at(right.base, right.effects), prepared.at(wrong.base, wrong.effects)
     sigma_cm = np.broadcast_to(right_rows.sigma_cm, reading_cm.shape)

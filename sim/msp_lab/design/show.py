@@ -34,7 +34,7 @@ def _lines(plan: Plan) -> list[str]:
     labels = [each.answer.label for each in design.answers]
     lines = []
     for each in design.same:
-        how = "the same in every session" if each.structural else "too alike for any session"
+        how = "the same in every session" if each.structural else "too alike for a session"
         lines.append(
             f"{labels[each.one]} and {labels[each.other]} are {how} here ({each.nats:.1f} nats in the longest)"
         )

@@ -1,0 +1,54 @@
+"""``python -m tests.design OUT --pairs N --seed S``: blind pairs, and the table of promises and how they were kept.
+
+Cases that are in OUT are kept, so that an interrupted run is resumed, and a larger N adds cases.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from scipy.stats import beta
+
+from tests.design.campaign import Outcome, run_case
+
+OUTCOMES = ("right", "wrong", "not promised", "same", "no question", "not asked", "crash")
+
+
+def table(found: Sequence[Outcome]) -> str:
+    """Outcomes by pair, and how often a promise was kept."""
+    lines = [f"| pair | {' | '.join(OUTCOMES)} |", "|---" * (len(OUTCOMES) + 1) + "|"]
+    for title in dict.fromkeys(each.pair for each in found):
+        counts = [sum(each.pair == title and each.outcome == what for each in found) for what in OUTCOMES]
+        lines.append(f"| {title} | {' | '.join(map(str, counts))} |")
+    right, wrong = (sum(each.outcome == what for each in found) for what in ("right", "wrong"))
+    lines.append(f"| all | {' | '.join(str(sum(each.outcome == what for each in found)) for what in OUTCOMES)} |")
+    if right + wrong:
+        low = beta.ppf(0.025, right, wrong + 1) if right else 0.0
+        high = beta.ppf(0.975, right + 1, wrong) if wrong else 1.0
+        kept = (
+            f"{right} of {right + wrong}, {100 * right / (right + wrong):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+        )
+        lines.append(f"\nPromised and resolved right: {kept}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is not there yet, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.design", description=__doc__)
+    parser.add_argument("out", type=Path, nargs="?", default=Path("build/design"), help="folder for the cases")
+    parser.add_argument("--pairs", type=int, default=21)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--power", type=float, default=0.95)
+    parser.add_argument("--sessions", type=int, default=0, help="sessions that the command simulates; 0: none")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    found: list[Outcome] = []
+    for number in range(given.pairs):
+        own = run_case(given.out, given.seed, number, given.power, given.sessions)
+        found += own
+        for each in own:
+            print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({each.detail})", flush=True)
+    print(table(found))
+
+
+main()
