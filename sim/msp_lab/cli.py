@@ -14,7 +14,7 @@ from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
 from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import Jobs, OwnEffects, Scheduler
+from msp_sim.cli import Jobs, OwnEffects, Scheduler, choose_figures
 
 if TYPE_CHECKING:
     from msp_lab.characterise.sensors import Characterisation
@@ -31,6 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.callback()(choose_figures)
 
 
 @app.command()

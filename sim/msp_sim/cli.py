@@ -40,6 +40,24 @@ app = typer.Typer(
 )
 
 
+FigureFormat = Annotated[
+    Literal["png", "svg", "pdf"],
+    typer.Option("--format", help="format in which each figure is written, next to its PNG; before the command's name"),
+]
+
+
+def choose_figures(figures: FigureFormat = "png") -> None:
+    """Options of all commands."""
+    if figures != "png":
+        require("sim", f"--format {figures}")
+        from msp_sim.page.style import choose_format
+
+        choose_format(figures)
+
+
+app.callback()(choose_figures)
+
+
 @app.command()
 def fly(
     scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],

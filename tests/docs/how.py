@@ -19,6 +19,7 @@ PREPARE = {
     "docs/watching.md": "cp configs/sensors/mb1242_in_flight.yaml MODEL.yaml",
     "docs/developing.md": "cp tests/third_party/package/sonar_extras/supply_sag.py .",
     "docs/flying.md": f"{LOOP}; {FLOWN}; cp 1.mcap flight.mcap; head -c -20000 1.mcap > cut.mcap",
+    "docs/fleets.md": f"{FLOWN}; mv flights/1.csv one.csv; mv flights/2.csv two.csv",
     "docs/fusion.md": FLOWN,
     "docs/laboratory.md": "printf 'distance_mm,ruler_cm\\n' > table.csv; "
     "for cm in 40 80 120 160 200; do for i in 1 2 3 4 5 6 7 8 9 10 11 12; do "
@@ -57,6 +58,9 @@ INSTEAD = {
     ),
     ".venv/bin/msp-lab gap flights/[1-6]/flight.mcap --model MODEL.yaml --out gap --until add": (
         ".venv/bin/msp-lab gap flights/[1-6]/flight.mcap --model MODEL.yaml --out gap --until compare"
+    ),
+    "msp-lab gap one.csv two.csv --model configs/sensors/mb1242.yaml --each log --jobs 2 --out gaps": (
+        "msp-lab gap one.csv two.csv --model configs/sensors/mb1242.yaml --each log --jobs 2 --out gaps --until compare"
     ),
     "msp-range tune FLIGHT.mcap [MORE.mcap ...]": "msp-range tune 1.mcap 2.mcap",
     "msp-sim fly configs/scenarios/hover.yaml --realtime --link udpout:127.0.0.1:14550": (

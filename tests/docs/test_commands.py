@@ -20,6 +20,7 @@ SHOWN = {command for path in DOCUMENTS for block in blocks(path) if block.script
 
 def problem(line: str) -> str | None:
     """What is wrong with a command of ours: no such command or option, or a value that is none; None: nothing."""
+    line = re.sub(r" --format \w+", "", line, count=1)
     words = shlex.split(re.sub(r"\s*(\||>|&&|<<).*", "", line.replace("$seed", "1").replace("...", "")))
     program = PROGRAMS[Path(words[0]).name]
     if words[1] not in program.commands:

@@ -26,12 +26,13 @@ def write_comparison(findings: Findings, data: MeasuredData, model: SensorModel,
     """
     with style():
         figures = drawn_or_omitted(entries(), findings, PictureData(data, model, REPORT))
+    table = table_5_1(findings)
     html = render(
         __package__ or "msp_lab.comparison",
         COMPARISON,
         findings=findings,
         lines=compare_with_report(findings),
         figures=figures,
-        table_5_1=table_5_1(findings),
+        table_5_1=table,
     )
-    return write_page(folder, html, figures, COMPARISON)
+    return write_page(folder, html, figures, COMPARISON, [table])

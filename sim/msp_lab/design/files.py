@@ -49,7 +49,7 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
         The folder cannot be written.
     """
     from msp_lab.design.picture import draw_session
-    from msp_sim.page.style import png, style
+    from msp_sim.page.style import save, style
 
     for number, plan in enumerate(plans, start=1):
         session = plan.design.session
@@ -63,7 +63,7 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
             (folder / name).write_text(heading + text, encoding="utf-8")
         with style():
-            (folder / PICTURE).write_bytes(png(draw_session(plan.design)))
+            save(draw_session(plan.design), folder / PICTURE)
     make_folder(out)
     content = {"questions": [_entry(plan, number, findings, out) for number, plan in enumerate(plans, start=1)]}
     (out / DESIGN).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

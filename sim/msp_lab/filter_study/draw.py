@@ -18,6 +18,7 @@ from msp_lab.filter_study.scenarios import (
     report_readings,
     truth,
 )
+from msp_sim.page.style import save
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
@@ -41,13 +42,13 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
                 if variant.family == family
             }
             path = folder / f"figure_5_{number}.png"
-            _figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}").savefig(path, dpi=110)
+            save(_figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}"), path)
             paths.append(path)
     return paths
 
 
 def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
-    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    figure = Figure(figsize=(9.0, 7.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     time_s = np.arange(runs.true_cm.shape[1]) * INTERVAL_S
     whole, close = figure.subplots(2, 1)

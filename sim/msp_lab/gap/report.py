@@ -20,7 +20,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model, Term
 from msp_sim.page.page import Omitted, Picture, render, write_page
-from msp_sim.page.style import png, style
+from msp_sim.page.style import files_of, style
 
 RESIDUALS_CAPTION = (
     "Readings of held-out runs, on which nothing was selected or fitted. Line and grey band are what the model "
@@ -75,6 +75,9 @@ def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutR
     before, after = models.given, models.training_fit
     with style():
         pictures = _pictures(findings, before, after, readings)
+    measures, steps = measures_table(findings, before), steps_table(findings)
+    slices, numbers = slices_table(findings), model_table(findings, before, models.held_out_fit)
+    effects = [(each, effect, parameters_table(each, effect)) for each, effect in _with_catalogue(findings)]
     html = render(
         __package__ or "msp_lab.gap",
         "gap.html",
@@ -84,19 +87,20 @@ def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutR
         training=listed(findings.training_runs),
         held_out=listed(findings.held_out_runs),
         pictures={each.name: each for each in pictures},
-        gap=measures_table(findings, before),
-        steps=steps_table(findings),
-        slices=slices_table(findings),
-        numbers=model_table(findings, before, models.held_out_fit),
+        gap=measures,
+        steps=steps,
+        slices=slices,
+        numbers=numbers,
         given_effects=[_with_values(each) for each in before.effects],
-        effects=[(each, effect, parameters_table(each, effect)) for each, effect in _with_catalogue(findings)],
+        effects=effects,
         not_testable=_not_testable(findings),
         measured=len(readings),
         rules=rules,
         effect_label=effect_label,
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
-    return write_page(folder, html, pictures)
+    tables = (measures, steps, slices, numbers, *(table for _, _, table in effects))
+    return write_page(folder, html, pictures, tables=tables)
 
 
 def _pictures(findings: GapFindings, before: Model, after: Model, readings: HeldOutReadings) -> list[Picture | Omitted]:
@@ -108,7 +112,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
             names = ", ".join(name_of(each.column) for each in some)
             figure = draw_residuals(some, before, after, readings, rng, added)
             alternative = f"Readings against the model over {names}: left the given model, right {added}."
-            found.append(Picture(name, title, RESIDUALS_CAPTION, alternative, png(figure)))
+            found.append(Picture(name, title, RESIDUALS_CAPTION, alternative, files_of(figure)))
     if not wanted:
         found.append(Omitted("lead", "Readings against the model", "No context column varies"))
     found.append(
@@ -118,7 +122,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
             "How much better each reading could still be predicted after each addition (in nats, the natural logarithm "
             "of a probability). Readings that the final model draws itself show a gap up to the grey band.",
             "Bars of the gap after each step, with the noise floor.",
-            png(draw_path(findings)),
+            files_of(draw_path(findings)),
         )
     )
     found.append(
@@ -129,7 +133,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
             "where the model is right. A slope: readings are too far or too near. A U: they scatter more than that. "
             "High ends: outliers that the model does not have.",
             f"Two histograms: left the given model, right {added}.",
-            png(draw_pit(before, after, readings, rng, added)),
+            files_of(draw_pit(before, after, readings, rng, added)),
         )
     )
     repeated = residual_autocorrelation(before, readings, rng)
@@ -143,7 +147,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
                 "again, 0 is independent. After, the points should lie in the grey band: then nothing is left that one "
                 "reading says about the next.",
                 f"Correlation of errors over the time between readings: left the given model, right {added}.",
-                png(draw_autocorrelation(repeated, left, added)),
+                files_of(draw_autocorrelation(repeated, left, added)),
             )
         )
     else:
@@ -156,7 +160,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
                 "Parts of the readings that differ most from the given model, the most certain ones first, with 95 % "
                 "intervals; open marks: with what was added. In brackets the number of readings.",
                 "Bias and ratios of spread and odds in slices of context, before and after.",
-                png(draw_slices(findings)),
+                files_of(draw_slices(findings)),
             )
         )
     else:
@@ -170,7 +174,7 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
                     f"Unknown effect {number}: {each.channel} over {name_of(each.variables[0])}",
                     f"No effect of the catalogue explains it. Its formula: {each.formula}.",
                     "A fitted curve with its band.",
-                    png(draw_curve(each)),
+                    files_of(draw_curve(each)),
                 )
             )
     return found

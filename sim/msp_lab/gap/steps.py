@@ -31,9 +31,14 @@ from msp_sim.terminal import make_folder
 
 DRAWN = (
     "report.html",
-    *(f"{name}.png" for name in ("lead", "residuals", "path", "pit", "autocorrelation", "slices", "unknown-*")),
+    *(
+        f"{name}.{suffix}"
+        for name in ("lead", "residuals", "path", "pit", "autocorrelation", "slices", "unknown-*")
+        for suffix in ("png", "svg", "pdf")
+    ),
+    *(f"{name}.csv" for name in ("measures", "steps", "slices-table", "model-numbers", "parameters-*")),
 )
-"""The page and its pictures."""
+"""The page, its pictures and its tables."""
 
 
 @dataclass(frozen=True)

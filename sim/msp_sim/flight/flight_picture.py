@@ -10,7 +10,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
-from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, png, style
+from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, style
 
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
@@ -46,7 +46,7 @@ def draw(flight: FlightResult, path: Path, title: str) -> None:
             top.fill_between([], [], [], color=PALE, alpha=0.4, label="sensors over different ground")
         (below or [top])[-1].set_xlabel("time [s]")
         legend_below(figure)
-        path.write_bytes(png(figure))
+        save(figure, path)
 
 
 def _draw_ranges(top: Axes, flight: FlightResult) -> None:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from msp_sim.intervals import quantile
 from msp_sim.monte_carlo.store import NUMBER, Row
 from msp_sim.monte_carlo.summary import Summary
-from msp_sim.page.style import DOTS, GREY, OURS, PALE, REFERENCE, new_figure, png, style
+from msp_sim.page.style import DOTS, GREY, OURS, PALE, REFERENCE, new_figure, save, style
 
 STEPS = 99
 """Shares for which the interval of the distribution is drawn; more are not seen."""
@@ -26,7 +26,7 @@ def draw(rows: Sequence[Row], summary: Summary, path: Path, title: str) -> None:
         if summary.shares:
             _draw_shares(axes[1], summary)
         _draw_flights(axes[-1], rows, summary)
-        path.write_bytes(png(figure))
+        save(figure, path)
 
 
 def _draw_distribution(axes: Axes, p95_cm: Sequence[float]) -> None:

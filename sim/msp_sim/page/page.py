@@ -5,7 +5,8 @@ package's ``page.html`` (head and style) and uses the macros of ``parts.html``.
 """
 
 import base64
-from collections.abc import Iterable
+import csv
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -32,20 +33,20 @@ class Picture:
         How to read it, and the numbers that it shows.
     alternative
         What it shows, in a sentence, for readers who cannot see it.
-    png
-        The picture.
+    files
+        The picture by format: ``png``, and others that were chosen.
     """
 
     name: str
     title: str
     caption: str
     alternative: str
-    png: bytes
+    files: Mapping[str, bytes]
 
     @cached_property
     def source(self) -> str:
         """The picture as a data URL."""
-        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
+        return "data:image/png;base64," + base64.b64encode(self.files["png"]).decode("ascii")
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,14 @@ def render(package: str, template: str, **values: Any) -> str:
     return environment.get_template(template).render(**values)
 
 
-def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted], name: str = PAGE) -> Path:
-    """Write a page, and each picture as a PNG next to it; the page works without these files.
+def write_page(
+    folder: Path,
+    html: str,
+    pictures: Iterable[Picture | Omitted],
+    name: str = PAGE,
+    tables: Iterable[PageTable | None] = (),
+) -> Path:
+    """Write a page, and next to it each picture as PNG and each table as CSV; the page works without these files.
 
     Parameters
     ----------
@@ -123,6 +130,8 @@ def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted], n
         Pictures on the page; omitted ones get no file.
     name
         Name of the page's file.
+    tables
+        Tables on the page; None: one that these data do not give.
 
     Returns
     -------
@@ -138,7 +147,12 @@ def write_page(folder: Path, html: str, pictures: Iterable[Picture | Omitted], n
         folder.mkdir(parents=True, exist_ok=True)
         for each in pictures:
             if isinstance(each, Picture):
-                (folder / f"{each.name}.png").write_bytes(each.png)
+                for suffix, content in each.files.items():
+                    (folder / f"{each.name}.{suffix}").write_bytes(content)
+        for table in tables:
+            if table is not None:
+                with (folder / f"{table.name.replace('/', '_')}.csv").open("w", encoding="utf-8", newline="") as file:
+                    csv.writer(file).writerows([table.header, *table.rows])
         (folder / name).write_text(html, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}") from None

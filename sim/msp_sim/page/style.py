@@ -1,4 +1,4 @@
-"""The common style of all pictures: figures on their own canvas, colours for colour-blind readers, PNG output.
+"""The common style of all pictures: figures on their own canvas, colours for colour-blind readers, their files.
 
 The colours are those of Okabe and Ito (2008, Color Universal Design), which can be distinguished without distinguishing
 red from green. The order of `SERIES` also alternates in lightness, for prints without colour, and series differ by
@@ -10,6 +10,8 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -53,6 +55,10 @@ WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
 
 DPI = 150
+
+FORMATS = ("png", "svg", "pdf")
+"""Formats of figures, as ``--format`` names them."""
+_chosen: ContextVar[str] = ContextVar("format of figures", default="png")
 
 _LETTER_IN, _HANDLE_IN = 0.064, 0.6
 """Approximate width of a letter, and of the symbol in front of a label, in a legend [in]; for its number of columns."""
@@ -114,9 +120,13 @@ def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
     return figure
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as PNG; the same drawing always gives the same bytes."""
-    file = io.BytesIO()
+def choose_format(name: str) -> None:
+    """Choose the format in which all figures are kept from now on, as well as in PNG: ``--format``."""
+    _chosen.set(name)
+
+
+def files_of(figure: Figure) -> dict[str, bytes]:
+    """The figure by format: PNG, and SVG or PDF where that was chosen. The same drawing always gives the same bytes."""
     for text in figure.findobj(Text):
         # A $ in a name of a target or run is not a formula. matplotlib's own formulas are added when it draws the axes.
         if "$" in text.get_text():
@@ -125,8 +135,36 @@ def png(figure: Figure) -> bytes:
         # A figure that has a layout engine is drawn twice by `savefig`, the first time only for the layout.
         layout.execute(figure)
         figure.set_layout_engine(None)
-    # Level 4 is twice as fast as the default 6, and a few per cent larger. The file contains no date or version.
-    figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 4})
+    return {name: _file(figure, name) for name in dict.fromkeys(("png", _chosen.get()))}
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as PNG."""
+    return files_of(figure)["png"]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure: as PNG, and next to it in the chosen format; or in the format that the file's name has."""
+    files = files_of(figure)
+    named = path.suffix.removeprefix(".").lower()
+    if named in FORMATS and named != "png":
+        path.write_bytes(files.get(named) or _file(figure, named))
+        return
+    path.write_bytes(files.pop("png"))
+    for name, content in files.items():
+        path.with_suffix(f".{name}").write_bytes(content)
+
+
+def _file(figure: Figure, name: str) -> bytes:
+    """The figure in one format, without the date and version that it would contain."""
+    file = io.BytesIO()
+    if name == "png":
+        # Level 4 is twice as fast as the default 6, and a few per cent larger.
+        figure.savefig(file, format=name, metadata={"Software": None}, pil_kwargs={"compress_level": 4})
+    else:
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+        with matplotlib.rc_context({"svg.hashsalt": "msp-range"}):
+            figure.savefig(file, format=name, metadata=dates[name])
     return file.getvalue()
 
 

@@ -12,7 +12,7 @@ from msp_lab.characterise.page.points_table import make_points_table
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import Omitted, Picture, render, write_page
-from msp_sim.page.style import png, style
+from msp_sim.page.style import files_of, style
 
 
 def write_report(findings: Findings, data: MeasuredData, model: SensorModel, directory: Path | str) -> Path:
@@ -49,6 +49,13 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
             ("mixture-fit", "Kinds of readings", drawn(mixture.entries(), findings, rows)),
         ]
         forest = drawn([("questions", "The questions in one picture", questions.forest)], findings, rows)
+    fitted = None if findings.mixture is None else mixture.mixture_table(findings.mixture)
+    tables = (
+        effects := questions.effects_table(findings),
+        compensation := air.compensation_table(findings),
+        fitted,
+        points := make_points_table(findings),
+    )
     html = render(
         __package__ or "msp_lab.characterise.page",
         "report.html",
@@ -57,14 +64,15 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         answer=summarise(findings),
         conclusions=conclusions(findings),
         forest=forest,
-        effects=questions.effects_table(findings),
+        effects=effects,
         sections=[section for section in sections if section[2]],
-        compensation_table=air.compensation_table(findings),
-        mixture_table=None if findings.mixture is None else mixture.mixture_table(findings.mixture),
-        points=make_points_table(findings),
+        compensation_table=compensation,
+        mixture_table=fitted,
+        points=points,
         rows_in_all=len(data),
     )
-    return write_page(Path(directory), html, [*forest, *(each for _, _, pictures in sections for each in pictures)])
+    pictures = [*forest, *(each for _, _, some in sections for each in some)]
+    return write_page(Path(directory), html, pictures, tables=tables)
 
 
 def drawn(entries: Iterable[Entry], findings: Findings, rows: PictureData) -> list[Picture]:
@@ -81,5 +89,5 @@ def drawn_or_omitted(entries: Iterable[Entry], findings: Findings, rows: Picture
         except Absent as absent:
             made.append(Omitted(name, title, str(absent)))
             continue
-        made.append(Picture(name, title, found.caption, found.alternative, png(found.figure)))
+        made.append(Picture(name, title, found.caption, found.alternative, files_of(found.figure)))
     return made
