@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from msp_lab.design.cli import app as design_app
+from msp_lab.fleet.cli import app as fleet_app
 from msp_lab.gap.cli import app as gap_app
 from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
@@ -343,6 +344,7 @@ def filters(
 app.add_typer(import_app)
 app.add_typer(gap_app)
 app.add_typer(design_app)
+app.add_typer(fleet_app)
 
 
 def main() -> None:

@@ -85,6 +85,8 @@ ELSEWHERE = {
     "msp-lab collect gaps/june/design/1-.../campaign.yaml --out new": "tests/peers/test_collect_kernel.py",
     "msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july": "tests/loop/test_gap.py",
     "msp-lab gap one.csv two.csv --model configs/sensors/mb1242.yaml --each log ...": "tests/unit/test_gap_separate.py",
+    "msp-lab import logs/*/*.BIN --truth rtk --out readings": "tests/unit/test_logs_import.py",
+    "msp-lab fleet readings --model configs/sensors/mb1242.yaml --out fleet": "tests/loop/test_fleet.py",
     "dask scheduler ...": "tests/unit/test_workers.py",
     "dask worker ...": "tests/unit/test_workers.py",
     "msp-sim monte-carlo rough_grass --flights 5 --scheduler ...": "tests/unit/test_workers.py",

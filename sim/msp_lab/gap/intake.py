@@ -60,6 +60,7 @@ def read_readings(
     column_map: ColumnMap | None = None,
     run_column: str | None = None,
     sensors: Sequence[str] = (),
+    runs: Sequence[str] = (),
 ) -> Readings:
     """Read and check all files.
 
@@ -75,6 +76,8 @@ def read_readings(
         The column that names the runs; None: `run`, and where there is none each file is one.
     sensors
         Those whose readings are used; none: all.
+    runs
+        Of a dataset, those that are read; none: all.
 
     Raises
     ------
@@ -83,7 +86,7 @@ def read_readings(
     ConfigError
         There is no such column.
     """
-    loaded = load_readings(paths, model.sensor, column_map, run_column=run_column, sensors=sensors)
+    loaded = load_readings(paths, model.sensor, column_map, run_column=run_column, sensors=sensors, runs=runs)
     # By name, so that nothing depends on the order in which the files are given.
     data = loaded.data.select(time_order(loaded.data.columns))
     sources = tuple(

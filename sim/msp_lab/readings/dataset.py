@@ -124,14 +124,14 @@ def sensors_of(folder: Path) -> list[str]:
     return sorted({unquote(path.parts[-2].partition("=")[2]) for path in _files(folder)})
 
 
-def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
+def read_dataset(folder: Path, sensors: Sequence[str] = (), runs: Sequence[str] = ()) -> MeasuredData:
     """The readings of a dataset, run by run and sensor by sensor.
 
     Parameters
     ----------
     folder
         The dataset.
-    sensors
+    sensors, runs
         Those that are read; none: all.
 
     Raises
@@ -146,7 +146,7 @@ def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
     tables: list[dict[str, Column]] = []
     for path in _files(folder):
         run, sensor = (unquote(part.partition("=")[2]) for part in path.parts[-3:-1])
-        if sensors and sensor not in sensors:
+        if (sensors and sensor not in sensors) or (runs and run not in runs):
             continue
         try:
             read = pq.read_table(path, partitioning=None)
@@ -164,6 +164,15 @@ def read_dataset(folder: Path, sensors: Sequence[str] = ()) -> MeasuredData:
         raise RecordingError(f"{folder}: no readings" + (f" of {', '.join(sensors)}" if sensors else ""))
     names = dict.fromkeys(name for table in tables for name in table)
     return MeasuredData({name: _joined(name, tables) for name in names})
+
+
+def sensors_by_run(folder: Path) -> dict[str, list[str]]:
+    """The sensors of each run."""
+    found: dict[str, list[str]] = {}
+    for path in _files(folder):
+        run, sensor = (unquote(part.partition("=")[2]) for part in path.parts[-3:-1])
+        found.setdefault(run, []).append(sensor)
+    return found
 
 
 def _files(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
-from msp_lab.readings.dataset import is_dataset, read_dataset
+from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
 from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
@@ -91,6 +91,7 @@ def load_readings(
     *,
     run_column: str | None = None,
     sensors: Sequence[str] = (),
+    runs: Sequence[str] = (),
     truth: Truth = "recorded",
     without: Sequence[str] = (),
 ) -> LoadedReadings:
@@ -109,6 +110,8 @@ def load_readings(
         The column that distinguishes runs; None: `run`, and where there is none each file is one.
     sensors
         Those whose readings are used, as the column `sensor` names them; none: all.
+    runs
+        Of a dataset, those that are read; none: all.
     truth
         The true range as it was recorded, or for each sensor what the other ones say.
     without
@@ -127,11 +130,12 @@ def load_readings(
     sources: list[SourceFile] = []
     offsets_cm: list[dict[str, float]] = []
     for path in paths:
-        table, recording = _read_table(path, sensor, column_map, messages)
+        table, recording = _read_table(path, sensor, column_map, messages, runs)
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
             offsets_cm += of_runs
-        source = SourceFile(path.name, sha256(path), len(table))
+        # Of some runs of a large dataset the others are not read: their logs' SHA-256 are in this file.
+        source = SourceFile(path.name, sha256(path / ORIGIN if runs else path), len(table))
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
         if same is not None:
             raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
@@ -139,8 +143,8 @@ def load_readings(
             _check_overlap(path, table, zip(paths, tables, strict=False))
         tables.append(table)
         sources.append(source)
-    runs, renamed = runs_of(tables, paths, run_column)
-    columns = {**_joined(tables).columns, "run": np.concatenate(runs)}
+    of_rows, renamed = runs_of(tables, paths, run_column)
+    columns = {**_joined(tables).columns, "run": np.concatenate(of_rows)}
     if "uptime_s" not in columns:
         columns.setdefault(TIME_IN_RUN, time_in_run_s(columns))
     # Many readings are held once, and not twice.
@@ -182,11 +186,11 @@ def sha256(path: Path) -> str:
 
 
 def _read_table(
-    path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str]
+    path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str], runs: Sequence[str]
 ) -> tuple[MeasuredData, Recording | None]:
     """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
     if is_dataset(path):
-        return read_dataset(path), None
+        return read_dataset(path, runs=runs), None
     if path.suffix.lower() in FLIGHT_LOGS:
         raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
     if column_map is not None:

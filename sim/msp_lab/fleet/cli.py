@@ -1,0 +1,100 @@
+"""`msp-lab fleet`: which vehicles share which effect, which are odd ones out, and what changed over time."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from msp_range.extras import require
+from msp_range.terminal import PlainConsole
+from msp_range.user_errors import report_user_errors
+from msp_sim.cli import Jobs, OwnEffects, Scheduler
+
+if TYPE_CHECKING:
+    from msp_lab.fleet.findings import FleetFindings
+
+app = typer.Typer()
+
+WIDTH = 80
+"""Columns of the summary."""
+FLEET = """Find what the vehicles of a fleet share, which are odd ones out, and which have changed.
+
+DATASET is what 'msp-lab import' made of logs with a true range, one folder of logs for each vehicle:
+
+    msp-lab import logs/*/*.BIN --truth rtk --out readings
+
+    msp-lab fleet readings --model configs/sensors/mb1242.yaml --out fleet
+
+In --out: report.html with one picture, fleet.csv (every number of every sensor), fleet.json. A fleet is four vehicles
+or more. A vehicle whose readings cannot be used is left out with the reason.
+"""
+
+
+@app.command("fleet", help=FLEET)
+@report_user_errors
+def fleet(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="folder that 'msp-lab import' made")],
+    model: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model that all vehicles are compared with")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for report.html, fleet.csv and fleet.json")],
+    fdr: Annotated[
+        float,
+        typer.Option(min=0.0001, max=0.5, help="false-discovery rate: the share of the findings that may be false"),
+    ] = 0.05,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="REGEX",
+            help="what in the name of a run, or in the path of its log, is the vehicle's name, such as 'V[0-9]+'; "
+            "default: the folder of the log",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")] = 1,
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    effects: OwnEffects = None,
+) -> None:
+    require("lab", "msp-lab fleet")
+    require("logs", "msp-lab fleet")
+    from msp_lab.fleet.report import write_files
+    from msp_lab.fleet.workflow import find_in_fleet
+    from msp_range.clock import SystemClock, date_of
+    from msp_sim.effects.own import add_own_effects
+    from msp_sim.terminal import make_folder
+    from msp_sim.workers import workers
+
+    add_own_effects(effects or ())
+    make_folder(out)
+    if scheduler is not None:
+        # Other machines have other working folders.
+        dataset = dataset.resolve()
+    with workers(jobs, scheduler, "msp-lab fleet") as where:
+        findings = find_in_fleet(
+            dataset, model, fdr=fdr, pattern=vehicle, seed=seed, date=date_of(SystemClock().utc()), where=where
+        )
+    files = write_files(findings, out)
+    _print(findings, files)
+
+
+def _print(findings: "FleetFindings", files: list[Path]) -> None:
+    from msp_lab.fleet.words import left_out_line, line_of
+
+    console = PlainConsole(width=WIDTH)
+    console.print(findings.sentence, style="bold", highlight=False)
+    found = findings.effects[: findings.found]
+    for each in found:
+        console.print(f"  {each.kind}: {line_of(each, findings)}", highlight=False)
+        if each.mean is not None:
+            unit = "" if each.unit in ("1", "") else f" {each.unit}"
+            console.print(
+                f"    fleet {each.mean:.3g} ({each.low:.3g} to {each.high:.3g}){unit}, "
+                f"between vehicles {each.tau:.2g}, {each.parameter}",
+                style="dim",
+                highlight=False,
+            )
+    if findings.left_out:
+        console.print(left_out_line(findings), highlight=False)
+    console.print(
+        f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
+        f"{findings.sessions} sessions; in {files[0].parent}: {', '.join(each.name for each in files)}",
+        highlight=False,
+    )

@@ -1,0 +1,203 @@
+"""What was found in a fleet, as the records of ``fleet.json`` and the rows of ``fleet.csv``."""
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Kind = Literal["shared", "odd", "change", "drift", "calibration"]
+
+
+@dataclass(frozen=True)
+class UnitEstimate:
+    """One number of one sensor.
+
+    Attributes
+    ----------
+    vehicle, sensor
+        Whose.
+    value, error
+        From its own readings, and the standard error.
+    shrunk, low, high
+        Drawn towards the fleet's mean, with its 95 % interval.
+    odd
+        It is an odd one out.
+    p_value
+        That it deviates from the others by random variation.
+    """
+
+    vehicle: str
+    sensor: str
+    value: float
+    error: float
+    shrunk: float
+    low: float
+    high: float
+    odd: bool
+    p_value: float
+
+
+@dataclass(frozen=True)
+class SessionEstimate:
+    """One number in one session of a sensor, and its standard error."""
+
+    session: str
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class FleetEffect:
+    """One number over the fleet.
+
+    Attributes
+    ----------
+    kind
+        ``shared``: the fleet has it; ``odd``: only some; ``change`` or ``drift``: it became another one;
+        ``calibration``: the fleet's is another one than the sensor model's, and nothing is wrong.
+    name, parameter, unit
+        Effect of the catalogue or number of the base, its parameter and unit.
+    shape
+        Its other parameters, which are the same for all.
+    plain
+        What was found, in words.
+    alternatives
+        Effects that explain it as well, and how much less they gain [nat].
+    mean, low, high
+        Of the ordinary vehicles, with its 95 % interval; None of a change.
+    tau, i2
+        Standard deviation between vehicles, and the share of the scatter that it is.
+    omega
+        Standard deviation between sessions of a vehicle.
+    estimates
+        Of each sensor; of a change the size of it, of the one that changed.
+    since
+        First session after a change.
+    sessions
+        Of a change, the estimates by session.
+    """
+
+    kind: Kind
+    name: str
+    parameter: str
+    unit: str
+    shape: tuple[tuple[str, float], ...]
+    plain: str
+    alternatives: tuple[tuple[str, float], ...]
+    mean: float | None
+    low: float | None
+    high: float | None
+    tau: float
+    i2: float
+    omega: float
+    estimates: tuple[UnitEstimate, ...]
+    since: str = ""
+    sessions: tuple[SessionEstimate, ...] = ()
+
+    @property
+    def odd(self) -> tuple[UnitEstimate, ...]:
+        """The odd ones out."""
+        return tuple(each for each in self.estimates if each.odd)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A sensor of which the readings could not be used, and why."""
+
+    vehicle: str
+    sensor: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FleetFindings:
+    """Everything that was found.
+
+    Attributes
+    ----------
+    sentence
+        The answer, for an operator.
+    dataset, model
+        What was compared.
+    vehicles, sensors, sessions, readings
+        How many.
+    effects
+        What was found, and if nothing was, the sensors' constant offsets.
+    found
+        How many of them are findings.
+    left_out
+        Sensors that were not used.
+    fdr, tests
+        False-discovery rate, and the number of hypotheses that were tested.
+    untestable
+        Columns that no vehicle has, with the effects that need them.
+    seed, date, version
+        For the record.
+    """
+
+    sentence: str
+    dataset: str
+    model: str
+    vehicles: int
+    sensors: int
+    sessions: int
+    readings: int
+    effects: tuple[FleetEffect, ...]
+    found: int
+    left_out: tuple[LeftOut, ...]
+    fdr: float
+    tests: int
+    untestable: tuple[tuple[str, tuple[str, ...]], ...]
+    seed: int
+    date: str
+    version: str
+
+    def as_json(self) -> str:
+        """All numbers."""
+        return json.dumps(asdict(self), indent=2) + "\n"
+
+    def as_csv(self) -> str:
+        """A row for each number of each sensor."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(self._rows())
+        return text.getvalue()
+
+    def _rows(self) -> Iterator[list[str]]:
+        for each in self.effects:
+            fleet = [_digits(value) for value in (each.mean, each.low, each.high, each.tau)]
+            for one in each.estimates:
+                numbers = (one.value, one.error, one.shrunk, one.low, one.high, one.p_value)
+                own = [_digits(value) for value in numbers]
+                what = [each.kind, each.name, each.parameter, each.unit, one.vehicle, one.sensor, each.since]
+                yield [*what, "yes" if one.odd else "no", *own, *fleet]
+
+
+COLUMNS = (
+    "kind",
+    "effect",
+    "parameter",
+    "unit",
+    "vehicle",
+    "sensor",
+    "since",
+    "odd",
+    "value",
+    "std_error",
+    "shrunk",
+    "shrunk_low",
+    "shrunk_high",
+    "p_value",
+    "fleet_mean",
+    "fleet_low",
+    "fleet_high",
+    "between_vehicles_std",
+)
+"""Columns of ``fleet.csv``."""
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else f"{value:.5g}"

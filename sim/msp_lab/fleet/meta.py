@@ -1,0 +1,188 @@
+"""Random-effects meta-analysis: the mean over a fleet, the spread between its vehicles, and who does not belong.
+
+Estimates with their standard errors enter. The model is ``b_u ~ N(mean, tau^2 + s_u^2)``: s_u is what one vehicle's
+readings leave open, tau is by how much vehicles really differ. tau^2 is the value at which the weighted sum of squares
+is as large as it is expected to be (Paule & Mandel 1982; DerSimonian & Kacker 2007, Contemp. Clin. Trials 28:105).
+
+Mean and spread are those of the ordinary vehicles, for a few odd ones would otherwise widen the spread until they look
+ordinary themselves. These are found from medians, which half of the vehicles cannot move, and the rest is done without
+the others (a one-step reweighted estimate: Rousseeuw & Leroy 1987, Robust Regression and Outlier Detection).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
+
+_Array = NDArray[np.float64]
+
+MEDIAN_SQUARE = 0.454936
+"""Median of the square of a normal number: half of the vehicles are nearer to the mean than its root."""
+ORDINARY_DEVIATIONS = 3.5
+"""A vehicle is ordinary within so many deviations of the others. In 2,000 drawn fleets of 20 without odd vehicles,
+p-values of 0.001 then came 0.4 to 2 times as often as they should, and at 3 up to 3 times. Lower: the spread is
+underestimated; higher: odd vehicles hide behind the spread that they make."""
+MIN_ORDINARY = 3
+"""Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
+TURNS = 10
+"""Times at most that vehicles are sorted into ordinary and odd ones; it takes two or three."""
+ROUNDS = 100
+"""Steps of an iteration at most; it takes about five."""
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """A fleet's estimate of one number.
+
+    Attributes
+    ----------
+    mean, error
+        Mean of the ordinary vehicles, and its standard error.
+    tau
+        Standard deviation between them.
+    i2
+        Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002).
+    ordinary
+        (units,): which vehicles it is from.
+    """
+
+    mean: float
+    error: float
+    tau: float
+    i2: float
+    ordinary: NDArray[np.bool_]
+
+    @property
+    def log_p(self) -> float:
+        """Logarithm of the p-value of a mean of 0, by Student's t of one less than the ordinary vehicles."""
+        freedom = max(int(self.ordinary.sum()) - 1, 1)
+        # What the vehicles' own errors say is known; only a spread between them has to be estimated from so few.
+        return float(np.log(2.0) + _log_tail(abs(self.mean) / self.error, freedom if self.tau > 0.0 else np.inf))
+
+
+def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
+    """Mean, its standard error, and tau.
+
+    Parameters
+    ----------
+    values, errors
+        Estimates and their standard errors, two or more.
+
+    Examples
+    --------
+    Two estimates of error 1 that are 4 apart scatter with a variance of 8, of which 1 is their own:
+
+    >>> mean, error, tau = paule_mandel(np.array([0.0, 4.0]), np.array([1.0, 1.0]))
+    >>> print(f"{mean:.3f} {error:.3f} {tau**2:.3f}")
+    2.000 2.000 7.000
+    """
+    tau2 = 0.0
+    for _ in range(ROUNDS):
+        weight = 1.0 / (errors**2 + tau2)
+        mean = float(weight @ values / weight.sum())
+        squares = (values - mean) ** 2
+        excess = float(weight @ squares) - (values.size - 1)
+        if excess <= 1e-9 * values.size:
+            break
+        # Newton's step; the sum of squares falls with tau^2 and is convex, so that it never goes too far.
+        tau2 += excess / float(weight**2 @ squares)
+    return mean, float(weight.sum() ** -0.5), float(np.sqrt(tau2))
+
+
+def pooled(values: _Array, errors: _Array) -> Pooled:
+    """Mean and spread of the ordinary vehicles.
+
+    Parameters
+    ----------
+    values, errors
+        (units,), all known; three or more.
+    """
+    middle, spread = _median_fit(values, errors)
+    ordinary = np.abs(values - middle) <= ORDINARY_DEVIATIONS * np.sqrt(errors**2 + spread**2)
+    for _ in range(TURNS):
+        deviation = _deviations(values, errors, ordinary)
+        now = np.abs(deviation) <= ORDINARY_DEVIATIONS
+        if now.sum() < MIN_ORDINARY or (now == ordinary).all():
+            break
+        ordinary = now
+    mean, error, tau = paule_mandel(values[ordinary], errors[ordinary])
+    weight = 1.0 / errors[ordinary] ** 2
+    centre = weight @ values[ordinary] / weight.sum()
+    q = float(weight @ (values[ordinary] - centre) ** 2)
+    i2 = max(0.0, 1.0 - (int(ordinary.sum()) - 1) / q) if q > 0.0 else 0.0
+    return Pooled(mean, error, tau, i2, ordinary)
+
+
+def left_out(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:
+    """Each vehicle against the ordinary ones other than itself.
+
+    Returns
+    -------
+    tuple
+        Deviation in standard deviations of a prediction, and the logarithm of its two-sided p-value, both (units,).
+        The prediction's variance is the vehicle's own, that between vehicles, and that of the mean; the second is known
+        from so few vehicles only, for which Student's t stands (Higgins, Thompson & Spiegelhalter 2009), with the
+        degrees of freedom of the sum (Satterthwaite 1946).
+    """
+    deviation = _deviations(values, errors, fleet.ordinary)
+    others = fleet.ordinary.sum() - fleet.ordinary
+    freedom = np.maximum(others - 2, 1) if fleet.tau > 0.0 else np.full(values.size, np.inf)
+    log_p = [np.log(2.0) + _log_tail(abs(each), free) for each, free in zip(deviation, freedom.tolist(), strict=True)]
+    return deviation, np.minimum(log_p, 0.0)
+
+
+def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> _Array:
+    """Each vehicle's deviation from the ordinary ones other than itself, in standard deviations of a prediction."""
+    mean, error, tau = (np.empty(values.size) for _ in range(3))
+    mean[:], error[:], tau[:] = paule_mandel(values[ordinary], errors[ordinary])
+    for k in np.flatnonzero(ordinary):
+        others = ordinary.copy()
+        others[k] = False
+        mean[k], error[k], tau[k] = paule_mandel(values[others], errors[others])
+    deviation: _Array = (values - mean) / np.sqrt(errors**2 + tau**2 + error**2)
+    return deviation
+
+
+def shrunk(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:
+    """Each vehicle's estimate drawn towards the fleet's mean, and its standard error (empirical Bayes).
+
+    An ordinary vehicle is worth ``(b / s^2 + mean / tau^2) / (1 / s^2 + 1 / tau^2)``. The uncertainty of the mean is
+    counted (Morris 1983, J. Am. Stat. Assoc. 78:47). A vehicle that is not ordinary keeps its own estimate.
+    """
+    own = fleet.tau**2 / (fleet.tau**2 + errors**2)
+    own = np.where(fleet.ordinary, own, 1.0)
+    error = np.sqrt(own * errors**2 + (1.0 - own) ** 2 * fleet.error**2)
+    return own * values + (1.0 - own) * fleet.mean, error
+
+
+def _median_fit(values: _Array, errors: _Array) -> tuple[float, float]:
+    """Weighted median, and the spread at which the median square is that of normal numbers."""
+
+    def ratio(tau2: float) -> tuple[float, float]:
+        variance = errors**2 + tau2
+        middle = _weighted_median(values, 1.0 / variance)
+        return middle, float(np.median((values - middle) ** 2 / variance)) / MEDIAN_SQUARE
+
+    middle, at = ratio(0.0)
+    if at <= 1.0:
+        return middle, 0.0
+    low, high = 0.0, float(np.ptp(values)) ** 2 / MEDIAN_SQUARE
+    for _ in range(ROUNDS):
+        half = (low + high) / 2.0
+        middle, at = ratio(half)
+        low, high = (half, high) if at > 1.0 else (low, half)
+        if high - low < 1e-6 * high:
+            break
+    return middle, float(np.sqrt(high))
+
+
+def _weighted_median(values: _Array, weights: _Array) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return float(np.interp(0.5 * weights.sum(), below, values[order]))
+
+
+def _log_tail(size: float, freedom: float) -> float:
+    return float(norm.logsf(size) if np.isinf(freedom) else student.logsf(size, freedom))

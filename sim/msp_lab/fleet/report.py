@@ -1,0 +1,87 @@
+"""Files of a fleet: the page with its picture, the table, and all numbers."""
+
+from pathlib import Path
+
+from msp_lab.fleet.findings import FleetEffect, FleetFindings
+from msp_lab.fleet.pictures import draw_fleet
+from msp_lab.fleet.words import left_out_line, line_of
+from msp_range.input_file import making
+from msp_range.yaml_file import ConfigError
+from msp_sim.page.page import PageTable, Picture, render, write_page
+from msp_sim.page.style import files_of, p_text, style
+
+NUMBERS, TABLE = "fleet.json", "fleet.csv"
+CAPTION = (
+    "A row for each sensor: the thin line is the 95 % interval of its own readings, point and thick line are its "
+    "estimate drawn towards the fleet's mean. Grey: the fleet's mean, and two standard deviations between vehicles. "
+    "Red squares are odd ones out. Of a change: the number in each session of the vehicle, and a red line where it "
+    "changed."
+)
+
+
+def write_files(findings: FleetFindings, folder: Path) -> list[Path]:
+    """Write the page, its picture, and the numbers as JSON and CSV; older files of these names are replaced.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be written.
+    """
+    with style():
+        drawn = files_of(draw_fleet(findings))
+    picture = Picture("fleet", "", CAPTION, f"Numbers of every vehicle: {findings.sentence}", drawn)
+    html = render(
+        __package__ or "msp_lab.fleet",
+        "fleet.html",
+        findings=findings,
+        picture=picture,
+        lines=[line_of(each, findings) for each in findings.effects[: findings.found]],
+        left_out=left_out_line(findings),
+        summary=_summary(findings),
+        tables=[_table(each, k) for k, each in enumerate(findings.effects) if not each.sessions],
+    )
+    page = write_page(folder, html, [picture])
+    try:
+        for name, text in ((NUMBERS, findings.as_json()), (TABLE, findings.as_csv())):
+            with making(folder / name, replacing=True) as unfinished:
+                unfinished.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{folder}: the findings cannot be written: {error.strerror}") from None
+    return [page, folder / TABLE, folder / NUMBERS]
+
+
+def _summary(findings: FleetFindings) -> PageTable:
+    rows = [
+        (
+            each.kind,
+            each.name.replace("_", " "),
+            f"{each.parameter} [{each.unit}]" if each.unit not in ("1", "") else each.parameter,
+            "" if each.mean is None else f"{each.mean:.3g} ({each.low:.3g} to {each.high:.3g})",
+            f"{each.tau:.3g}" if each.mean is not None else "",
+            f"{100.0 * each.i2:.0f} %" if each.mean is not None else "",
+            ", ".join(f"{one.vehicle} {one.sensor} {one.value:.3g}" for one in each.odd),
+        )
+        for each in findings.effects
+    ]
+    header = ("finding", "effect", "parameter", "fleet's mean (95 %)", "between vehicles", "I²", "odd ones out")
+    caption = "Mean and standard deviation between the ordinary vehicles; I² is how much of the scatter that is."
+    return PageTable("summary", "What was found", header, tuple(rows), caption, words=3)
+
+
+def _table(effect: FleetEffect, k: int) -> PageTable:
+    rows = [
+        (
+            one.vehicle,
+            one.sensor,
+            "odd" if one.odd else "",
+            f"{one.value:.3g} ± {one.error:.2g}",
+            f"{one.shrunk:.3g} ({one.low:.3g} to {one.high:.3g})",
+            p_text(one.p_value),
+        )
+        for one in effect.estimates
+    ]
+    unit = f" [{effect.unit}]" if effect.unit not in ("1", "") else ""
+    header = ("vehicle", "sensor", "", "own readings", "with the fleet's (95 %)", "p of deviation")
+    shape = "".join(f", {name} {value:g}" for name, value in effect.shape)
+    title = f"{effect.name.replace('_', ' ')}: {effect.parameter}{unit}{shape}"
+    return PageTable(f"number-{k + 1}", title, header, tuple(rows), words=3)

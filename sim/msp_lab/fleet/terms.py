@@ -1,0 +1,120 @@
+"""Numbers that are compared over a fleet: effects of the catalogue and numbers of the base, in all sessions or in some.
+
+A `FleetTerm` is plain data, so that it can be sent to another process. There it becomes a candidate of the search, by
+`candidate_of`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from msp_lab.gap.candidates import CandidateEffect
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+
+_FIELDS = {"offset": "bias_cm", "scatter": "log_spread"} | {
+    kind: f"log_odds_{kind}" for kind in ("short", "missed", "random")
+}
+BASE_NUMBERS = tuple(_FIELDS)
+"""Numbers of the base that are compared, in the order of the laboratory's ``prepared.BASE``."""
+_MEANINGS = {
+    "offset": "readings are {value:too far|too near}",
+    "scatter": "readings scatter {value:times}",
+    "short": "short readings come {value:times}",
+    "missed": "missed echoes come {value:times}",
+    "random": "readings at random ranges come {value:times}",
+}
+
+
+@dataclass(frozen=True)
+class FleetTerm:
+    """A number that one vehicle may have and others not.
+
+    Attributes
+    ----------
+    effect
+        Name in the catalogue, or one of `BASE_NUMBERS`.
+    number
+        Its parameter.
+    of
+        The target that it is of, or None.
+    shape
+        Values of its other parameters.
+    sessions
+        Sessions in which it acts; none: all.
+    shape_fitted
+        Whether the shape is fitted for each vehicle; else it is held, so that numbers of vehicles compare.
+    start
+        Its number where a fit starts, as a change from the neutral value; 0: not known.
+    """
+
+    effect: str
+    number: str
+    of: str | None = None
+    shape: tuple[tuple[str, float], ...] = ()
+    sessions: tuple[str, ...] = ()
+    shape_fitted: bool = False
+    start: float = 0.0
+
+    @property
+    def key(self) -> tuple[str, str | None]:
+        """Terms that differ in shape alone have the same."""
+        return self.effect, self.of
+
+    @property
+    def is_base(self) -> bool:
+        """A number that every sensor has."""
+        return self.effect in BASE_NUMBERS
+
+
+def base_effect(name: str) -> Effect:
+    """A number of the base as an effect."""
+
+    def apply(scene: Scene, values: Values) -> Contribution:
+        changed: dict[str, Any] = {_FIELDS[name]: np.full(np.shape(scene.range_cm), values["value"])}
+        return Contribution(**changed)
+
+    number = Parameter("value", "cm" if name == "offset" else "1", "change of the number", -50.0, 50.0)
+    channel: Any = {"offset": "bias", "scatter": "spread"}.get(name, name)
+    return Effect(
+        name, f"{name} of this sensor", "", "", (number,), (), (channel,), "", apply, finding=_MEANINGS[name]
+    )  # fmt: skip
+
+
+def effect_of(name: str) -> Effect:
+    """An effect of the catalogue, or a number of the base as one."""
+    return base_effect(name) if name in BASE_NUMBERS else CATALOGUE[name]
+
+
+def candidate_of(term: FleetTerm) -> CandidateEffect:
+    """The term as a candidate of the search."""
+    effect = effect_of(term.effect)
+    number = next(each for each in effect.parameters if each.name == term.number)
+    if term.sessions:
+        effect = _in_sessions(effect, term.sessions)
+    if not term.shape_fitted:
+        effect = replace(effect, parameters=(number,))
+    return CandidateEffect(effect, term.of, term.shape, number)
+
+
+def term_of(candidate: CandidateEffect) -> FleetTerm:
+    """A candidate of the search as plain data."""
+    return FleetTerm(candidate.effect.name, candidate.parameter.name, candidate.of, candidate.shape)
+
+
+def _in_sessions(effect: Effect, sessions: Sequence[str]) -> Effect:
+    """The effect in some sessions only."""
+
+    def apply(scene: Scene, values: Values) -> Contribution:
+        inside = np.isin(scene["run"], sessions)
+        changed = effect.apply(scene, values)._asdict()
+        return Contribution(**{name: _inside(name, each, inside) for name, each in changed.items()})
+
+    return replace(effect, apply=apply, requires=(*effect.requires, "run"))
+
+
+def _inside(name: str, value: Any, inside: Any) -> Any:
+    """A part of what an effect changes, nothing outside of its sessions."""
+    return value if value is None or name in ("component", "fault") else np.where(inside, value, 0.0)

@@ -1,0 +1,68 @@
+"""What was found in a fleet, in sentences that an operator understands."""
+
+from collections.abc import Sequence
+
+from msp_lab.fleet.findings import FleetEffect, FleetFindings, UnitEstimate
+from msp_lab.fleet.terms import FleetTerm, effect_of
+from msp_lab.gap.labels import and_list
+from msp_sim.effects.plain import plain_finding
+
+MAX_NAMES = 8
+"""Vehicles that a sentence names; the table has all."""
+MAX_SENTENCES = 3
+"""Findings in the first sentence; the list below it has all."""
+
+
+def plain_of(term: FleetTerm, value: float, with_size: bool) -> str:
+    """A number in words; without its size where nothing was found of it."""
+    effect = effect_of(term.effect)
+    if not with_size:
+        return effect.sentence.rstrip(".")
+    values = {**effect.neutral_values(), **dict(term.shape), term.number: value}
+    return plain_finding(effect, values, term.of)
+
+
+def names_of(units: Sequence[UnitEstimate], several_sensors: bool) -> str:
+    """Vehicles, with their sensors where they have several."""
+    sensors: dict[str, list[str]] = {}
+    for each in units:
+        sensors.setdefault(each.vehicle, []).append(each.sensor)
+    names = [f"{name} ({', '.join(own)})" if several_sensors else name for name, own in sensors.items()]
+    more = len(names) - MAX_NAMES
+    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
+    """One finding, without a full stop."""
+    several = findings.sensors > findings.vehicles
+    names = names_of(effect.odd, several)
+    count = len({each.vehicle for each in effect.odd})
+    others = " or ".join(name.replace("_", " ") for name, _ in effect.alternatives)
+    other = f" (or {others})" if others else ""
+    if effect.kind == "change":
+        return f"{names} changed with {effect.since}: since then {effect.plain}{other}"
+    if effect.kind == "drift":
+        return f"{names} drifted: from its first session to its last, {effect.plain}{other}"
+    if effect.kind == "odd":
+        return f"{count} of {findings.vehicles} vehicles differ: {effect.plain}{other}: {names}"
+    if effect.kind == "shared":
+        return f"the whole fleet differs from the model: {effect.plain}{other}"
+    return f"in the whole fleet {effect.name.replace('_', ' ')} is another number than the model's: {effect.plain}"
+
+
+def sentence_of(findings: FleetFindings) -> str:
+    """The answer, for an operator."""
+    found = [each for each in findings.effects[: findings.found] if each.kind != "calibration"]
+    if not found:
+        return f"No vehicle of {findings.vehicles} differs from the others, as far as these readings can tell."
+    lines = [line_of(each, findings) for each in found[:MAX_SENTENCES]]
+    more = len(found) - MAX_SENTENCES
+    text = "; ".join(lines) + (f"; and {more} more finding{'s' * (more > 1)}" if more > 0 else "")
+    text = text[:1].upper() + text[1:]
+    return f"{text}. {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
+
+
+def left_out_line(findings: FleetFindings) -> str:
+    """Who is not in the comparison, and why."""
+    parts = [f"{each.vehicle} {each.sensor} ({each.why})" for each in findings.left_out]
+    return f"Left out: {and_list(parts)}." if parts else ""

@@ -1,0 +1,247 @@
+"""From a dataset to the findings: examine every sensor, search, and estimate what was found for every sensor.
+
+A dataset and a model enter, `FleetFindings` leave. A sensor whose readings cannot be used is left out with the reason.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import msp_range
+from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
+from msp_lab.fleet.meta import shrunk
+from msp_lab.fleet.search import Finding, Search
+from msp_lab.fleet.statistics import Number, numbers_of, series_of
+from msp_lab.fleet.terms import FleetTerm, effect_of
+from msp_lab.fleet.unit import UnitScores, examine
+from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
+from msp_lab.fleet.words import plain_of, sentence_of
+from msp_lab.gap.problem import Progress
+from msp_range.recording.error import RecordingError
+from msp_sim.model.model import Model, load_model
+from msp_sim.workers import Outcome, Workers
+
+TWO_SIDED_95 = 1.959964
+"""Standard errors on either side of a 95 % interval."""
+
+
+def find_in_fleet(
+    dataset: Path,
+    model: Path,
+    *,
+    fdr: float,
+    pattern: str | None,
+    seed: int,
+    date: str,
+    where: Workers,
+    report: Progress = lambda what, share: None,
+) -> FleetFindings:
+    """Find what a fleet shares, who is odd, and what changed.
+
+    Parameters
+    ----------
+    dataset, model
+        Folder that ``msp-lab import`` made, and the sensor model.
+    fdr
+        False-discovery rate.
+    pattern
+        What in the name of a run or log is the vehicle's name; None: the log's folder.
+    seed, date
+        Random seed; date to record.
+    where
+        Where sensors are computed.
+    report
+        Reports progress.
+
+    Raises
+    ------
+    RecordingError
+        There is no dataset, or fewer than `MIN_VEHICLES` vehicles can be used.
+    ConfigError
+        The model cannot be used, or `pattern` fits no name.
+    """
+    compared = load_model(model)
+    every = units_of(dataset, pattern, seed)
+
+    def run(function: Callable[[Model, Any], Any], items: Sequence[Any]) -> Iterator[Outcome[Any]]:
+        return where.map(function, items, compared, what="sensors")
+
+    units, scores, left_out = [], [], []
+    for unit, each in zip(every, run(examine, [(unit, ()) for unit in every]), strict=True):
+        if each.value is not None:
+            units.append(unit)
+            scores.append(each.value)
+        else:
+            left_out.append(LeftOut(unit.vehicle, unit.sensor, each.error or ""))
+    if len({unit.vehicle for unit in units}) < MIN_VEHICLES:
+        reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
+        usable = len({unit.vehicle for unit in units})
+        raise RecordingError(
+            f"{dataset}: readings of {usable} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
+            + (f". Left out: {reasons}" if reasons else "")
+        )
+    search = Search(units, scores, fdr, run, report)
+    search.search()
+    report("estimating", 0.9)
+    effects = [_effect(search, each) for each in search.found]
+    order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
+    effects = sorted(_joined(effects), key=lambda each: order[each.kind])
+    findings = FleetFindings(
+        sentence="",
+        dataset=str(dataset),
+        model=str(model),
+        vehicles=len({unit.vehicle for unit in units}),
+        sensors=len(units),
+        sessions=sum(len(each.sessions) for each in search.scores),
+        readings=sum(int(each.readings.sum()) for each in search.scores),
+        effects=tuple(effects) or (_effect(search, Finding("calibration", FleetTerm("offset", "value"), (), ())),),
+        found=len(effects),
+        left_out=tuple(left_out),
+        fdr=fdr,
+        tests=search.tests,
+        untestable=_untestable(search.scores),
+        seed=seed,
+        date=date,
+        version=msp_range.__version__,
+    )
+    return replace(findings, sentence=sentence_of(findings))
+
+
+def _untestable(scores: Sequence[UnitScores]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Effects that no sensor has the columns for."""
+    common = set.intersection(*({name for name, _ in each.untestable} for each in scores))
+    return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
+
+
+def _effect(search: Search, finding: Finding) -> FleetEffect:
+    effect = effect_of(finding.term.effect)
+    parameter = next(each for each in effect.parameters if each.name == finding.term.number)
+    alternatives = tuple((term.effect, lost) for term, lost in finding.alternatives)
+    if finding.change is not None:
+        return _changed(search, finding, parameter.unit, alternatives)
+    number = _estimated(search, finding.term)
+    fleet = number.fleet
+    near, near_error = shrunk(number.value, number.error, fleet)
+    is_odd = np.isin(number.units, finding.units) if finding.kind == "odd" else np.zeros(number.units.size, dtype=bool)
+    p_value = np.exp(number.log_p)
+    estimates = tuple(
+        UnitEstimate(
+            search.units[unit].vehicle,
+            search.units[unit].sensor,
+            float(number.value[k]),
+            float(number.error[k]),
+            float(near[k]),
+            float(near[k] - TWO_SIDED_95 * near_error[k]),
+            float(near[k] + TWO_SIDED_95 * near_error[k]),
+            bool(is_odd[k]),
+            float(p_value[k]),
+        )
+        for k, unit in enumerate(number.units.tolist())
+    )
+    of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
+    shown = float(of_odd - fleet.mean * finding.term.is_base)
+    half = TWO_SIDED_95 * fleet.error
+    return FleetEffect(
+        finding.kind,
+        effect.name,
+        parameter.name,
+        parameter.unit,
+        finding.term.shape,
+        plain_of(finding.term, shown, with_size=bool(is_odd.any()) or finding.kind == "shared"),
+        alternatives,
+        fleet.mean,
+        fleet.mean - half,
+        fleet.mean + half,
+        fleet.tau,
+        fleet.i2,
+        number.omega,
+        estimates,
+    )
+
+
+def _estimated(search: Search, term: FleetTerm) -> Number:
+    """The number in every sensor, next to what else each is known to have."""
+    if term.is_base:
+        scores = search.scores
+    else:
+        lacking = [k for k in range(len(search.units)) if not search.fits(k, term)]
+        added = search.examined(lacking, [(*own, term) for own in search.terms])
+        again = dict(zip(lacking, added, strict=True))
+        scores = [again.get(k, each) for k, each in enumerate(search.scores)]
+    same = replace(term, start=0.0)
+    return next(each for each in numbers_of(scores) if each.term == same)
+
+
+def _changed(
+    search: Search, finding: Finding, unit_label: str, alternatives: tuple[tuple[str, float], ...]
+) -> FleetEffect:
+    change, unit = finding.change, finding.units[0]
+    assert change is not None
+    scores, term = search.before_change[unit], finding.term
+    series = next(each for each in series_of([scores]) if replace(each.term, start=0.0) == replace(term, start=0.0))
+    score, information, variance = series.score[0], series.information[0], series.variance[0]
+    known = np.flatnonzero(information > 0.0)
+    value = series.value[0] + score[known] / information[known]
+    error = np.sqrt(variance[known]) / information[known]
+    by_session = tuple(
+        SessionEstimate(scores.sessions[k], float(v), float(e)) for k, v, e in zip(known, value, error, strict=True)
+    )
+    half = TWO_SIDED_95 * change.error
+    who = search.units[unit]
+    own = UnitEstimate(
+        who.vehicle,
+        who.sensor,
+        change.size,
+        change.error,
+        change.size,
+        change.size - half,
+        change.size + half,
+        True,
+        float(np.exp(change.log_p)),
+    )
+    since = scores.sessions[change.first] if change.kind == "change" else ""
+    plain = plain_of(term, change.size, with_size=True)
+    return FleetEffect(
+        finding.kind,
+        term.effect,
+        term.number,
+        unit_label,
+        term.shape,
+        plain,
+        alternatives,
+        None,
+        None,
+        None,
+        0.0,
+        0.0,
+        0.0,
+        (own,),
+        since,
+        by_session,
+    )
+
+
+def _joined(effects: Sequence[FleetEffect]) -> list[FleetEffect]:
+    """The odd ones of one effect together, whenever they were found."""
+    found: list[FleetEffect] = []
+    for each in effects:
+        same = next(
+            (
+                k
+                for k, other in enumerate(found)
+                if each.kind == "odd" and (other.kind, other.name, other.shape) == ("odd", each.name, each.shape)
+            ),
+            None,
+        )
+        if same is None:
+            found.append(each)
+        else:
+            odd = {(one.vehicle, one.sensor) for one in each.odd}
+            merged = tuple(
+                replace(one, odd=one.odd or (one.vehicle, one.sensor) in odd) for one in found[same].estimates
+            )
+            found[same] = replace(found[same], estimates=merged)
+    return found

@@ -1,0 +1,1 @@
+"""Fleets with a known truth: `msp-lab fleet` on them, scored."""

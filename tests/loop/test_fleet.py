@@ -1,0 +1,88 @@
+"""`msp-lab fleet` on small drawn fleets."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from msp_lab.cli import app
+from msp_lab.readings.dataset import record_runs, write_tables
+from msp_range.recording.csv_form import MeasuredData
+from msp_sim.model.model import load_model
+from tests.fleet.generator import fleet
+from tests.fleet.score import run
+
+MODEL = "configs/sensors/mb1242.yaml"
+
+
+def make_dataset(folder: Path, vehicles: int, late_ms: dict[int, float], readings: int = 150) -> Path:
+    """Vehicles of four sessions each, some of which read late."""
+    rng = np.random.default_rng(4)
+    for k in range(vehicles):
+        model = load_model(MODEL).adding("latency", delay_ms=late_ms.get(k, 0.0))
+        for session in range(4):
+            time_s = 0.1 * np.arange(readings)
+            phase = rng.uniform(0.0, 6.0)
+            contexts = {
+                "time_s": time_s,
+                "true_range_cm": 250.0 + 80.0 * np.sin(0.8 * time_s + phase),
+                "range_rate_cm_s": 64.0 * np.cos(0.8 * time_s + phase),
+            }
+            table = MeasuredData({**contexts, "reading_cm": model.sample(contexts, rng)})
+            add_run(folder, f"V{k + 1}/{session + 1}", table)
+    return folder
+
+
+def add_run(folder: Path, name: str, table: MeasuredData) -> None:
+    """One more run of the sensor 'down', from a log in a folder of its vehicle."""
+    write_tables(folder, name, {"down": table})
+    record_runs(folder, [name], {"file": f"logs/{name}.csv"})
+
+
+@pytest.mark.slow
+def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(tmp_path: Path) -> None:
+    dataset = make_dataset(tmp_path / "set", 6, {2: 200.0})
+    # A vehicle whose readings are too few is left out, with the reason.
+    table = MeasuredData({"time_s": np.arange(5.0), "reading_cm": np.full(5, 99.0), "true_range_cm": np.full(5, 99.0)})
+    add_run(dataset, "V9/1", table)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["fleet", str(dataset), "--model", MODEL, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    flat = " ".join(result.stdout.split())
+    assert "1 of 6 vehicles" in flat
+    assert "V3" in flat
+    assert "5 % of such findings are expected to be false" in flat
+    assert "Left out: V9 down" in flat
+    assert "found 5 readings with a true range" in flat
+    findings = json.loads((out / "fleet.json").read_text())
+    odd = [each for each in findings["effects"] if each["kind"] == "odd"]
+    assert [each["name"] for each in odd] == ["latency"]
+    (late,) = [each for each in odd[0]["estimates"] if each["odd"]]
+    assert late["vehicle"] == "V3"
+    assert late["low"] < 200.0 < late["high"]
+    assert "latency,delay_ms,ms,V3,down,,yes" in (out / "fleet.csv").read_text()
+    assert "V3" in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_three_odd_vehicles_of_a_drawn_fleet_are_found_and_no_others(tmp_path: Path) -> None:
+    outcome = run("odd:slant_axis", 1, fleet("odd:slant_axis", 1, vehicles=10), tmp_path)
+    assert outcome.crash == ""
+    assert (outcome.found, outcome.false) == (3, ())
+
+
+def test_three_vehicles_are_no_fleet(tmp_path: Path) -> None:
+    dataset = make_dataset(tmp_path / "set", 3, {}, readings=5)
+    arguments = ["fleet", str(dataset), "--model", MODEL, "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 3
+    assert "logs of 3 vehicles (V1, V2, V3), and a fleet is at least 4" in result.stderr
+    result = CliRunner().invoke(app, [*arguments, "--vehicle", "X"])
+    assert result.exit_code == 3
+    assert "fits neither the run 'V1/1' nor its log" in result.stderr
+    result = CliRunner().invoke(app, [*arguments, "--vehicle", "("])
+    assert result.exit_code == 3
+    assert "no regular expression" in result.stderr
