@@ -49,7 +49,7 @@ def fly_monte_carlo(
     path = config_path(scenario_file, "scenarios")
     sampled = Sampled(load_scenario(path), str(path))
     sensor_model = load_sensor_model(model) if model is not None else None
-    columns = [*(DRAWN if model_only else FLOWN), "refused", "faults", *sampled.vary.parameters]
+    columns = [*(DRAWN if model_only else FLOWN), "refused", *sampled.vary.parameters]
     settings = {
         "scenario": sampled.scenario.name,
         "files": _sha256(sampled, sensor_model),
@@ -149,16 +149,17 @@ def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> No
             table.add_row(share.what, str(share.flights), percent, f"{100 * share.low:.2f} to {100 * share.high:.2f}")
         shown.print(table)
     if summary.distributions:
-        table = _table("below in", *(f"{q.share:.0%} of flights" for q in _quantiles(summary)))
+        table = _table("with interval, below in", *(f"{q.share:.0%} of flights" for q in _quantiles(summary)))
         for each in summary.distributions:
-            table.add_row(each.what, *(f"{q.value:.3g} {_interval(q.low, q.high)}" for q in each.quantiles))
+            factor = 100.0 if each.what.endswith("[%]") else 1.0
+            table.add_row(each.what, *(_interval(factor, *quantile[1:]) for quantile in each.quantiles))
         shown.print(table)
     if summary.worst:
         columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
-        table = _table("worst", *(_WORST_COLUMNS[name] for name in columns), "faults")
-        table.columns[-1].justify, table.columns[-1].overflow = "left", "ellipsis"
+        table = _table("worst", *(_WORST_COLUMNS[name] for name in columns))
+        table.add_column("faults" if "faults" in summary.worst[0] else "")
         for row in summary.worst:
-            table.add_row(str(row[NUMBER]), *(_shown(row[name]) for name in columns), row["faults"])
+            table.add_row(str(row[NUMBER]), *(_shown(row[name]) for name in columns), row.get("faults", ""))
         shown.print(table)
         print(f"fly the worst again: {again} {summary.worst[0][NUMBER]}")
 
@@ -178,8 +179,9 @@ def _quantiles(summary: Summary) -> Any:
     return summary.distributions[0].quantiles
 
 
-def _interval(low: float | None, high: float | None) -> str:
-    return f"({'?' if low is None else f'{low:.3g}'} to {'?' if high is None else f'{high:.3g}'})"
+def _interval(factor: float, value: float, low: float | None, high: float | None) -> str:
+    shown, least, most = ("?" if each is None else f"{factor * each:.3g}" for each in (value, low, high))
+    return f"{shown} ({least}–{most})"
 
 
 def _shown(value: Any) -> str:
@@ -197,4 +199,4 @@ def _lines(summary: Summary, where: Workers) -> Iterator[str]:
 
 
 def _table(first: str, *numbers: str) -> Table:
-    return Table(Column(first), *number_columns(*numbers), box=box.SIMPLE_HEAD)
+    return Table(Column(first), *number_columns(*numbers), box=box.SIMPLE_HEAD, pad_edge=False)

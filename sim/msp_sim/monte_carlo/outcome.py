@@ -53,8 +53,9 @@ FLOWN = (
     "error_worst_cm",
     "warnings",
     "sha256",
+    "faults",
 )
-"""Numbers of a flight with the bridge; see docs/simulating.md."""
+"""Columns of a flight with the bridge; see docs/simulating.md."""
 DRAWN = (
     "wrong_share",
     "missed_share",
@@ -64,7 +65,7 @@ DRAWN = (
     "error_p95_cm",
     "error_worst_cm",
 )
-"""Numbers of a flight with the model only."""
+"""Columns of a flight with the model only, which has no faults."""
 
 Message = tuple[float, Any]
 Numbers = dict[str, Any]

@@ -75,14 +75,14 @@ EVENTS = {
 }
 """Columns that are 0 in a flight without the event."""
 SIZES = {
-    "error_p95_cm": "95 % of errors [cm]",
-    "error_rms_cm": "rms error [cm]",
+    "error_p95_cm": "error, 95 % [cm]",
+    "error_rms_cm": "error, rms [cm]",
     "longest_silence_s": "silence [s]",
     "wrong_s": "wrong for [s]",
-    "wrong_share": "share wrong",
-    "missed_share": "share missed",
+    "wrong_share": "wrong [%]",
+    "missed_share": "missed [%]",
 }
-"""Columns whose distribution is reported."""
+"""Columns whose distribution is reported; shares as [%]."""
 BADNESS = ("wrong_s", "unreported_silences", "longest_silence_s", "wrong_share", "error_p95_cm")
 """Columns by which flights are compared, the most important first."""
 
