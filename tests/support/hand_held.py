@@ -1,7 +1,7 @@
 """A vehicle that somebody holds in his hands: what is mounted and what the airframe file says may differ.
 
 Emulated sensors at their true places, over a flat floor, and an autopilot that knows how the vehicle is turned. Time is
-virtual. `Person` does what commissioning asks for.
+virtual, unless a clock is given. `Person` does what commissioning asks for.
 """
 
 import ctypes
@@ -16,7 +16,7 @@ from smbus2 import i2c_msg
 
 from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
-from msp_range.clock import VirtualClock
+from msp_range.clock import Clock, VirtualClock
 from msp_range.commission.operator import Motion
 from msp_range.commission.steps.directions import SIDES
 from msp_range.config import Airframe
@@ -57,11 +57,15 @@ class HandHeld:
         The airframe as it is built.
     seed
         Of noise, tremor and the autopilot's sensors.
+    air_c
+        Temperature of the air [deg C].
+    clock
+        The time; None: a virtual one.
     """
 
-    def __init__(self, mounted: Airframe, seed: int = 1, air_c: float = 20.0) -> None:
+    def __init__(self, mounted: Airframe, seed: int = 1, air_c: float = 20.0, clock: Clock | None = None) -> None:
         self.mounted = mounted
-        self.clock = VirtualClock(100.0)
+        self.clock = clock or VirtualClock(100.0)
         self.world = World(GroundSection(surface="concrete"), AirSection(ground_c=air_c, lapse_c_per_m=0.0))
         self.covered: str | None = None
         self.walls_cm: dict[str, int] = {}
