@@ -84,6 +84,9 @@ def test_what_others_show_too_is_no_finding() -> None:
                 each.nones += 1
     assert not any(each.evidence.is_found for each in sensors[1:])
     assert sensors[0].frequency == pytest.approx(0.15, abs=0.1)
+    # Their mean replaces the model's probability but for its standard error.
+    sensors[0].happens(0.01, sensors[1:])
+    assert 0.01 < sensors[0]._probability < np.mean([each.frequency for each in sensors[1:]])
 
 
 @pytest.mark.parametrize("kind", KINDS)
