@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_lab.logs.alignment import Alignment, align, reference_std_cm
+from msp_lab.logs.alignment import Alignment, _lowest, align, reference_std_cm
 from msp_lab.logs.log import Array, Series
 
 
@@ -54,6 +54,11 @@ def test_a_hover_has_no_lag() -> None:
 def test_hardly_any_readings_are_not_aligned() -> None:
     time_s = np.arange(0.0, 3.0, 0.1)
     assert align(time_s, climbs(time_s), climbs, np.random.default_rng(1)) is None
+
+
+def test_between_the_lags_that_are_tried_a_parabola_has_its_lowest_point() -> None:
+    lags_s = np.arange(-0.1, 0.105, 0.01)
+    assert _lowest(lags_s, (lags_s - 0.034) ** 2) == pytest.approx(0.034)
 
 
 def test_three_instruments_show_the_error_of_each() -> None:

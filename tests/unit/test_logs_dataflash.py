@@ -9,7 +9,7 @@ import pytest
 from pymavlink.DFReader import DFReader_binary
 
 from msp_lab.logs import dataflash
-from msp_lab.logs.ardupilot import WANTED, read_ardupilot
+from msp_lab.logs.ardupilot import WANTED, _ranger, read_ardupilot
 from msp_lab.logs.dataflash import read_messages
 from msp_range.recording.error import RecordingError
 
@@ -70,6 +70,12 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
     with pytest.raises(RecordingError, match=r"bad\.bin: no dataflash log"):
         read_ardupilot(path, nothing)
     assert capfd.readouterr().err == ""
+
+
+def test_out_of_range_is_the_maximum_and_no_data_is_no_answer() -> None:
+    status = np.array([4.0, 3.0, 1.0, 2.0])
+    ranger = _ranger(1, np.arange(4.0), np.array([2.0, 0.0, 1.0, 0.1]), status, 25, {"RNGFND1_MAX": 7.0})
+    np.testing.assert_array_equal(ranger.series.values, [200.0, 700.0, np.nan, 10.0])
 
 
 def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:

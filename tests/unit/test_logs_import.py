@@ -17,7 +17,7 @@ from msp_lab.logs.log import Ranger, Series, TruthSource, VehicleLog
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import read_csv, write_csv
+from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
 from tests.support.measured import MODEL, readings
 
@@ -34,6 +34,13 @@ def imported(*arguments: object) -> list[dict[str, Any]]:
     assert done.exit_code == 0, done.output
     found: list[dict[str, Any]] = json.loads(done.stdout)
     return found
+
+
+def follows(data: MeasuredData) -> bool:
+    """Whether the rate is that of the true range, upwards positive."""
+    rate_cm_s = np.gradient(data["true_range_cm"], data["time_s"])
+    known = np.isfinite(rate_cm_s) & np.isfinite(data["range_rate_cm_s"])
+    return bool(np.corrcoef(rate_cm_s[known], data["range_rate_cm_s"][known])[0, 1] > 0.8)
 
 
 def test_an_ardupilot_log_has_readings_context_and_truth(tmp_path: Path) -> None:
@@ -55,6 +62,7 @@ def test_an_ardupilot_log_has_readings_context_and_truth(tmp_path: Path) -> None
     assert 0.3 < np.nanmedian(data["throttle"][flown]) < 0.4
     assert np.nanmax(np.abs(data["range_rate_cm_s"])) < 300.0
     assert np.nanmax(data["incidence_deg"]) < 10.0
+    assert follows(data)
     error_cm = (data["reading_cm"] - data["true_range_cm"])[flown]
     assert abs(np.nanmedian(error_cm)) < 3.0
     table = pq.read_table(
@@ -90,11 +98,23 @@ def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> Non
     assert ranger["readings"] == ranger["with_truth"] == 596
     lag_s, low_s, high_s = ranger["lag_s"]
     assert 0.0 < low_s < lag_s < high_s < 0.12
+    assert follows(read_dataset(tmp_path / "set"))
     assert "cs_rng_hgt is set" in found["others"]["ekf"]
     done = run("import", LOGS / "px4.ulg", "--truth", "ekf", "--out", tmp_path / "other")
     assert done.exit_code == 3
     assert "cs_rng_hgt is set for 93 % of the time" in done.output
     assert "Independent references in the log: barometer, simulator" in done.output
+
+
+def test_an_invalid_signal_of_px4_is_no_answer() -> None:
+    topic = {
+        "timestamp": np.arange(3) * 10**6,
+        "current_distance": np.full(3, 2.0),
+        "max_distance": np.full(3, 7.0),
+        "signal_quality": np.array([100, 0, -1]),
+    }
+    (ranger,) = px4._rangers({"distance_sensor": topic})
+    assert np.isnan(ranger.series.values).tolist() == [False, True, False]
 
 
 def test_a_height_counts_until_the_range_is_fused_into_it() -> None:

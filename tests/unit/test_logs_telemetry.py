@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from pymavlink import mavutil
 
+from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.telemetry import read_telemetry
+from msp_lab.logs.truth import Truth
+from msp_range.mavlink.dialect import dialect
 from msp_range.recording.error import RecordingError
-from tests.support.flight_logs import START_US, height_m, telemetry, write_telemetry
+from tests.support.flight_logs import START_US, Messages, height_m, telemetry, write_telemetry
 
 
 def nothing(share: float) -> None:
@@ -34,6 +37,42 @@ def test_readings_context_and_reference(tmp_path: Path) -> None:
     assert reference.series.values[20] == pytest.approx(height_m(1.0), abs=1e-3)
     (refused,) = read_telemetry(write_telemetry(tmp_path / "b.tlog", telemetry(posz=2.0)), nothing).references
     assert "EK3_SRC1_POSZ is 2" in refused.refused
+
+
+def with_gps(late_s: float = 0.0) -> Messages:
+    """The flight with an altitude above the sea: a fixed RTK solution in every other message."""
+    fixes: Messages = [
+        (
+            0.2 * step + late_s,
+            1,
+            dialect.MAVLink_gps_raw_int_message(
+                0, 6 - 3 * (step % 2), 0, 0, round(1e3 * (584.0 + height_m(0.2 * step))), 0, 0, 0, 0, 9, v_acc=20
+            ),
+        )
+        for step in range(150)
+    ]
+    return [(time_s + late_s, component, message) for time_s, component, message in telemetry()] + fixes
+
+
+def test_an_altitude_counts_with_a_fixed_rtk_solution(tmp_path: Path) -> None:
+    log = read_telemetry(write_telemetry(tmp_path / "a.tlog", with_gps()), nothing)
+    rtk = next(each for each in log.references if each.kind == "rtk")
+    assert np.isfinite(rtk.series.values).tolist() == [True, False] * 75
+    messages = with_gps()
+    for _, _, message in messages:
+        if hasattr(message, "fix_type"):
+            message.fix_type = 3
+    without = read_telemetry(write_telemetry(tmp_path / "b.tlog", messages), nothing)
+    assert [each.kind for each in without.references] == ["ekf"]
+
+
+def test_a_reference_of_another_log_keeps_its_accuracy_at_its_times(tmp_path: Path) -> None:
+    log = read_telemetry(write_telemetry(tmp_path / "a.tlog", telemetry()), nothing)
+    other = write_telemetry(tmp_path / "b.tlog", with_gps(late_s=7.0))
+    reference, difference_s = reference_of(other, Truth("rtk"), log)
+    assert reference.std is not None
+    assert reference.std.time_s.tolist() == reference.series.time_s.tolist()
+    assert abs(difference_s) < 0.5
 
 
 def test_a_maximum_of_zero_is_none(tmp_path: Path) -> None:

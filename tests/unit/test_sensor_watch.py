@@ -118,6 +118,8 @@ def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None
     assert reference(window[:4], 3, 1.0) is None, "nobody after it"
     stepped = window[:4] + [each._replace(common_m=(each.common_m or 0.0) + 0.3) for each in window[4:]]
     assert reference(stepped, 3, 1.0) is None, "the ground has a step"
+    standing = [each._replace(climb_m_s=0.0) for each in window]
+    assert reference(standing, 3, 1.0) is None, "the ground rises, and not the vehicle"
 
 
 @pytest.mark.parametrize(
@@ -198,8 +200,16 @@ def fly(
 def test_an_object_below_a_sensor_is_no_short_reading_and_single_ones_are() -> None:
     box = fly(watch_of(), lambda name, time_s: -0.5 if name == "a" and time_s % 20.0 < 4.0 else 0.0, 300.0)
     assert box == set()
+    boxes = fly(watch_of(), lambda name, time_s: -0.5 if name == "a" and time_s % 4.0 < 0.8 else 0.0, 300.0)
+    assert boxes == set()
     single = fly(watch_of(), lambda name, time_s: -0.5 if name == "a" and time_s % 4.0 < 0.4 else 0.0, 300.0)
     assert single == {("a", "short")}
+
+
+def test_outliers_of_the_ground_do_not_teach_a_larger_scatter() -> None:
+    watch = watch_of()
+    fly(watch, lambda name, time_s: -0.14 if name == "a" and time_s % 4.0 < 0.4 else 0.0, 100.0)
+    assert watch._sensors[0].scale < 1.5
 
 
 def test_a_shift_is_asked_for_only_while_the_vehicle_moves_over_level_ground() -> None:
