@@ -14,6 +14,7 @@ from msp_lab.logs import px4
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
 from msp_lab.logs.join import join
 from msp_lab.logs.log import Ranger, Series, TruthSource, VehicleLog
+from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -182,6 +183,12 @@ def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
     given, kept = read_csv(tmp_path / "bench.csv"), data.select(np.char.startswith(data["run"], "bench"))
     for name in ("reading_cm", "true_range_cm"):
         assert sorted(kept[name].tolist()) == sorted(given[name].tolist())
+
+
+def test_rows_of_a_table_are_put_in_the_order_of_their_times(tmp_path: Path) -> None:
+    table = {"time_s": np.array([2.0, 1.0]), "sensor": np.array(["a", "a"]), "reading_cm": np.array([20.0, 10.0])}
+    (ranger,) = rangers_of(tmp_path, MeasuredData(table))
+    assert ranger.series.values.tolist() == [10.0, 20.0]
 
 
 def three_sensors(path: Path) -> Path:

@@ -1,10 +1,12 @@
 """Bags of ROS 1 and 2, written by rosbags, as logs; cut, damaged, and with topics that are not known."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from msp_lab.logs import ros
 from msp_lab.logs.log import VehicleLog
 from msp_lab.logs.opening import open_log
 from msp_range.recording.error import RecordingError
@@ -50,6 +52,18 @@ def test_any_field_of_a_topic(tmp_path: Path) -> None:
     assert (reference.kind, reference.series.values[0]) == ("column", pytest.approx(np.cos(0.05)))
     with pytest.raises(RecordingError, match="orientation"):
         open_log(path, nothing, field="/vrpn/drone/pose.orientation.w")
+
+
+def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
+    topic = ros._Topic("/fix", "sensor_msgs/msg/NavSatFix", ros._FIELDS["sensor_msgs/msg/NavSatFix"])
+    for time_s, (status, std_m) in enumerate([(2, 0.02), (2, 0.5), (0, 0.02), (2, 0.0)]):
+        variances = [0.0] * 8 + [std_m**2]
+        topic.add(
+            time_s,
+            SimpleNamespace(altitude=584.0, status=SimpleNamespace(status=status), position_covariance=variances),
+        )
+    (rtk,) = ros._references({"/fix": topic})
+    assert np.isfinite(rtk.series.values).tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
