@@ -63,6 +63,17 @@ def test_placements_limit_what_differs_between_runs() -> None:
     assert of[1].nats(100_000, 4) < 20.0 * of[1].nats(100, 4)
 
 
+def test_far_shifts_keep_their_share_inside_runs() -> None:
+    """Each run has one temperature and both ranges; a reading that is shifted by many sigma counts as an outlier."""
+    contexts = {
+        "run": np.repeat([f"r{each}" for each in range(4)], 200),
+        "true_range_cm": np.tile(np.repeat([60.0, 400.0], 100), 4),
+        "air_temperature_c": np.repeat([2.0, 32.0, 2.0, 32.0], 200),
+    }
+    found = separation(GIVEN, (AIR, SCALE), (0, 1), contexts, 1.0, np.random.default_rng(1))
+    assert found.within_nats > 0.2 * found.between_nats
+
+
 def test_what_is_like_the_same_third_answer_is_alike() -> None:
     assert _classes(4, [Same(0, 1, 1.0), Same(1, 3, 1.0)]) == (frozenset({0, 1, 3}), frozenset({2}))
 

@@ -37,10 +37,10 @@ MARGIN = 1.1
 """A session gets so many times the readings that are needed: the nats per reading are known to about a tenth."""
 MOST_READINGS = 2 * rules.TRAINING_ROWS
 """Readings of a session at most: the gap workflow fits no more."""
-CHECKED_ROWS = 20_000
-"""Readings that are drawn to check the session that was chosen: 13.6 nats in 2,000 are then known to an eighth.
+CHECKED_ROWS = 12_000
+"""Readings that are drawn to check the session that was chosen: 13.6 nats in 2,000 are then known to a sixth.
 More: slower."""
-HARD = 3.0
+HARD = 2.0
 """Pairs with less than so many times the nats that they need are checked. Higher: slower."""
 LONGER = 1.25
 """Steps in which a session is made longer until it is long enough."""

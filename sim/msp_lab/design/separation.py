@@ -104,9 +104,10 @@ def separation(
     shift = np.nan_to_num((right_rows.centre_cm - wrong_rows.centre_cm) / sigma_cm)
     unit = numbered(np.asarray(columns["run"]))
     counts = np.bincount(unit)
-    between = 0.5 * float((np.bincount(unit, shift) ** 2 / counts).sum()) / reading_cm.size
+    # A share of the nats: a shift of many sigma makes a reading an outlier, and counts for less than its square.
+    whole = float((shift**2).sum())
+    between = nats * float((np.bincount(unit, shift) ** 2 / counts).sum()) / whole if whole > 0.0 else 0.0
     offsets = offset_cm**2 / float(np.mean(sigma_cm**2))
-    between = min(between, nats)
     correlation = given.sensor.reading_model.correlation
     return Separation(*places, nats - between, between, offsets, correlation)
 
