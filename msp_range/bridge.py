@@ -305,7 +305,7 @@ class Bridge:
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:
             return steps
         if has_arrived or now_s >= link.next_event_s:
-            link.service()
+            link.service(has_arrived)
         if now_s >= self._next_look_s:
             self._look_after(now_s)
         self.completed_s = now_s

@@ -110,7 +110,7 @@ class Link:
         self.system_status: int = dialect.MAV_STATE_BOOT
         self._next_heartbeat_s = now_s
         self.next_event_s = now_s
-        self._received_s = float("-inf")
+        self._arrived_s = float("-inf")
         self._waits_for_files = False
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
@@ -145,8 +145,8 @@ class Link:
         """Send STATUSTEXT, truncated to its maximum length."""
         self.send(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:STATUS_TEXT_LENGTH]))
 
-    def service(self) -> None:
-        """Process received messages, and send what is due."""
+    def service(self, has_arrived: bool = False) -> None:
+        """Process received messages, and send what is due; ``has_arrived``: one of the `files` can be read."""
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
         received = self.transport.receive()
@@ -161,9 +161,10 @@ class Link:
         if now_s - self._heartbeat_s < AUTOPILOT_LOST_S:
             self._ask(now_s)
         is_dense = False
-        if received:
-            is_dense = now_s < self._received_s + DENSE_S
-            self._received_s = now_s
+        # Also where nothing came of it: a server with all the clients that it takes can be read for ever.
+        if received or has_arrived:
+            is_dense = now_s < self._arrived_s + DENSE_S
+            self._arrived_s = now_s
         self._waits_for_files = not is_dense and bool(self.transport.files)
         quiet_until_s = float("inf") if self._waits_for_files else self.transport.quiet_until_s
         if quiet_until_s > self.next_event_s and not self._from_autopilot and not self._from_others:

@@ -118,8 +118,7 @@ class ParameterClient:
         while not is_there():
             if self._clock.now() >= end_s:
                 return False
-            self._clock.sleep_until(min(self.link.next_event_s, end_s), self.link.files)
-            self.link.service()
+            self.link.service(self._clock.sleep_until(min(self.link.next_event_s, end_s), self.link.files))
         return True
 
     def connect(self, limit_s: float) -> bool:

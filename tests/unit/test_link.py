@@ -140,6 +140,17 @@ class TestWaiting:
             assert bench.link.next_event_s - bench.clock.now() == pytest.approx(0.05 if waits[-1] else 0.005)
         assert waits == [True, False, False, False, True]
 
+    def test_files_that_can_always_be_read_do_not_keep_the_bridge_awake(self) -> None:
+        """Such as those of a server with as many clients as it takes, and one more that waits."""
+        bench = Bench(transport=Listening())
+        services = 0
+        while bench.clock.now() < START_S + 1.0:
+            can_be_read = bool(bench.link.files)
+            bench.clock.sleep_until(bench.clock.now() + 1e-4 if can_be_read else bench.link.next_event_s)
+            bench.link.service(can_be_read)
+            services += 1
+        assert services < 410
+
 
 class TestHeartbeat:
     def test_comes_each_second_from_the_first_moment(self, bench: Bench) -> None:
