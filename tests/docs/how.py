@@ -17,7 +17,7 @@ ENDED_BY = "timeout --preserve-status -s"
 
 PREPARE = {
     "docs/watching.md": "cp configs/sensors/mb1242_in_flight.yaml MODEL.yaml",
-    "docs/developing.md": "cp tests/third_party/package/sonar_extras/supply_sag.py .",
+    "docs/extending.md": "cp tests/third_party/package/sonar_extras/supply_sag.py .",
     "docs/flying.md": f"{LOOP}; {FLOWN}; cp 1.mcap flight.mcap; head -c -20000 1.mcap > cut.mcap",
     "docs/fleets.md": f"{FLOWN}; mv flights/1.csv one.csv; mv flights/2.csv two.csv",
     "docs/fusion.md": FLOWN,
