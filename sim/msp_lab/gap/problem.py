@@ -20,7 +20,7 @@ from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
-from msp_lab.gap.screen import Screen, information_of, replicate, score_sums, screen
+from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
@@ -210,11 +210,21 @@ def reinformed(problem: Problem, state: State) -> State:
     return replace(state, information=problem.information(state.fit))
 
 
-def screened(problem: Problem, state: State, by_run: bool | None = None) -> Screen:
-    """Every candidate at this state, with its terms as nuisance; by runs as the state says, unless it is given."""
+def screened(problem: Problem, state: State, by_run: bool | None = None, sums: ScoreSums | None = None) -> Screen:
+    """Every candidate at this state, with its terms as nuisance; by runs as the state says, unless it is given.
+
+    `sums` are those of this state, where they are known.
+    """
     by_run = state.by_run if by_run is None else by_run
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
-    sums = score_sums(
+    sums = sums or scores_at(problem, state)
+    free = ~state.fit.held[: len(BASE)]
+    return screen(sums, state.information, problem.candidates, accepted, free, by_run, problem.alpha, problem.rng)
+
+
+def scores_at(problem: Problem, state: State) -> ScoreSums:
+    """Sums of the scores of all readings by run, at a state."""
+    return score_sums(
         problem.model,
         state.fit.base,
         state.fit.effects,
@@ -225,8 +235,6 @@ def screened(problem: Problem, state: State, by_run: bool | None = None) -> Scre
         state.information,
         problem.some.spacing_s,
     )
-    free = ~state.fit.held[: len(BASE)]
-    return screen(sums, state.information, problem.candidates, accepted, free, by_run, problem.alpha, problem.rng)
 
 
 def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
