@@ -41,7 +41,7 @@ ONE_SENSOR = {"msp-range address 0x70 0x71"}
 
 INSTEAD = {
     "make demo": "make --dry-run demo && msp-sim fly configs/scenarios/demo.yaml --out flights/demo --force",
-    "make bench": 'python -c "from benchmarks import __main__ as all; all.PARTS = (all.bench_rates,); all.main()"',
+    "make bench": "make --dry-run bench && python -m benchmarks rates",
     ".venv/bin/python -m benchmarks.bench_gap_coverage 40": "python -m benchmarks.bench_gap_coverage 1",
     "make fuzz": "make --dry-run fuzz && python -m tests.fuzz --seconds 0.2 --seed 1",
     "msp-range address 0x70 0x71": "yes | msp-range address 0x70 0x71",
@@ -87,6 +87,8 @@ ELSEWHERE = {
     "msp-lab gap one.csv two.csv --model configs/sensors/mb1242.yaml --each log ...": "tests/unit/test_gap_separate.py",
     "msp-lab import logs/*/*.BIN --truth rtk --out readings": "tests/unit/test_logs_import.py",
     "msp-lab fleet readings --model configs/sensors/mb1242.yaml --out fleet": "tests/loop/test_fleet.py",
+    "msp-lab import logs/*/*.BIN --truth rtk ...": "tests/unit/test_logs_import.py",
+    "msp-lab fleet readings ...": "tests/loop/test_fleet.py",
     "dask scheduler ...": "tests/unit/test_workers.py",
     "dask worker ...": "tests/unit/test_workers.py",
     "msp-sim monte-carlo rough_grass --flights 5 --scheduler ...": "tests/unit/test_workers.py",
