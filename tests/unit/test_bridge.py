@@ -551,8 +551,8 @@ def test_a_groups_pings_wait_for_nothing_else(monkeypatch: pytest.MonkeyPatch) -
         bench.clock.sleep_until(bench.clock.now() + 0.0005)
         write(address, data)
 
-    def slow_service() -> None:
-        service()
+    def slow_service(has_arrived: bool) -> None:
+        service(has_arrived)
         bench.clock.sleep_until(bench.clock.now() + 0.01)
 
     monkeypatch.setattr(bench.bus, "write", slow_write)
