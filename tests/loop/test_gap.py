@@ -124,7 +124,7 @@ def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder:
     assert [each["name"] for each in named["terms"]] == ["range_scale"]
     # What is added is what the file holds, and not what naming would find again.
     text = (out / "named.json").read_text(encoding="utf-8")
-    term = next(each for each in named["held_out_fit"]["effects"] if each["name"] == "range_scale")
+    term = next(each for each in named["final_fit"]["effects"] if each["name"] == "range_scale")
     (out / "named.json").write_text(text.replace(str(term["parameters"]["scale_pct"]), "0.875"), encoding="utf-8")
     run("add", out)
     added = load_model(out / "model.yaml").effects[-1]

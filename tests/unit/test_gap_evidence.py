@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import evidence_nats, offset_nats, share_between, wander_inflation
+from msp_lab.gap.evidence import evidence_nats, lead_nats, offset_nats, share_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.run_offsets import p_beyond_wander
 
@@ -65,6 +65,19 @@ def test_a_gain_between_runs_counts_by_the_runs() -> None:
     assert share_between(smaller, larger, UNIT) == pytest.approx(1.0)
     assert larger.log_likelihood - smaller.log_likelihood > 200.0
     assert 0.0 < evidence_nats(smaller, larger, UNIT, 1.0) < 6.0
+
+
+def test_of_two_fits_that_differ_in_some_runs_only_neither_leads_by_much() -> None:
+    offset = np.repeat(np.where(np.arange(RUNS) % 2, 0.5, -0.5) * (1.0 + 0.2 * np.arange(RUNS)), ROWS)
+    one, other = fit(noise(6) + np.maximum(offset, 0.0)), fit(noise(6) + np.minimum(offset, 0.0))
+    plain = one.log_likelihood - other.log_likelihood
+    assert abs(plain) > 20.0
+    assert lead_nats(one, other, None) == pytest.approx(plain)
+    assert abs(lead_nats(one, other, UNIT)) < 2.0
+    assert lead_nats(one, other, UNIT) == pytest.approx(-lead_nats(other, one, UNIT))
+    # And one that is better in every reading leads by what it is better.
+    better, worse = fit(noise(6)), fit(noise(6) + 0.4 * np.tile(np.sin(np.arange(ROWS)), RUNS))
+    assert lead_nats(better, worse, UNIT) > 5.0
 
 
 def test_what_explains_all_that_runs_differ_by_has_large_evidence() -> None:

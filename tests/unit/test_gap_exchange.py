@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import SelectedTerm
-from msp_lab.gap.problem import Problem, first_state, screened
+from msp_lab.gap.problem import Problem, first_state, screened, without
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, settled
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -75,3 +75,21 @@ def test_a_name_that_does_as_well_is_an_alternative() -> None:
     assert abs(motion.correlation) > 0.99
     assert abs(motion.loss_nats) < 0.5
     assert motion.separation < 1.0
+
+
+def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:
+    """Next to the effect the spread is small; from there nearly every hit would end as a random reading."""
+    rng = np.random.default_rng(3)
+    contexts = {
+        "time_s": 0.1 * np.arange(N),
+        "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
+        "true_range_cm": rng.uniform(60.0, 600.0, N),
+    }
+    reading_cm = np.array(sensor().readings((1.1 * contexts["true_range_cm"]).tolist(), 3))
+    problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), rng)
+    base = first_state(problem)
+    (scale,) = [each for each in problem.candidates if each.key == ("range_scale", None)]
+    term = SelectedTerm(scale.at(10.0), scale)
+    state = base.having(problem.refit([term.active], np.zeros(8)), [term])
+    assert state.fit.log_likelihood - base.fit.log_likelihood > 3000.0
+    assert without(problem, state, 0).fit.log_likelihood == pytest.approx(base.fit.log_likelihood, abs=0.5)

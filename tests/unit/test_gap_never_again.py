@@ -17,7 +17,7 @@ from msp_lab.gap.formula import formula
 from msp_lab.gap.intake import read_readings
 from msp_lab.gap.model_file import model_text
 from msp_lab.gap.naming import ExtendedModels, name_effects
-from msp_lab.gap.runs import split
+from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
 from msp_lab.gap.workflow import Comparison, add, compare, name
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -67,7 +67,7 @@ def test_a_saturated_share_does_not_move_unseen(tmp_path: Path, before: float) -
     contexts = flown(1)
     reading_cm = sensor(second_share=0.68, hit=0.86, missed=0.12).readings(contexts["true_range_cm"].tolist(), 1)
     findings, models = explained(tmp_path, given(before), contexts, reading_cm)
-    after = models.held_out_fit.sensor.reading_model.saturated_fraction
+    after = models.final_fit.sensor.reading_model.saturated_fraction
     said = {each.name for each in findings.calibration} | {each.name for each in findings.effects}
     assert said & {"saturated_fraction", "code", "saturated_byte", "or_ed_bytes"}
     assert after == pytest.approx(before, abs=1e-3) or "saturated_fraction" in said
@@ -95,7 +95,7 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     findings, models = explained(tmp_path, given(0.5), contexts, sensor().readings(late_cm.tolist(), 3))
     (effect,) = findings.effects
     assert effect.name == "latency"
-    (entry,) = yaml.safe_load(model_text(models.held_out_fit, findings, "test"))["effects"]
+    (entry,) = yaml.safe_load(model_text(models.final_fit, findings, "test"))["effects"]
     written = entry["parameters"]["delay_ms"]
     assert written["value"] == pytest.approx(effect.parameters["delay_ms"].value, rel=1e-5)
     said = with_words(findings).sentence
@@ -108,6 +108,6 @@ def test_where_nothing_is_missing_no_number_of_the_base_is_said_to_move() -> Non
     contexts = flown(3) | {"reference": np.full(N, "others")}
     rng = np.random.default_rng(3)
     reading_cm = given(0.0).sample(contexts, rng)
-    found = name_effects(given(0.0), contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+    found = name_effects(given(0.0), contexts, reading_cm, draw_splits(contexts, rng), rng)
     assert found.calibration == ()
-    assert found.models.held_out_fit.sensor.reading_model.correlation == 0.0
+    assert found.models.final_fit.sensor.reading_model.correlation == 0.0

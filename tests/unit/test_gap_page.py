@@ -79,8 +79,8 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_a_page_says_what_another_laboratory_needs_to_do_it_again(drawn: tuple[Path, str]) -> None:
     _, text = drawn
-    assert "selected and fitted: monday, tuesday" in text
-    assert "reported values come: wednesday, thursday" in text
+    assert "held-out runs: wednesday, thursday" in text
+    assert "training runs: monday, tuesday" in text
     assert "Family-wise false-positive rate: 0.02" in text
     assert "p-value of 0.0005" in text
     assert "msp-range 9.8.7, seed 7" in text

@@ -14,7 +14,7 @@ from msp_lab.gap.naming import name_effects
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
 from msp_lab.gap.ripples import ripples
-from msp_lab.gap.runs import split
+from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
@@ -86,7 +86,7 @@ def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
     contexts = flown(2)
     wave_cm = 1.2 * np.cos(2.0 * np.pi * contexts["true_range_cm"] / 23.1 + 1.0)
     reading_cm, rng = read(contexts, 2, wave_cm), np.random.default_rng(1)
-    named = name_effects(MODEL, contexts, reading_cm, split(contexts, reading_cm, rng), rng)
+    named = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
     assert [(each.channel, each.variables) for each in named.unknown] == [("bias", ("true_range_cm",))]
     ripple = named.unknown[0]
     assert ripple.formula.startswith("ripple of 23.")

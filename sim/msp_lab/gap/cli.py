@@ -93,7 +93,7 @@ def _from_readings(last: Last) -> Callable[..., None]:
         measured: Measured,
         model: Reference,
         out: Out,
-        alpha: Alpha = 0.05,
+        alpha: Alpha = 0.01,
         max_effects: MaxEffects = 6,
         seed: Seed = 1,
         run_column: RunColumn = None,

@@ -17,7 +17,7 @@ from msp_lab.gap.candidates import SelectedTerm, change_of
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, loss
+from msp_lab.gap.problem import Problem, State, free_curves, loss, with_terms
 from msp_lab.gap.ripples import ripples
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
@@ -79,7 +79,7 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
     """With a curve that differs from run to run, next to which readings are independent."""
     forms = free_curves(problem, state, ("bias", "spread"), by_run=False)
     for form in forms[: rules.CURVES_BETWEEN_RUNS]:
-        if form.degrees >= problem.runs // rules.CURVE_RUNS_PER_DEGREE or not _is_unlikely(form, asked):
+        if form.degrees >= _places(problem, form) // rules.CURVE_RUNS_PER_DEGREE or not _is_unlikely(form, asked):
             continue
         there = _with_curve(problem, state, form)
         gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) * problem.scale / form.degrees
@@ -89,13 +89,25 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
     return None
 
 
+def _places(problem: Problem, form: CandidateCurve) -> int:
+    """At how many different places of a curve the runs are: those at one place say nothing of its form."""
+    counts = np.maximum(np.bincount(problem.some_unit), 1)
+    places = []
+    for name in form.variables:
+        column = np.asarray(problem.some_contexts[name])
+        values = np.unique(column, return_inverse=True)[1] if column.dtype.kind == "U" else np.nan_to_num(column)
+        means = np.bincount(problem.some_unit, values) / counts
+        places.append(np.rint(means / max(rules.ONE_PLACE * float(np.ptp(means)), 1e-12)))
+    return int(np.unique(np.column_stack(places), axis=0).shape[0])
+
+
 def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveChannel) -> State:
     """With a curve in place of the effects on a channel, if it gains clearly more than they do."""
     named = [each for each in state.terms if each.candidate is not None and channel in each.active.effect.channels]
     if not named:
         return state
     rest = [each for each in state.terms if each not in named]
-    less = state.having(problem.refit([each.active for each in rest], state.fit.base), rest)
+    less = with_terms(problem, state, rest)
     forms = free_curves(problem, less, (channel,))
     if not forms or forms[0].degrees == 0:
         return state
@@ -121,7 +133,7 @@ def merge_cancelling(problem: Problem, state: State) -> State:
         if not shared or (first_cm + second_cm).std() > rules.CANCEL_SHARE * smaller_cm:
             continue
         rest = [each for each in state.terms if each not in (one, other)]
-        less = state.having(problem.refit([each.active for each in rest], state.fit.base), rest)
+        less = with_terms(problem, state, rest)
         forms = [each for each in free_curves(problem, less, ("bias",)) if each.variables == (variable,)]
         for form in forms[:1]:
             there = _with_curve(problem, less, form)

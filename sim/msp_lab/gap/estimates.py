@@ -1,7 +1,6 @@
 """Effects, curves and numbers of the base with their intervals, as the records of ``gap.json``.
 
-Validated terms and the fit of the held-out runs enter, records leave. Values and intervals are those of the held-out
-runs: on the runs on which an effect was selected it looks larger than it is.
+Validated terms and the fit of all runs enter, records leave.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, F
 from msp_lab.gap.formula import formula
 from msp_lab.gap.labels import unit_of
 from msp_lab.gap.prepared import BASE, Prepared
-from msp_lab.gap.problem import Problem, State
+from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, knot_weights
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
@@ -37,8 +36,8 @@ RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
 
 
 @dataclass(frozen=True)
-class HeldOutFit:
-    """The fit of the held-out readings, with the half widths of its 95 % intervals.
+class FinalFit:
+    """The fit of all runs, with the half widths of its 95 % intervals.
 
     Attributes
     ----------
@@ -56,7 +55,7 @@ class HeldOutFit:
     width: float
 
     @classmethod
-    def of(cls, readings: Prepared, fit: JointFit, unit: NDArray[np.intp], by_run: bool) -> "HeldOutFit":
+    def of(cls, readings: Prepared, fit: JointFit, unit: NDArray[np.intp], by_run: bool) -> "FinalFit":
         """With errors by whole runs, of which there are few, or by readings."""
         covariance = fit.covariance(unit if by_run else None)
         runs = int(np.unique(unit).size)
@@ -74,31 +73,32 @@ def found_terms(
     base_fit: JointFit,
     validated: Validated,
     alternatives: Mapping[Key, tuple[AlternativeTerm, ...]],
-    held_out: HeldOutFit,
+    final: FinalFit,
 ) -> tuple[list[FoundEffect], list[UnknownEffect], list[CalibrationFinding]]:
     """Each term as an effect, an unknown effect, or the calibration of a number of the base.
 
-    `base_fit` is the fit before any term, `held_out` the one that gives the values.
+    `base_fit` is the fit before any term, `final` the one that gives the values.
     """
     effects: list[FoundEffect] = []
     unknown: list[UnknownEffect] = []
     calibration: list[CalibrationFinding] = []
     place = len(BASE)
-    for term, active in zip(validated.state.terms, held_out.fit.effects, strict=True):
+    for term, active in zip(validated.state.terms, final.fit.effects, strict=True):
         own = slice(place, place + len(active.effect.parameters))
         place = own.stop
         gained = validated.gains[term.key]
         if active.shape is not None:
-            found = _unknown_effect(active, held_out.widened[own, own], gained, held_out.readings)
-            unknown.append(replace(found, likely_causes=_likely_causes(problem, found)))
+            found = _unknown_effect(active, final.widened[own, own], gained, final.readings)
+            agree = validated.agree[term.key]
+            unknown.append(replace(found, likely_causes=_likely_causes(problem, found), splits_agree=agree))
             continue
         near = alternatives.get(term.key, ())
-        values = _values(active, held_out.half_widths[own])
+        values = _values(active, final.half_widths[own])
         if term.candidate is not None:
             name, neutral = term.candidate.parameter.name, term.candidate.neutral
             low, high = values[name].low, values[name].high
             if low is not None and high is not None and low <= neutral <= high:
-                values[name] = _by_likelihood(term, active, held_out)
+                values[name] = _by_likelihood(term, active, final)
         base = active.effect.base
         if base is not None and not near:
             number = next(iter(values.values()))
@@ -120,12 +120,13 @@ def found_terms(
                 experiment.to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
                 active.of,
                 doubt,
+                splits_agree=validated.agree[term.key],
             )
         )
     return effects, unknown, calibration
 
 
-def _by_likelihood(term: SelectedTerm, active: Term, held_out: HeldOutFit) -> FittedValue:
+def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedValue:
     """A strength with the interval in which the likelihood falls by no more than that of 95 %, all else held.
 
     For a strength whose standard error says nothing: odds that are as good as 0 or 1 do not change with it any more.
@@ -138,13 +139,13 @@ def _by_likelihood(term: SelectedTerm, active: Term, held_out: HeldOutFit) -> Fi
             neutral + (value - neutral) * np.append(np.geomspace(0.01, 10.0, 40), 0.0), parameter.low, parameter.high
         )
     )
-    k = held_out.fit.effects.index(active)
+    k = final.fit.effects.index(active)
     heights = []
     for each in grid:
         changed = replace(active, values={**active.values, parameter.name: float(each)})
-        effects = [*held_out.fit.effects[:k], changed, *held_out.fit.effects[k + 1 :]]
-        heights.append(float(held_out.readings.log_prob(held_out.fit.base, effects).sum()))
-    inside = grid[np.array(heights) > max(heights) - 0.5 * held_out.width**2]
+        effects = [*final.fit.effects[:k], changed, *final.fit.effects[k + 1 :]]
+        heights.append(float(final.readings.log_prob(final.fit.base, effects).sum()))
+    inside = grid[np.array(heights) > max(heights) - 0.5 * final.width**2]
     return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
 
 
@@ -159,7 +160,7 @@ def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
     if found.low is None or found.high is None or (at_bound and abs(found.value - neutral) > near):
         return f"{parameter.name} is at its bound, {found.value:.3g}"
     if found.low <= neutral <= found.high:
-        return f"on held-out runs {parameter.name} may be {neutral:g} ({found.low:.3g} to {found.high:.3g})"
+        return f"{parameter.name} may be {neutral:g} ({found.low:.3g} to {found.high:.3g})"
     if parameter.physical_low is not None and found.value < parameter.physical_low:
         causes = " or ".join(term.active.effect.equivalent_causes)
         return f"{parameter.name} cannot be {found.value:.3g}: {causes or 'another cause'} would explain it"
@@ -238,11 +239,10 @@ def _ripple(active: Term, period: float, widened: _Array, gained: Gain, readings
     return UnknownEffect(channel, (variable,), text, gained.nats_per_reading, drawn, period=period)
 
 
-def calibrated(problem: Problem, state: State, training: JointFit, held_out: HeldOutFit) -> list[CalibrationFinding]:
-    """Numbers of the base that both halves of the readings say are others."""
-    mixture, base = problem.model.sensor.reading_model, held_out.fit.base
+def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[CalibrationFinding]:
+    """Numbers of the base that all runs, and the training runs alone, say are others."""
+    mixture, base = problem.model.sensor.reading_model, final.fit.base
     shares = mixture.weights
-    covariance = training.covariance(problem.some_unit if state.by_run else None)
     # The shares' sum, which is 1 again in the file.
     total = shares.hit + float(np.array([shares.short, shares.missed, shares.random]) @ np.exp(base[2:5]))
     found = []
@@ -257,11 +257,10 @@ def calibrated(problem: Problem, state: State, training: JointFit, held_out: Hel
         "correlation": mixture.correlation,
     }
     for k, (name, before) in enumerate(given.items()):
-        error = float(np.sqrt(max(covariance[k, k], 0.0) / problem.scale))
-        z = float(training.base[k] / error) if error > 0.0 else 0.0
+        half = final.half_widths[k]
+        z = float(base[k] * final.width / half) if half > 0.0 else 0.0
         if abs(z) < rules.CALIBRATION_Z or np.sign(training.base[k]) != np.sign(base[k]):
             continue
-        half = held_out.half_widths[k]
         number: Callable[[float], float] = _times(before / total if name.startswith("weights") else before)
         if name in ("offset_cm", "saturated_fraction", "correlation"):
             number = partial(_plus, before)

@@ -11,6 +11,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
+from msp_lab.gap.evidence import lead_nats
 from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
 from msp_lab.gap.refit import JointFit
 from msp_sim.model.model import Term
@@ -109,35 +110,39 @@ def _in_its_place(
     seen = screened(problem, less)
     found = trials(problem, less, seen, max(within_nats, within_share * own), rules.EXCHANGE_KEEPS * needed_nats)
 
-    def gain(fit: JointFit) -> float:
-        """On the readings that are refitted: more readings make two that are alike no more certain than they are."""
-        return problem.evidence_nats(less.fit, fit, state.by_run) / problem.scale
-
-    own /= problem.scale
-    own = max([own, *(gain(each.fit) for each in found if each.term.key == term.key)])
+    same = [state.fit, *(each.fit for each in found if each.term.key == term.key)]
+    own_fit = max(same, key=lambda each: each.log_likelihood)
     others = [each for each in found if each.term.key != term.key]
     last = len(less.terms)
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
+    own /= problem.scale
     separations = [float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - each**2, 0.0))) for each in correlations]
+    # On the readings that are refitted: more readings make two that are alike no more certain than they are.
+    unit = problem.some_unit if state.by_run else None
+    ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
 
-    def lead(other: CandidateFit, separation: float) -> float:
+    def lead(other: CandidateFit, nats: float, separation: float) -> float:
         """By how much another does better; a number of the base comes before an effect that is like it."""
-        ahead = gain(other.fit) - other.term.cost_nats - own + term.cost_nats
+        nats += term.cost_nats - other.term.cost_nats
         if separation < rules.SEPARABLE_Z:
-            ahead += rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
-        return ahead
+            nats += rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
+        return nats
 
-    leads = [lead(*each) for each in zip(others, separations, strict=True)]
+    leads = [lead(*each) for each in zip(others, ahead, separations, strict=True)]
     if leads and max(leads) > rules.EXCHANGE_LEAD_NATS:
         best = others[int(np.argmax(leads))]
         better = less.having(best.fit, [*less.terms, best.term])
         return better.logging(f"{best.term.label} in place of {term.label}"), ()
     if term.is_base:
         return None, ()
+    lost = [
+        max(own - problem.evidence_nats(less.fit, each.fit, state.by_run) / problem.scale, -nats)
+        for each, nats in zip(others, ahead, strict=True)
+    ]
     return None, tuple(
-        AlternativeTerm(other.term.active, float(own - gain(other.fit)), correlation, separation)
-        for other, correlation, separation in zip(others, correlations, separations, strict=True)
-        if own - gain(other.fit) <= rules.ALTERNATIVE_NATS and other.term.active.effect.name != term.active.effect.name
+        AlternativeTerm(other.term.active, nats, correlation, separation)
+        for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
+        if nats <= rules.ALTERNATIVE_NATS and other.term.active.effect.name != term.active.effect.name
     )
 
 

@@ -130,11 +130,13 @@ class FoundEffect:
         named: no other effect of the catalogue does as well; indistinguishable: the alternatives do;
         suggested: it is no finding, for the reason in `doubt`.
     parameters
-        By name, from held-out readings.
+        By name, from all runs.
     gain_nats
-        Gain in log score per reading on those [nat].
+        Gain in log score per reading, each reading scored by a fit that it had no part in [nat].
     z
         That gain over its standard error by runs.
+    splits_agree
+        In which share of the splits of the runs it holds: each part scores better for it by a fit of the others.
     alternatives
         Other names that these data cannot tell from it.
     experiment
@@ -158,6 +160,7 @@ class FoundEffect:
     doubt: str = ""
     plain: str = ""
     next_step: str = ""
+    splits_agree: float | None = None
 
 
 @dataclass(frozen=True)
@@ -172,8 +175,8 @@ class UnknownEffect:
         Context columns that it depends on.
     formula
         Short, in the variables.
-    gain_nats
-        Gain in log score per reading on held-out readings [nat].
+    gain_nats, splits_agree
+        As of a `FoundEffect`.
     curve
         Points of its curve, for drawing: value of the variable, effect, ends of its band.
     likely_causes
@@ -195,6 +198,7 @@ class UnknownEffect:
     plain: str = ""
     next_step: str = ""
     period: float | None = None
+    splits_agree: float | None = None
 
 
 @dataclass(frozen=True)
@@ -342,7 +346,7 @@ class Settings:
     """What the user asked for, so that each step can go on from the file of the one before."""
 
     model: str
-    alpha: float = 0.05
+    alpha: float = 0.01
     max_effects: int = 6
     seed: int = 1
     run_column: str | None = None
@@ -377,7 +381,9 @@ class GapFindings:
     selection_path
         The gap after each step from the given model to the extended one.
     training_runs, held_out_runs
-        Runs on which effects are selected and fitted, and runs on which they are validated.
+        Halves of the runs: the gap is measured on the held-out ones, what is left of it with a fit of the others.
+    splits
+        How many splits of the runs validate what is named.
     p_value
         Of the hypothesis that nothing is missing.
     sources, settings, messages, date
@@ -404,6 +410,7 @@ class GapFindings:
     selection_path: tuple[PathStep, ...] = ()
     training_runs: tuple[str, ...] = ()
     held_out_runs: tuple[str, ...] = ()
+    splits: int = 0
     p_value: float | None = None
     sources: tuple[ReadingsFile, ...] = ()
     settings: Settings = Settings("")

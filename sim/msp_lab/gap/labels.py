@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from msp_lab.gap.findings import FittedValue, GapFindings
+from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
 
 _UNITS = {
     "_cm_s": "cm/s",
@@ -35,6 +35,19 @@ _SPECIAL = {
     "time_in_run_s": "time in the run",
     "incidence_deg": "incidence",
 }
+
+
+def agreement(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+    """In how many splits of the runs it holds.
+
+    Examples
+    --------
+    >>> found = FoundEffect("latency", "named", {}, 0.01, 5.0, splits_agree=0.9)
+    >>> agreement(found, GapFindings("explained", rows=2000, runs=10, splits=10))
+    'it holds in 9 of 10 splits of the runs'
+    """
+    holds = round((each.splits_agree or 0.0) * findings.splits)
+    return f"it holds in {holds} of {findings.splits} splits of the runs"
 
 
 def unit_of(column: str) -> str:

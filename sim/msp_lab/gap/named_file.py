@@ -34,7 +34,7 @@ def write_named(models: ExtendedModels, findings: GapFindings, folder: Path) -> 
         "terms": [entry_of(each) for each in models.training_fit.effects[given:]],
         "split": {"training_runs": findings.training_runs, "held_out_runs": findings.held_out_runs},
         "training_fit": _content(models.training_fit),
-        "held_out_fit": _content(models.held_out_fit),
+        "final_fit": _content(models.final_fit),
         "path": [{"added": each.added, "model": _content(each.model)} for each in models.path],
         "findings": findings_form().dump_python(findings, mode="json"),
     }
@@ -58,7 +58,7 @@ def read_named(folder: Path) -> tuple[ExtendedModels, GapFindings]:
         content = json.loads(read_text(path, LARGEST_BYTES))
         models = ExtendedModels(
             _model(content["training_fit"]),
-            _model(content["held_out_fit"]),
+            _model(content["final_fit"]),
             tuple(ModelStep(each["added"], _model(each["model"])) for each in content["path"]),
         )
         return models, findings_form().validate_python(content["findings"])

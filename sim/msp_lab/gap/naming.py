@@ -1,7 +1,7 @@
 """From readings to the named model: the statistics of the gap workflow, step by step.
 
-A model, readings with their contexts and a split by runs enter; a `NamedModel` leaves. Terms are selected and fitted on
-the training runs, kept only if the held-out runs score better for them, and reported with the values of those.
+A model, readings with their contexts and splits of their runs enter; a `NamedModel` leaves. Terms are selected and
+fitted on all runs, and kept only if nearly all splits agree: each part scores better for them by a fit of the others.
 """
 
 from collections.abc import Mapping
@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.estimates import HeldOutFit, calibrated, detectable, found_terms
+from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
 from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, NotTestable, UnknownEffect
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, Progress, State
-from msp_lab.gap.refit import ROUNDS, JointFit, refit
+from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
-from msp_lab.gap.runs import Split, numbered, previous
+from msp_lab.gap.runs import previous
 from msp_lab.gap.selection import Selection, select, settled
+from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.model import Model
@@ -43,15 +44,15 @@ class ExtendedModels:
     Attributes
     ----------
     training_fit
-        With the values of the training runs: what the held-out runs validated.
-    held_out_fit
-        With the values of the held-out runs, which selection has not made too large.
+        With the values of the training runs, for the gap that is left on the held-out runs.
+    final_fit
+        With the values of all runs.
     path
         The given model, the calibrated one, and one more for each term.
     """
 
     training_fit: Model
-    held_out_fit: Model
+    final_fit: Model
     path: tuple[ModelStep, ...]
 
 
@@ -74,7 +75,7 @@ class NamedModel:
     gain
         Of all terms together, on the held-out runs.
     dropped
-        Terms that did not validate, and why.
+        Terms on which the splits do not agree, and why.
     messages
         What a reader has to know.
     """
@@ -96,13 +97,13 @@ def name_effects(
     model: Model,
     contexts: Mapping[str, Any],
     reading_cm: _Array,
-    split: Split,
+    splits: Splits,
     rng: np.random.Generator,
-    alpha: float = 0.05,
+    alpha: float = 0.01,
     max_terms: int = 6,
     report: Progress = lambda what, share: None,
 ) -> NamedModel:
-    """Name what is missing from a model, and keep what held-out runs score better for.
+    """Name what is missing from a model, and keep what nearly all splits of the runs agree on.
 
     Parameters
     ----------
@@ -112,12 +113,12 @@ def name_effects(
         Columns by name, (n,).
     reading_cm
         Readings, (n,), no NaN.
-    split
+    splits
         By whole runs.
     rng
         Random generator.
     alpha
-        Probability of any false name, before validation.
+        Probability of any false name.
     max_terms
         At most so many effects and curves.
     report
@@ -126,24 +127,15 @@ def name_effects(
     reading_cm = np.rint(np.asarray(reading_cm, dtype=np.float64))
     columns = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)
-    training = np.flatnonzero(split.training)
-    problem = Problem.of(
-        model, _rows(columns, training), reading_cm[training], numbered(split.runs[training]), rng, alpha, report
-    )
+    problem = Problem.of(model, columns, reading_cm, splits.unit, rng, alpha, report)
     selection = select(problem, max_terms)
-    report("validating on held-out runs", 0.85)
-    some = np.flatnonzero(split.held_out)
-    some = some[:: max(1, -(-some.size // rules.HELD_OUT_ROWS))]
-    held_out = Prepared.of(model, _rows(columns, some), reading_cm[some], problem.some.spacing_s)
-    held_out_unit = numbered(split.runs[some])
-    selection, kept = _validated(problem, selection, held_out, held_out_unit)
-    report("fitting the held-out runs", 0.92)
-    return _named(problem, selection, kept, split, held_out, held_out_unit)
+    report("validating on splits of the runs", 0.85)
+    selection, kept = _validated(problem, selection, splits)
+    report("fitting all runs", 0.92)
+    return _named(problem, selection, kept, splits)
 
 
-def _validated(
-    problem: Problem, selection: Selection, held_out: Prepared, unit: NDArray[np.intp]
-) -> tuple[Selection, Validated]:
+def _validated(problem: Problem, selection: Selection, splits: Splits) -> tuple[Selection, Validated]:
     """The terms that validate; where one does not, another may be the better name for what it stood next to."""
 
     def refitted(state: State) -> State:
@@ -151,48 +143,55 @@ def _validated(
         fit = problem.refit([each.active for each in state.terms], selection.state.fit.base)
         return state.having(fit, state.terms)
 
-    kept = validated(problem, selection.state, held_out, unit)
-    if kept.dropped:
-        selection = settled(problem, replace(selection, state=refitted(kept.state)))
-        again = validated(problem, selection.state, held_out, unit)
-        kept = replace(again, dropped=(*kept.dropped, *again.dropped))
-    return selection, replace(kept, state=refitted(kept.state))
+    kept = validated(problem, selection.state, splits)
+    if not kept.dropped:
+        return selection, kept
+    selection = settled(problem, replace(selection, state=refitted(kept.state)))
+    again = validated(problem, selection.state, splits)
+    # One that was dropped may have come back, once another one had gone.
+    there = {term.label for term in again.state.terms}
+    dropped = tuple(each for each in (*kept.dropped, *again.dropped) if each[0] not in there)
+    return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
-def _named(
-    problem: Problem,
-    selection: Selection,
-    kept: Validated,
-    split: Split,
-    held_out: Prepared,
-    unit: NDArray[np.intp],
-) -> NamedModel:
+def _named(problem: Problem, selection: Selection, kept: Validated, splits: Splits) -> NamedModel:
     model, by_run = problem.model, kept.state.by_run
-    training, base = kept.state.fit, selection.base.fit.base
-    as_given = not kept.state.terms and _score(held_out, training.base) <= _score(held_out, np.zeros(len(BASE)))
+    fit, base = kept.state.fit, selection.base.fit.base
+    held_out_rows = _rows(np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
+    training = _prepared(problem, _rows(np.flatnonzero(splits.training), rules.TRAINING_ROWS))
+    held_out = _prepared(problem, held_out_rows)
+    of_training = refit(training, fit.effects, fit.base)
+    found = kept.state.terms or selection.run_offset_cm > 0.0
+    as_given = not found and _score(held_out, of_training.base) <= _score(held_out, np.zeros(len(BASE)))
+    readings, unit = problem.some, problem.some_unit
     if as_given:
-        # The numbers of the model itself: a fit of correlated readings starts off 0.
-        training = refit(problem.some, [], np.zeros(len(BASE)), rounds=0)
-        base = training.base
-    fit = refit(held_out, training.effects, training.base, rounds=0 if as_given else ROUNDS)
-    of_held_out = HeldOutFit.of(held_out, fit, unit, by_run)
-    effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, of_held_out)
-    gained = gain(held_out.log_prob(training.base, training.effects), held_out.log_prob(base, []), unit)
+        # No fit starts with the numbers of the model itself: those of correlated readings start off 0.
+        base = np.zeros(len(BASE))
+        fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
+    elif problem.scale > 1.0:
+        rows = _rows(np.arange(problem.reading_cm.size), rules.FINAL_ROWS)
+        readings, unit = _prepared(problem, rows), problem.unit[rows]
+        fit = refit(readings, fit.effects, fit.base)
+    final = FinalFit.of(readings, fit, unit, by_run)
+    effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)
+    after, before = held_out.log_prob(of_training.base, of_training.effects), held_out.log_prob(base, [])
+    gained = gain(after, before, problem.unit[held_out_rows])
     path = _path(problem, selection, kept.state)
-    calibration = [*calibrated(problem, kept.state, training, of_held_out), *calibration]
-    of_training = training.base, training.effects
-    of_fit = fit.base, fit.effects
+    calibration = [*calibrated(problem, final, of_training), *calibration]
+    parts = {"training": (of_training.base, of_training.effects), "final": (fit.base, fit.effects)}
     # Blocks of one run are no runs: what they differ by is a drift.
-    if selection.run_offset_cm > 0.0 and not split.of_blocks:
-        offsets = validated_run_offsets(selection.run_offset_cm, fit, held_out, unit)
+    if selection.run_offset_cm > 0.0 and not splits.of_blocks:
+        offsets = validated_run_offsets(selection.run_offset_cm, fit, readings, unit, splits)
         if offsets is not None:
             effects.append(offsets[0])
-            of_training = with_run_offsets(training, offsets[1], held_out)
-            of_fit = with_run_offsets(fit, offsets[1], held_out)
+            parts = {
+                "training": with_run_offsets(of_training, offsets[1], training),
+                "final": with_run_offsets(fit, offsets[1], readings),
+            }
     return NamedModel(
         ExtendedModels(
-            extended(model, *of_training, problem.some.spacing_s),
-            extended(model, *of_fit, problem.some.spacing_s),
+            extended(model, *parts["training"], problem.some.spacing_s),
+            extended(model, *parts["final"], problem.some.spacing_s),
             path,
         ),
         tuple(effects),
@@ -206,12 +205,18 @@ def _named(
         detectable(problem, selection.first),
         gained,
         kept.dropped,
-        tuple(_messages(problem, selection.base.fit, by_run, split)),
+        tuple(_messages(problem, selection.base.fit, by_run)),
     )
 
 
-def _rows(columns: Mapping[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
-    return {key: np.asarray(column)[rows] for key, column in columns.items()}
+def _rows(readings: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Every k-th of these readings, at most so many."""
+    return readings[:: max(1, -(-readings.size // most))]
+
+
+def _prepared(problem: Problem, rows: NDArray[np.intp]) -> Prepared:
+    contexts = {key: np.asarray(column)[rows] for key, column in problem.contexts.items()}
+    return Prepared.of(problem.model, contexts, problem.reading_cm[rows], problem.some.spacing_s)
 
 
 def _score(prepared: Prepared, base: _Array) -> float:
@@ -229,15 +234,11 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     return tuple(steps)
 
 
-def _messages(problem: Problem, base: JointFit, by_run: bool, split: Split) -> list[str]:
+def _messages(problem: Problem, base: JointFit, by_run: bool) -> list[str]:
     if not by_run:
         return []
     measured = problem.dependence(base)
-    found = [
+    return [
         f"Readings of a run depend on each other (correlation of neighbours {measured.lag_correlation:.2f}; for a "
         f"constant they count as {measured.effective_readings:.0f} independent ones): the unit of evidence is the run."
     ]
-    runs = len(split.training_runs)
-    if runs < rules.WARN_TRAINING_RUNS:
-        found.append(f"With {runs} training runs, what is constant within a run cannot be judged.")
-    return found

@@ -1,4 +1,4 @@
-"""What naming works on: the training readings, prepared once, and the state that each step hands to the next.
+"""What naming works on: the readings, prepared once, and the state that each step hands to the next.
 
 A model and readings enter `Problem`, which never changes. A `State` is a joint fit with its terms; what can be asked of
 both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is left.
@@ -8,6 +8,7 @@ State to State.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,14 +34,14 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Problem:
-    """The training readings with all that the steps of naming ask of them; it never changes.
+    """The readings with all that the steps of naming ask of them; it never changes.
 
     Attributes
     ----------
     model
         The given model.
     contexts, reading_cm, unit
-        All training readings; unit is the number of their run.
+        All readings; unit is the number of their run.
     candidates
         Effects that these contexts can show.
     untestable
@@ -50,7 +51,7 @@ class Problem:
     curves
         Curves that can be asked for.
     alpha
-        Probability of any false name, before validation.
+        Probability of any false name.
     rng
         Source of the replicates and of the screen's null.
     report
@@ -79,10 +80,10 @@ class Problem:
         reading_cm: _Array,
         unit: NDArray[np.intp],
         rng: np.random.Generator,
-        alpha: float = 0.05,
+        alpha: float = 0.01,
         report: Progress = lambda what, share: None,
     ) -> "Problem":
-        """Prepare training readings; the parameters are as the attributes."""
+        """Prepare the readings; the parameters are as the attributes."""
         candidates, untestable = candidates_of(model, contexts)
         thin = _thin(reading_cm.size)
         some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
@@ -108,6 +109,11 @@ class Problem:
             rng,
             report,
         )
+
+    @cached_property
+    def base(self) -> JointFit:
+        """The base alone, refitted."""
+        return fit_base(self.some)
 
     @property
     def scale(self) -> float:
@@ -200,9 +206,8 @@ def _time_s(contexts: Mapping[str, Any]) -> _Array | None:
 
 def first_state(problem: Problem) -> State:
     """The base alone, refitted."""
-    fit = fit_base(problem.some)
-    information = problem.information(fit)
-    return State(fit, (), information, problem.dependence(fit).dependent)
+    fit = problem.base
+    return State(fit, (), problem.information(fit), problem.dependence(fit).dependent)
 
 
 def reinformed(problem: Problem, state: State) -> State:
@@ -256,7 +261,7 @@ class CandidateFit:
     Attributes
     ----------
     gain_nats
-        Evidence of all training readings, less the cost of the search.
+        Evidence of all readings, less the cost of the search.
     term, fit
         The new term, and the joint fit with it.
     """
@@ -362,12 +367,23 @@ def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:
 
 def without(problem: Problem, state: State, k: int) -> State:
     """The state with its k-th term taken out."""
-    terms = [each for i, each in enumerate(state.terms) if i != k]
-    return state.having(problem.refit([each.active for each in terms], state.fit.base), terms)
+    return with_terms(problem, state, [each for i, each in enumerate(state.terms) if i != k])
+
+
+def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) -> State:
+    """The state with some of its terms alone.
+
+    Next to a strong effect the spread is small, and without it most hits would be random readings, from which no small
+    step leads back: the fit starts at the base that is better, the state's or that without any term.
+    """
+    active = [each.active for each in terms]
+    bases = (state.fit.base, problem.base.base)
+    heights = [float(problem.some.log_prob(each, active).sum()) for each in bases]
+    return state.having(problem.refit(active, bases[int(np.argmax(heights))]), terms)
 
 
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
-    """Evidence of all training readings that a smaller fit loses [nat]."""
+    """Evidence of all readings that a smaller fit loses [nat]."""
     return problem.evidence_nats(smaller, state.fit, state.by_run)
 
 

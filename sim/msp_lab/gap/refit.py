@@ -90,6 +90,14 @@ def free_numbers(effects: Sequence[Term]) -> list[tuple[int, Parameter]]:
     return [(k, parameter) for k, each in enumerate(effects) for parameter in each.effect.parameters]
 
 
+def with_values(effects: Sequence[Term], numbers: Sequence[tuple[int, Parameter]], values: _Array) -> tuple[Term, ...]:
+    """Effects with these values of their numbers, which are as from `free_numbers`."""
+    placed: list[dict[str, float]] = [dict(each.values) for each in effects]
+    for (k, parameter), value in zip(numbers, values.tolist(), strict=True):
+        placed[k][parameter.name] = value
+    return tuple(replace(each, values=own) for each, own in zip(effects, placed, strict=True))
+
+
 def fit_base(prepared: Prepared) -> JointFit:
     """Refit the base alone, from the given model or from the readings' own median and spread, whichever ends better.
 
@@ -169,10 +177,7 @@ def refit(
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
     def placed(at: _Array) -> tuple[Term, ...]:
-        values: list[dict[str, float]] = [dict(each.values) for each in effects]
-        for (k, p), value in zip(numbers, at[nb:], strict=True):
-            values[k][p.name] = float(value)
-        return tuple(replace(each, values=own) for each, own in zip(effects, values, strict=True))
+        return with_values(effects, numbers, at[nb:])
 
     def total(at: _Array) -> tuple[float, ChannelSlopes]:
         here = channel_slopes(prepared.at(at[:nb], placed(at)), prepared.reading_cm)

@@ -11,7 +11,7 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.autocorrelation import draw_autocorrelation, residual_autocorrelation
 from msp_lab.gap.findings import FoundEffect, GapFindings
-from msp_lab.gap.labels import capitalised, effect_label, extension_label, headline, listed, name_of
+from msp_lab.gap.labels import agreement, capitalised, effect_label, extension_label, headline, listed, name_of
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.pictures import draw_curve, draw_path, draw_pit, draw_residuals, draw_slices, subjects
@@ -23,8 +23,8 @@ from msp_sim.page.page import Omitted, Picture, render, write_page
 from msp_sim.page.style import files_of, style
 
 RESIDUALS_CAPTION = (
-    "Readings of held-out runs, on which nothing was selected or fitted. Line and grey band are what the model "
-    "expects: where the coloured points lie on the line, it does what the sensor does. Outliers are farther from the "
+    "Readings of held-out runs, on which no value was fitted. Line and grey band are what the model expects: where "
+    "the coloured points lie on the line, it does what the sensor does. Outliers are farther from the "
     "surface than scatter explains."
 )
 
@@ -39,13 +39,13 @@ class ReportModels:
         That the readings were compared with.
     training_fit
         With what was added, with the values of the training runs.
-    held_out_fit
-        The same with the values of the held-out runs: what ``model.yaml`` holds.
+    final_fit
+        The same with the values of all runs: what ``model.yaml`` holds.
     """
 
     given: Model
     training_fit: Model
-    held_out_fit: Model
+    final_fit: Model
 
 
 def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutReadings, folder: Path) -> Path:
@@ -76,7 +76,7 @@ def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutR
     with style():
         pictures = _pictures(findings, before, after, readings)
     measures, steps = measures_table(findings, before), steps_table(findings)
-    slices, numbers = slices_table(findings), model_table(findings, before, models.held_out_fit)
+    slices, numbers = slices_table(findings), model_table(findings, before, models.final_fit)
     effects = [(each, effect, parameters_table(each, effect)) for each, effect in _with_catalogue(findings)]
     html = render(
         __package__ or "msp_lab.gap",
@@ -97,6 +97,7 @@ def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutR
         measured=len(readings),
         rules=rules,
         effect_label=effect_label,
+        agreement=agreement,
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
     tables = (measures, steps, slices, numbers, *(table for _, _, table in effects))

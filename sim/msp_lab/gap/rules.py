@@ -6,19 +6,27 @@ blind tables' are those of `tests/blind`, in which a generator that shares no co
 
 import numpy as np
 
-# Runs and the split into training and held-out readings.
+# Runs and their splits into parts.
 
 MIN_RUNS = 4
 """With fewer runs, blocks of consecutive readings are split in their place. Three runs leave one of them on a side, and
 two on the other, so nothing constant within a run could be validated. Higher: more recordings lose what differs from
 run to run; lower: a single run validates."""
+SPLITS = 10
+"""So many different splits are drawn, where the runs allow them (six runs allow five, fewer one). Nine of ten have to
+agree, which is the coarsest share near 0.9. More: slower, and the same names."""
+PARTS = 5
+"""Runs are split into so many parts, each scored by a fit of the others; fewer than five runs into single runs. A
+number that is fitted costs 1 + 1 / (2 (parts - 1)) nats of what it gains: 1.5 with halves, 1.1 with five parts. And a
+fit of four fifths is so near that of all runs that sums of scores give it; one of half of six runs is not. Fewer: weak
+effects and those of few runs are lost; more: what one run alone shows is validated by fits that are nearly the same."""
 SPLIT_BLOCKS = 60
-"""So many blocks of consecutive readings are used as runs where these are too few. 30 a side: the variance of so many
-sums is known to a quarter. Fewer: the two halves are less alike; more: neighbouring readings that depend on each other
-fall on both sides."""
-WARN_TRAINING_RUNS = 8
-"""With fewer training runs and dependent readings, a note says that what is constant within a run cannot be judged. A
-standard error over seven differences is itself known to 27 % only. It changes the note and nothing else."""
+"""So many blocks of consecutive readings are used as runs where these are too few. A part has twelve: the standard
+deviation of so many sums is known to a fifth. Fewer: parts are less alike; more: neighbouring readings that depend on
+each other fall into different parts."""
+WARN_RUNS = 8
+"""With fewer runs, a note says what that costs. A standard error over seven differences is itself known to 27 % only.
+It changes the note and nothing else."""
 DEPENDENT_P = 1e-3
 """Runs whose means differ with a smaller p-value make the run the unit of evidence. One table in 1,000 with independent
 readings may lose power by it. Higher: more such tables lose power; lower: offsets between runs make false names."""
@@ -134,8 +142,8 @@ MAX_UNITS = 256
 """More runs or blocks are pooled with their neighbours. A bootstrap over 256 units is as good as over more. More:
 memory and time."""
 UNITS_FROM_RUNS = 8
-"""With fewer held-out runs, blocks of readings are the units of errors. As `WARN_TRAINING_RUNS`. Fewer: errors of few
-runs decide."""
+"""With fewer held-out runs, blocks of readings are the units of errors. As `WARN_RUNS`. Fewer: errors of few runs
+decide."""
 UNIT_BLOCKS = 64
 """So many blocks stand in for runs as units of errors. As `SPLIT_BLOCKS`, a power of two. Fewer: less certain errors;
 more: dependent neighbours count as independent."""
@@ -250,8 +258,8 @@ Lower: degrees of freedom that are rounding."""
 PAIR_COST_NATS = 4.0
 """A curve over two variables has to be e^4 times less likely than one over one variable. About the logarithm of the
 number of pairs. Lower: pairs hide single causes."""
-CURVE_P = 0.02
-"""A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.05 in
+CURVE_P = 0.004
+"""A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.01 in
 all and curves a share of it. Higher: false curves."""
 RIPPLE_CYCLES = 5.0
 """Ripples are asked up to a period of which the readings hold so many. Curves of 12 knots see what is slower. Lower:
@@ -273,8 +281,11 @@ MAX_CURVES = 3
 CURVES_BETWEEN_RUNS = 4
 """Where runs differ, so many curves are tried that could explain it. As `CURVES_REFITTED`. More: slower."""
 CURVE_RUNS_PER_DEGREE = 3
-"""A curve that explains differences between runs needs so many runs for each degree of freedom. Fewer runs follow any
-curve. Lower: sessions become curves."""
+"""A curve that explains differences between runs needs runs at so many places for each degree of freedom. Any curve
+goes through fewer: 29 runs at eight ranges took one of eight knots. Lower: sessions become curves."""
+ONE_PLACE = 0.02
+"""Runs whose means of a column differ by less than this share of their span are at one place of a curve. A tape measure
+is read to that. Larger: fewer places, and coarser curves; smaller: runs at one place count as several."""
 FORM_SHARE = 0.85
 """A name that gains this share of what a free curve on its channel gains stays. The physics of an entry is rarely
 exact; 0.6 and 0.95 gave the same names on the first six blind tables of seed 7. Higher: right names become unknown;
@@ -329,23 +340,42 @@ MAX_BETWEEN_SHARE = 0.95
 """At most this share of the variance lies between runs. The rest keeps a spread within them. It only matters for tables
 of repeats."""
 
-# Validation on held-out runs.
+# Validation in splits of the runs.
 
+SPLITS_AGREE = 0.9
+"""A term is kept if it holds in this share of the splits. Nearly all splits agree on a true effect of six standard
+errors. Higher: weak right names are lost; lower: names that depend on which runs were fitted."""
 VALIDATED_Z = 0.5
-"""A term is kept if its gain on held-out runs is so many standard errors above nothing. A null passes in 31 %, on top
-of the selection's alpha. On the first six blind tables of seed 7 no limit at all gave the same names, and 1.5 lost one
-right name of eight. Higher: weak right names are lost."""
+"""In a split a term holds if its gain is so many standard errors above nothing: the mean over all runs, each scored by
+the fit of the part that it is not in. Chosen by judgement. Higher: weak right names are lost."""
 VALIDATED_NATS = 2.0
 """And if it gains so much in all. The smallest gain of a term of 2 standard errors. Higher: as above."""
+LEARNT_SHARE = 0.1
+"""A part that has less than this share of all information about a term's strength says nothing of it. Halves that are
+alike have 0.5 each. Higher: causes that vary in few runs cannot be validated; lower: strengths that one run decides."""
+EXPANSION_NATS = 3.0
+"""A part's fit follows from the sums of scores if it gains no more than so many nats for each number over that of all.
+Half a nat is usual where readings are independent. Higher: parts that differ are taken for more alike; lower:
+slower."""
+STEP_SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Of a step that is too large for a quadratic, the first of these shares is taken that is better for the part that is
+fitted. As in the refits, a step that makes the fit worse is too long. More: slower."""
+PART_ROUNDS = 6
+"""From such a step a part is fitted by so many steps of Newton at most, and so is the base to the other part. Usual
+fits take three to six. More: slower."""
+MIN_SPEAKING = 5.0
+"""Of a number of which fewer readings speak, a part knows nothing by a quadratic. One 255 among the missed readings
+moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
 """A held-out reading counts for at most so many nats for or against a term. A hit that becomes a random reading loses
 about 8; nine such rows of 700 removed a true slant range. Lower: effects that explain rare readings need more of them;
 higher: single rows decide."""
-HELD_OUT_ROWS = 60_000
-"""Validation uses every k-th held-out reading beyond so many. Three times the training's. More: slower."""
+FINAL_ROWS = 60_000
+"""The values that are reported are fitted to every k-th reading beyond so many. Three times those of the search. More:
+slower, and narrower intervals."""
 CALIBRATION_Z = 4.0
-"""A number of the base is reported as calibration if it moved by so many standard errors on the training runs, and if
-the held-out runs' interval leaves out its old value. Seven numbers are asked. Lower: calibration of nothing."""
+"""A number of the base is reported as calibration if it moved by so many standard errors, and in the same direction on
+the training runs alone. Eight numbers are asked. Lower: calibration of nothing."""
 POWER_Z = 0.84
 """The smallest effect that would have been found is taken at this normal quantile. Four of five effects of that size
 are found. Higher: larger sizes are reported."""

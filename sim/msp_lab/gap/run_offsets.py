@@ -1,6 +1,6 @@
-"""Offsets between runs: how far runs differ by more than the model says, and whether held-out runs agree.
+"""Offsets between runs: how far runs differ by more than the model says, and whether splits of the runs agree.
 
-Fits of training and held-out readings enter; the effect `run_offsets` leaves, which no single reading shows.
+A fit of all readings enters; the effect `run_offsets` leaves, which no single reading shows.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from msp_lab.gap.findings import FittedValue, FoundEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
+from msp_lab.gap.splits import Splits
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE
 from msp_sim.model.model import Term
@@ -70,51 +71,60 @@ def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
 
 
 def validated_run_offsets(
-    deviation_cm: float, fit: JointFit, held_out: Prepared, unit: NDArray[np.intp]
+    deviation_cm: float, fit: JointFit, readings: Prepared, unit: NDArray[np.intp], splits: Splits
 ) -> tuple[FoundEffect, Term] | None:
-    """The effect, if the held-out runs score better for it; a run's offset is integrated out.
+    """The effect, if nearly all splits of the runs agree; a run's offset is integrated out.
 
     Parameters
     ----------
     deviation_cm
-        From the training runs.
-    fit, held_out, unit
-        Fit of the held-out readings, and their runs.
+        Standard deviation of the offsets.
+    fit, readings, unit
+        Fit of all readings, and their runs.
+    splits
+        Of the runs.
     """
+    runs = splits.names.size
     slope = fit.here.by[:, 0] - fit.here.by[:, 0].mean()
-    sums, information = np.bincount(unit, slope), np.bincount(unit, slope**2)
-    rows = held_out.at(fit.base, fit.effects)
+    sums, information = np.bincount(unit, slope, runs), np.bincount(unit, slope**2, runs)
+    rows = readings.at(fit.base, fit.effects)
     known_cm2 = float(np.median(rows.between_cm2)) if rows.run_offsets else 0.0
     within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
     mean_cm = sums / np.maximum(information, 1e-12)
 
-    def gain_of_runs(deviation_cm: float) -> _Array:
+    def gains_of_runs(deviation_cm: float) -> _Array:
         """A run's mean is off by its offset, by that of the model, and by random variation."""
         before = known_cm2 + within / np.maximum(information, 1e-12)
         after = before + deviation_cm**2
         gain: _Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
         return gain
 
-    gains = gain_of_runs(deviation_cm)
-    total = float(gains.sum())
-    if total < rules.VALIDATED_NATS:
-        return None
-    se = float(np.std(gains, ddof=1) * np.sqrt(gains.size)) if gains.size > 1 else 0.0
     grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
-    height = np.array([gain_of_runs(each).sum() for each in grid])
+    gains = np.array([gains_of_runs(each) for each in grid])
+    # Each run with the deviation that the runs of the other parts have.
+    crossed = np.empty((len(splits), runs))
+    for k, part in enumerate(splits.part):
+        for left_out in (part == each for each in range(int(part.max()) + 1)):
+            crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
+    agree = float(np.mean(crossed.sum(axis=1) >= rules.VALIDATED_NATS))
+    if agree < rules.SPLITS_AGREE:
+        return None
+    of_runs = crossed.mean(axis=0)
+    se = float(np.std(of_runs, ddof=1) * np.sqrt(runs))
+    height = gains.sum(axis=1)
     # 95 % interval of a likelihood: half of chi-squared's 3.84.
     inside = grid[height > height.max() - 1.92]
     effect = CATALOGUE["run_offsets"]
-    # One value in sentence and file: that of the training runs, which was validated.
     low, high = min(float(inside[0]), deviation_cm), max(float(inside[-1]), deviation_cm)
-    value = FittedValue(deviation_cm, low, high, "cm")
+    total = float(of_runs.sum())
     found = FoundEffect(
         effect.name,
         "named",
-        {"deviation_cm": value},
-        total / len(held_out),
+        {"deviation_cm": FittedValue(deviation_cm, low, high, "cm")},
+        total / len(readings),
         total / se if se > 0.0 else None,
         experiment=effect.experiment,
+        splits_agree=agree,
     )
     return found, Term(effect, {"deviation_cm": deviation_cm})
 

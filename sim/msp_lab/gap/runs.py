@@ -1,11 +1,10 @@
-"""The split into training and held-out runs, and how far readings of a run depend on each other.
+"""How far readings of a run depend on each other, and which reading came before which.
 
-Contexts enter, a split by whole runs leaves, drawn before anything is looked at. Scores enter, a measure of dependence
-leaves: with any dependence the unit of evidence is the run and not the reading.
+Scores enter, a measure of dependence leaves: with any dependence the unit of evidence is the run and not the reading.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,91 +15,6 @@ from msp_lab.gap import rules
 from msp_sim.model.history import History
 
 _Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Split:
-    """Training readings, on which effects are selected and fitted, and held-out readings, which validate them.
-
-    Attributes
-    ----------
-    training, held_out
-        Masks, (n,).
-    runs
-        Name of each reading's run, or of its block where runs are few.
-    training_runs, held_out_runs
-        Names.
-    messages
-        What a reader has to know about it.
-    of_blocks
-        Blocks of readings stand in for runs.
-    """
-
-    training: NDArray[np.bool_]
-    held_out: NDArray[np.bool_]
-    runs: NDArray[np.str_]
-    training_runs: tuple[str, ...]
-    held_out_runs: tuple[str, ...]
-    messages: tuple[str, ...] = ()
-    of_blocks: bool = False
-
-    def take(self, rows: NDArray[np.bool_]) -> "Split":
-        """The split of some of the readings."""
-        return replace(self, training=self.training[rows], held_out=self.held_out[rows], runs=self.runs[rows])
-
-
-def split(contexts: Mapping[str, Any], reading_cm: _Array, rng: np.random.Generator, run_column: str = "run") -> Split:
-    """Split whole runs into two halves of about as many readings.
-
-    Parameters
-    ----------
-    contexts
-        Columns; without runs, or with too few, consecutive readings are cut into blocks of equal length.
-    reading_cm
-        Readings, (n,).
-    rng
-        Random generator.
-    run_column
-        Which column names the runs.
-    """
-    n = reading_cm.size
-    messages: list[str] = []
-    runs = np.asarray(contexts[run_column]).astype(str) if run_column in contexts else np.full(n, "")
-    names, unit = np.unique(runs, return_inverse=True)
-    if names.size < rules.MIN_RUNS:
-        runs = _blocks(contexts, unit, names, n)
-        messages.append(
-            f"There {'is only 1 run' if names.size == 1 else f'are only {names.size} runs'}: blocks of consecutive "
-            "readings are split instead, so what is constant within a run cannot be judged. Record four runs or more."
-        )
-        names, unit = np.unique(runs, return_inverse=True)
-    counts = np.bincount(unit, minlength=names.size)
-    training = np.zeros(names.size, dtype=bool)
-    # Of two runs of about the same length one is for training and one held out, so that both halves are alike.
-    order = np.lexsort((rng.random(names.size), -counts))
-    for pair in range(0, names.size, 2):
-        two = order[pair : pair + 2]
-        if two.size == 2:
-            training[two[int(rng.integers(2))]] = True
-        else:
-            training[two[0]] = counts[training].sum() * 2 <= n
-    mask = training[unit]
-    return Split(
-        mask,
-        ~mask,
-        runs,
-        tuple(str(name) for name in names[training]),
-        tuple(str(name) for name in names[~training]),
-        tuple(messages),
-        bool(messages),
-    )
-
-
-def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[np.str_], n: int) -> NDArray[np.str_]:
-    order = np.lexsort((np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n), unit))
-    block = np.empty(n, dtype=np.int64)
-    block[order] = np.arange(n) * min(rules.SPLIT_BLOCKS, max(n // 2, 1)) // max(n, 1)
-    return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
 
 
 def numbered(runs: NDArray[np.str_]) -> NDArray[np.intp]:

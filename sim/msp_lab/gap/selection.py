@@ -27,7 +27,7 @@ from msp_lab.gap.screen import Screen
 
 @dataclass(frozen=True)
 class Selection:
-    """The end of the search on the training readings.
+    """The end of the search.
 
     Attributes
     ----------

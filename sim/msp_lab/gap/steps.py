@@ -125,22 +125,22 @@ class Steps:
     def _write_models(self, findings: GapFindings, models: ExtendedModels, comparison: Comparison) -> None:
         given = Path(findings.settings.model).name
         heading = f"{given}, extended by msp-lab gap on {findings.date}."
-        flown = in_flight(models.held_out_fit, comparison.held_out.contexts, default_rng(comparison.settings.seed))
-        write_model(self.folder / MODEL, models.held_out_fit, findings, heading, flown)
+        flown = in_flight(models.final_fit, comparison.held_out.contexts, default_rng(comparison.settings.seed))
+        write_model(self.folder / MODEL, models.final_fit, findings, heading, flown)
         heading = (
-            f"{given} with the values of the training runs, which held-out runs validated; to fly with, use {MODEL}."
+            f"{given} with the values of the training runs, for the gap on the held-out runs; to fly with, use {MODEL}."
         )
         write_model(self.folder / TRAINING_FIT, models.training_fit, findings, heading)
 
     def _draw(self, findings: GapFindings, comparison: Comparison) -> None:
         from msp_lab.gap.report import ReportModels, write_report
 
-        training_fit, held_out_fit = (
+        training_fit, final_fit = (
             load_model(path) if path.exists() else comparison.model
             for path in (self.folder / TRAINING_FIT, self.folder / MODEL)
         )
         self.report("drawing", 0.97)
-        models = ReportModels(comparison.model, training_fit, held_out_fit)
+        models = ReportModels(comparison.model, training_fit, final_fit)
         write_report(findings, models, comparison.held_out, self.folder)
 
     def _written(self, findings: GapFindings, started_s: float) -> GapFindings:

@@ -122,7 +122,7 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTab
         "The model's own numbers",
         ("number", "meaning", "given", "in model.yaml", "95 % interval"),
         tuple(rows),
-        "All are refitted with whatever is added. Those with an interval are calibration: held-out runs show that the "
+        "All are refitted with whatever is added. Those with an interval are calibration: the runs show that the "
         "given value is wrong.",
         words=2,
     )

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings, Measure
-from msp_lab.gap.labels import and_list, effect_label, parameter_words, slice_label
+from msp_lab.gap.labels import agreement, and_list, effect_label, parameter_words, slice_label
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
@@ -144,10 +144,11 @@ def _found_table(findings: GapFindings) -> Table:
         label = effect_label(each.name, each.of)
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
         values = [parameter_words(name, value) for name, value in each.parameters.items()]
-        table.add_row(each.plain, "\n".join([what, *values]), each.next_step)
+        agree = [] if each.splits_agree is None else [agreement(each, findings)]
+        table.add_row(each.plain, "\n".join([what, *values, *agree]), each.next_step)
     for one in findings.unknown:
         what = f"unknown effect on {one.channel} over {and_list(one.variables)}"
-        table.add_row(one.plain, f"{what}\n{one.formula}", one.next_step)
+        table.add_row(one.plain, f"{what}\n{one.formula}\n{agreement(one, findings)}", one.next_step)
     return table
 
 

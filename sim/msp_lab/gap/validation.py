@@ -1,10 +1,12 @@
-"""Whether what was selected and fitted scores better on held-out runs.
+"""Whether what was selected holds in splits of the runs: each part scores better for it by a fit of the others.
 
-Log scores of two models on the held-out readings enter; the gain per reading, its standard error by whole runs and its
-p-value leave. A selection enters `validated`, the terms that held-out runs score better for leave.
+A state that was fitted to all readings and the splits enter, the state with the terms that nearly all splits agree on
+leaves. Each part of a split is left out once, so that each reading is scored by a fit that it had no part in.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +14,10 @@ from scipy.stats import t as student
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated, sums_by
 from msp_lab.gap.problem import Problem, State, without
-from msp_lab.gap.refit import JointFit, refit
+from msp_lab.gap.refit import JointFit
+from msp_lab.gap.splits import Splits
 
 _Array = NDArray[np.float64]
 
@@ -50,7 +53,7 @@ class Gain:
         return self.nats_per_reading / self.se if self.se > 0.0 else 0.0
 
 
-def gain(after: _Array, before: _Array, unit: NDArray[np.intp], most_nats: float = np.inf) -> Gain:
+def gain(after: _Array, before: _Array, unit: NDArray[np.intp]) -> Gain:
     """Gain of one log score over another, with errors of whole runs.
 
     Parameters
@@ -59,8 +62,6 @@ def gain(after: _Array, before: _Array, unit: NDArray[np.intp], most_nats: float
         Log probability of each held-out reading, (n,).
     unit
         Its run, numbered.
-    most_nats
-        A reading counts as so much at most.
 
     Examples
     --------
@@ -68,71 +69,181 @@ def gain(after: _Array, before: _Array, unit: NDArray[np.intp], most_nats: float
     >>> print(better.nats_per_reading, better.runs)
     0.5 2
     """
-    difference = np.clip(after - before, -most_nats, most_nats)
-    n = difference.size
-    present = np.unique(unit)
-    runs = int(present.size)
-    if n == 0:
+    return gain_of_runs(np.bincount(unit, after - before), np.bincount(unit))
+
+
+def gain_of_runs(sums: NDArray[Any], counts: NDArray[Any]) -> Gain:
+    """Gain from its sum over each run, (runs,), and each run's number of readings."""
+    sums, counts = sums[counts > 0], counts[counts > 0]
+    runs, n = int(sums.size), float(counts.sum())
+    if runs == 0:
         return Gain(0.0, 0.0, 1.0, 0, 0)
-    mean = float(difference.mean())
-    sums = np.bincount(unit, difference - mean)[present]
-    se = float(np.sqrt((sums**2).sum() * runs / max(runs - 1, 1)) / n)
+    mean = float(sums.sum() / n)
+    se = float(np.sqrt(((sums - mean * counts) ** 2).sum() * runs / max(runs - 1, 1)) / n)
     p_value = float(student.sf(mean / se, max(runs - 1, 1))) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
-    return Gain(mean, se, p_value, runs, n)
+    return Gain(mean, se, p_value, runs, round(n))
 
 
 @dataclass(frozen=True)
 class Validated:
-    """Terms that held-out runs score better for.
+    """Terms that hold in nearly all splits.
 
     Attributes
     ----------
     state
         With these terms alone.
     gains
-        Of each on the held-out runs, by its key.
+        Of each on the part that it was not fitted on, the mean of the splits, by its key.
+    agree
+        In which share of the splits each of them holds.
     dropped
         Labels of the others, and why.
     """
 
     state: State
     gains: dict[Key, Gain]
+    agree: dict[Key, float]
     dropped: tuple[tuple[str, str], ...] = ()
 
 
-def validated(problem: Problem, state: State, held_out: Prepared, unit: NDArray[np.intp]) -> Validated:
-    """Keep the terms that the held-out runs score better for; the worst is taken out first."""
+@dataclass(frozen=True)
+class _Agreement:
+    """What the splits say of one term: in which of them it holds, and its gain there."""
+
+    holds: NDArray[np.bool_]
+    gain: Gain
+    reported: Gain
+    recalibrated_nats: float
+
+    @property
+    def share(self) -> float:
+        return float(self.holds.mean())
+
+
+def validated(problem: Problem, state: State, splits: Splits) -> Validated:
+    """Keep the terms that nearly all splits agree on; the worst is taken out first."""
+    parts = Parts(problem, splits)
     dropped: list[tuple[str, str]] = []
+    crossed = _Crossed.of(parts, state)
     while state.terms:
-        after = held_out.log_prob(state.fit.base, state.fit.effects)
         smaller = [without(problem, state, k) for k in range(len(state.terms))]
-        before = [held_out.log_prob(each.fit.base, each.fit.effects) for each in smaller]
-        limited = [gain(after, each, unit, rules.ROW_NATS) for each in before]
-        worst = min(range(len(before)), key=lambda k: limited[k].z)
-        lost = limited[worst]
-        why = f"held-out runs score {lost.nats_per_reading:+.2g} nats per reading (standard error {lost.se:.2g})"
-        if lost.nats >= rules.VALIDATED_NATS and lost.z >= rules.VALIDATED_Z:
-            recalibrated = [_recalibrated_gain(state, each, held_out) for each in smaller]
-            worst = min(range(len(before)), key=lambda k: recalibrated[k])
-            if recalibrated[worst] >= rules.VALIDATED_NATS:
-                gains = {term.key: gain(after, each, unit) for term, each in zip(state.terms, before, strict=True)}
-                return Validated(state, gains, tuple(dropped))
-            why = (
-                "held-out runs fit as well without it once the model is calibrated to them "
-                f"({recalibrated[worst]:+.2g} nats), so its cause hardly varies there"
+        before = [_Crossed.of(parts, each) for each in smaller]
+        found = [_agreement(parts, k, crossed, each) for k, each in enumerate(before)]
+        worst = min(range(len(found)), key=lambda k: (found[k].share, found[k].gain.z))
+        lost = found[worst]
+        if lost.share >= rules.SPLITS_AGREE:
+            keys = [term.key for term in state.terms]
+            return Validated(
+                state,
+                {key: each.reported for key, each in zip(keys, found, strict=True)},
+                {key: each.share for key, each in zip(keys, found, strict=True)},
+                tuple(dropped),
             )
         label = state.terms[worst].label
-        dropped.append((label, why))
-        state = smaller[worst].logging(f"not validated: {label}")
-    return Validated(state, {}, tuple(dropped))
+        dropped.append((label, _why(lost)))
+        state, crossed = smaller[worst].logging(f"not validated: {label}"), before[worst]
+    return Validated(state, {}, {}, tuple(dropped))
 
 
-def _recalibrated_gain(state: State, smaller: State, held_out: Prepared) -> float:
-    """What a term gains on the held-out readings if the base is fitted to them, with it and without it [nat]."""
+@dataclass(frozen=True)
+class _Crossed:
+    """A state's fit, and what fits without each part say of that part, worked out once."""
 
-    def score(fit: JointFit) -> float:
-        # Without what the priors take: an effect may move the base by more than they expect.
-        base = refit(held_out, fit.effects, fit.base, fit_effects=False).base
-        return float(held_out.log_prob(base, fit.effects).sum())
+    parts: Parts
+    sums: SumsByRun
+    kept: dict[tuple[int, int, bool], CrossScore] = field(default_factory=dict)
 
-    return score(state.fit) - score(smaller.fit)
+    @classmethod
+    def of(cls, parts: Parts, state: State) -> "_Crossed":
+        return cls(parts, SumsByRun(state.fit, parts.problem.some_unit, parts.splits.names.size))
+
+    @cached_property
+    def steps(self) -> dict[tuple[int, int], _Array]:
+        """From the fit of all runs to that without a part."""
+        return {way: self.sums.step(~self.parts.runs(*way)) for way in self.parts.ways}
+
+    def tells(self, way: tuple[int, int]) -> bool:
+        """Whether a quadratic is enough."""
+        return self.sums.tells(self.parts.runs(*way), self.steps[way])
+
+    def score(self, way: tuple[int, int], exact: bool) -> CrossScore:
+        """Of a part, by the quadratic or by a fit."""
+        if (*way, exact) not in self.kept:
+            by = self.sums.along if exact else self.sums.crossed
+            self.kept[*way, exact] = by(self.parts, *way, self.steps[way])
+        return self.kept[*way, exact]
+
+
+def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _Agreement:
+    """In which splits a term holds: by the fits of the others the parts gain, recalibrated or not."""
+    whole, scale = crossed.sums, parts.problem.scale
+    counts = np.bincount(whole.unit, minlength=whole.runs) * scale
+    numbers = _strength(whole.fit, k)
+    excess = _Excess(whole.unit, whole.runs)
+    holds, of_runs, limited_of_runs, recalibrated_of_splits = [], [], [], []
+    for split in range(len(parts.splits)):
+        gained, limited, known = (np.zeros(whole.runs) for _ in range(3))
+        after, before = [], []
+        for way in (each for each in parts.ways if each[0] == split):
+            # What both are off by in the same way cancels: neither is fitted if the other is not.
+            exact = not (crossed.tells(way) and smaller.tells(way))
+            more, less = crossed.score(way, exact), smaller.score(way, exact)
+            left_out = parts.runs(*way)
+            # Of a run that differs from all others in the cause, a fit of the others knows nothing.
+            left_out &= whole.learnt(left_out, numbers) >= rules.LEARNT_SHARE
+            known += left_out
+            difference = left_out * (more.by_run - less.by_run)
+            gained += difference
+            limited += difference - left_out * excess(more.log_p, less.log_p)
+            after.append(more)
+            before.append(less)
+        runs = known > 0.0
+        recalibrated_nats = scale * (recalibrated(after, runs) - recalibrated(before, runs))
+        found = gain_of_runs(limited * scale, counts)
+        ahead = min(found.nats, recalibrated_nats)
+        holds.append(ahead >= rules.VALIDATED_NATS and found.z >= rules.VALIDATED_Z)
+        of_runs.append(gained * scale)
+        limited_of_runs.append(limited * scale)
+        recalibrated_of_splits.append(recalibrated_nats)
+    return _Agreement(
+        np.array(holds),
+        gain_of_runs(np.mean(limited_of_runs, axis=0), counts),
+        gain_of_runs(np.mean(of_runs, axis=0), counts),
+        float(np.mean(recalibrated_of_splits)),
+    )
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """By how much single readings of each run gain or lose more than `ROW_NATS`, worked out once for the same fits."""
+
+    unit: NDArray[np.intp]
+    runs: int
+    kept: dict[tuple[int, int], _Array] = field(default_factory=dict)
+
+    def __call__(self, after: _Array, before: _Array) -> _Array:
+        key = id(after), id(before)
+        if key not in self.kept:
+            difference = after - before
+            beyond = difference - np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
+            self.kept[key] = sums_by(self.unit, beyond, self.runs)
+        return self.kept[key]
+
+
+def _strength(fit: JointFit, k: int) -> list[str]:
+    """Numbers of the k-th term that say how strong it is: of an effect the one that is neutral while it is absent."""
+    effect = fit.effects[k]
+    names = [each.name for each in effect.effect.parameters if each.neutral is not None or effect.shape is not None]
+    return [f"{k}.{name}" for name in (names if effect.shape is not None else names[:1])]
+
+
+def _why(lost: _Agreement) -> str:
+    if lost.gain.nats >= rules.VALIDATED_NATS and lost.recalibrated_nats < rules.VALIDATED_NATS:
+        return (
+            "the runs on which it was not fitted fit as well without it once the model is calibrated to them "
+            f"({lost.recalibrated_nats:+.2g} nats), so its cause hardly varies there"
+        )
+    return (
+        f"it holds in {int(lost.holds.sum())} of {lost.holds.size} splits of the runs; where it was not fitted they "
+        f"score {lost.gain.nats_per_reading:+.2g} nats per reading (standard error {lost.gain.se:.2g})"
+    )

@@ -1,7 +1,8 @@
 """The gap workflow from measured readings to an extended model: compare, name, add.
 
-Readings and a model enter; `GapFindings` and models leave. Runs are split once, before anything is looked at: on the
-training runs effects are selected and fitted, on the held-out runs every gap is measured.
+Readings and a model enter; `GapFindings` and models leave. Runs are split before anything is looked at. Effects are
+selected and fitted on all runs, and kept if nearly all splits agree. The gap is measured on half of the runs,
+what is left of it with a fit of the other half alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +22,8 @@ from msp_lab.gap.intake import Readings
 from msp_lab.gap.measures import HeldOutReadings, Measures, Replicates, measure, replicates, usable
 from msp_lab.gap.naming import ExtendedModels, NamedModel, name_effects
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.runs import Split, split
 from msp_lab.gap.slices import ranked, remeasured
+from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.gap.verdict import verdict
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE_STD
@@ -41,8 +42,8 @@ class Comparison:
         The given model, without kinds of reading at a share of 0.
     data
         All columns of all readings, by name.
-    split
-        Which readings are for training and which are held out.
+    splits
+        Of the runs.
     held_out
         The held-out readings that are measured on; the model can give all of them.
     partitions
@@ -57,7 +58,7 @@ class Comparison:
 
     model: Model
     data: Mapping[str, NDArray[Any]]
-    split: Split
+    splits: Splits
     held_out: HeldOutReadings
     partitions: list[Partition]
     impossible: float
@@ -80,7 +81,7 @@ class Comparison:
         """
         model, messages = with_least_weights(model)
         data = dict(readings.data.columns)
-        parts = split(data, data["reading_cm"], np.random.default_rng([settings.seed, 0]), run_column="run")
+        parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
         rows = rows[:: max(1, -(-rows.size // rules.MAX_MEASURED))]
         contexts = {name: column[rows] for name, column in data.items()}
@@ -175,8 +176,9 @@ def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
         gap=_gap(before, comparison.impossible),
         calibration=comparison.readings.calibration,
         slices=slices,
-        training_runs=comparison.split.training_runs,
-        held_out_runs=comparison.split.held_out_runs,
+        training_runs=comparison.splits.training_runs,
+        held_out_runs=comparison.splits.held_out_runs,
+        splits=len(comparison.splits),
         sources=comparison.readings.sources,
         settings=settings,
         messages=comparison.messages,
@@ -186,15 +188,15 @@ def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
 
 
 def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:
-    """Name what is missing, with alternatives, on the training runs; the held-out runs validate it."""
+    """Name what is missing, with alternatives; splits of the runs validate it."""
     known = KnownRows.of(comparison.model, comparison.data)
     named = _named(comparison, known.rows, known.unasked, report)
-    needed = known.needed(named.models.held_out_fit, comparison.data)
+    needed = known.needed(named.models.final_fit, comparison.data)
     if needed.rows.sum() > known.rows.sum():
         # Columns that no effect needs may be blank, so that there are more readings.
         unneeded = [*known.unasked, *(each for each in known.columns if each not in needed.columns)]
         named = replace(_named(comparison, needed.rows, unneeded, report), not_testable=named.not_testable)
-        needed = needed.needed(named.models.held_out_fit, comparison.data)
+        needed = needed.needed(named.models.final_fit, comparison.data)
     blank = [f"{each} is blank in most readings, so nothing is asked of it." for each in known.unasked]
     findings = replace(
         findings,
@@ -221,7 +223,7 @@ def _named(comparison: Comparison, rows: NDArray[np.bool_], without: Sequence[st
         comparison.model,
         {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
         comparison.data["reading_cm"][rows],
-        comparison.split.take(rows),
+        comparison.splits.take(rows),
         np.random.default_rng([settings.seed, 2]),
         alpha=settings.alpha,
         max_terms=settings.max_effects,

@@ -1,0 +1,278 @@
+"""What a fit without one part of the runs says of that part, from sums by run.
+
+A fit of all readings and splits of their runs enter. Log-likelihood, scores and information are summed by run once; the
+fit without a part, and what it says of that part, then follow by one Newton step and a quadratic, so that a split costs
+no pass over the readings. Where the step is too large for a quadratic, the other runs are fitted from there, and the
+likelihood is taken as it is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap import rules
+from msp_lab.gap.prepared import BASE, Prepared, channel_slopes
+from msp_lab.gap.problem import Problem
+from msp_lab.gap.refit import JointFit, free_numbers, refit, with_values
+from msp_lab.gap.splits import Splits
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The readings that are refitted, part by part.
+
+    Attributes
+    ----------
+    problem
+        With these readings.
+    splits
+        Of their runs.
+    prepared
+        Readings of a part, as far as they have been asked for.
+    """
+
+    problem: Problem
+    splits: Splits
+    prepared: dict[tuple[int, int, bool], Prepared] = field(default_factory=dict)
+
+    @property
+    def ways(self) -> list[tuple[int, int]]:
+        """Each split, and which of its parts is left out of the fit."""
+        return [(k, part) for k, parts in enumerate(self.splits.part) for part in range(int(parts.max()) + 1)]
+
+    def runs(self, split: int, part: int) -> NDArray[np.bool_]:
+        """Runs of a part, (runs,)."""
+        mask: NDArray[np.bool_] = self.splits.part[split] == part
+        return mask
+
+    def readings(self, split: int, part: int, fitted: bool) -> Prepared:
+        """Readings of a part, or those that are fitted without it."""
+        if (split, part, fitted) not in self.prepared:
+            mask, some = (self.runs(split, part) ^ fitted)[self.problem.some_unit], self.problem.some
+            contexts = {name: np.asarray(column)[mask] for name, column in self.problem.some_contexts.items()}
+            prepared = Prepared.of(self.problem.model, contexts, some.reading_cm[mask], some.spacing_s)
+            self.prepared[split, part, fitted] = prepared
+        return self.prepared[split, part, fitted]
+
+
+@dataclass(frozen=True)
+class CrossScore:
+    """What a fit without one part says of that part's readings.
+
+    Attributes
+    ----------
+    log_p
+        Of each reading, (n,), by the fit of all runs where the other one is near; of what was fitted it means nothing.
+    by_run
+        Log-likelihood of each run of the part, (runs,); 0 for the others.
+    base
+        Numbers of the base that were fitted.
+    slope, information
+        Of the log-likelihood of each run by the base's numbers, (runs, 8) and (runs, 8, 8); 0 for the others, and for
+        numbers that cannot move.
+    """
+
+    log_p: _Array
+    by_run: _Array
+    base: _Array
+    slope: _Array
+    information: _Array
+
+
+def recalibrated(parts: Sequence[CrossScore], runs: NDArray[np.bool_]) -> float:
+    """Log-likelihood of runs of these parts, if one base is fitted to all of them and the effects stay as they are."""
+    prior = 1.0 / rules.BASE_DEVIATION**2
+    information = np.array([each.information[runs].sum(axis=0) for each in parts])
+    slope = np.array([each.slope[runs].sum(axis=0) for each in parts])
+    fitted = np.array([each.base for each in parts])
+    whole = information.sum(axis=0)
+    prior = np.where(np.diag(whole) > 0.0, prior, 0.0)
+    base = _inverse(whole + np.diag(prior)) @ (slope + np.einsum("kij,kj->ki", information, fitted)).sum(axis=0)
+    moved = base - fitted
+    # Without what the priors take: an effect may move the base by more than they expect.
+    gained = (slope * moved).sum() - 0.5 * np.einsum("ki,kij,kj->", moved, information, moved)
+    return float(sum(each.by_run[runs].sum() for each in parts) + gained)
+
+
+@dataclass(frozen=True)
+class SumsByRun:
+    """A fit of all readings with its log-likelihood, scores and information summed by run.
+
+    Attributes
+    ----------
+    fit
+        Of all readings.
+    unit
+        Their runs.
+    runs
+        How many there are.
+    """
+
+    fit: JointFit
+    unit: NDArray[np.intp]
+    runs: int
+
+    @cached_property
+    def free(self) -> NDArray[np.intp]:
+        """Places of the numbers that can move; those of the base of which few readings speak stay as they are."""
+        few = self._speaking < rules.MIN_SPEAKING
+        few[len(BASE) :] = False
+        return np.flatnonzero(~(self.fit.held | few))
+
+    @cached_property
+    def _speaking(self) -> _Array:
+        """How many readings speak of each number: the squared sum of squared scores over that of fourth powers."""
+        squares = self.fit.scores**2
+        return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
+
+    @cached_property
+    def _sums(self) -> tuple[_Array, _Array]:
+        return _sums(self.fit.scores[:, self.free], self.unit, self.runs)
+
+    @property
+    def score(self) -> _Array:
+        """(runs, numbers)."""
+        return self._sums[0]
+
+    @property
+    def information(self) -> _Array:
+        """(runs, numbers, numbers)."""
+        return self._sums[1]
+
+    @cached_property
+    def prior(self) -> tuple[_Array, _Array]:
+        """Slope and information of the priors."""
+        scores = self.fit.scores[:, self.free]
+        own = np.maximum(np.diag(self.fit.information)[self.free] - (scores**2).sum(axis=0), 0.0)
+        return -own * self.fit.values[self.free], own
+
+    def learnt(self, left_out: NDArray[np.bool_], numbers: Sequence[str]) -> _Array:
+        """What a fit without these runs knows of what the numbers do in each run, as a share of what all know, (runs,).
+
+        Variances of it with all other numbers free, on average over the readings.
+        """
+        own = np.isin(np.array(self.fit.names)[self.free], numbers)
+        if not own.any():
+            return np.ones(self.runs)
+        everywhere = self._known(np.ones(self.runs, dtype=bool), own)
+        least = 1e-6 * np.diag(np.diag(everywhere))
+        in_runs = self.information[:, own][:, :, own]
+        variances = [
+            np.einsum("ij,rji->r", _inverse(each + least), in_runs)
+            for each in (everywhere, self._known(~left_out, own))
+        ]
+        known, without = variances
+        share: _Array = np.where(without > 0.0, known / np.where(without > 0.0, without, 1.0), 1.0)
+        return share
+
+    def _known(self, runs: NDArray[np.bool_], own: NDArray[np.bool_]) -> _Array:
+        """Information of these runs about some of the free numbers, with all others free."""
+        whole = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
+        cross = whole[np.ix_(own, ~own)]
+        known: _Array = whole[np.ix_(own, own)] - cross @ _inverse(whole[np.ix_(~own, ~own)]) @ cross.T
+        return known
+
+    def step(self, runs: NDArray[np.bool_]) -> _Array:
+        """By how much the fit of these runs differs from that of all; what would leave its bounds stays at one."""
+        slope = self.score[runs].sum(axis=0) + self.prior[0]
+        information = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
+        low, high = np.full(self.fit.values.size, -np.inf), np.full(self.fit.values.size, np.inf)
+        low[: len(BASE)], high[: len(BASE)] = -rules.BASE_BOUND, rules.BASE_BOUND
+        for k, (_, parameter) in enumerate(free_numbers(self.fit.effects), len(BASE)):
+            low[k], high[k] = parameter.low, parameter.high
+        least, most = (bound[self.free] - self.fit.values[self.free] for bound in (low, high))
+        step: _Array = _inverse(information) @ slope
+        beyond = (step < least) | (step > most)
+        step = np.clip(step, least, most)
+        if beyond.any():
+            slope = slope[~beyond] - information[np.ix_(~beyond, beyond)] @ step[beyond]
+            step[~beyond] = np.clip(
+                _inverse(information[np.ix_(~beyond, ~beyond)]) @ slope, least[~beyond], most[~beyond]
+            )
+        return step
+
+    def tells(self, left_out: NDArray[np.bool_], step: _Array) -> bool:
+        """Whether a quadratic about the fit of all runs says what the fit without some of them does."""
+        if np.any(self._speaking[self.free] < rules.MIN_SPEAKING):
+            return False
+        prior = 0.5 * float(self.prior[1] @ step**2)
+        lost = [0.5 * float(step @ self.information[runs].sum(axis=0) @ step) for runs in (left_out, ~left_out)]
+        return max(lost[0], lost[1] + prior) < rules.EXPANSION_NATS * self.free.size
+
+    def crossed(self, parts: Parts, split: int, part: int, step: _Array) -> CrossScore:
+        """What the fit without a part says of its readings, by the quadratic."""
+        left_out = parts.runs(split, part)
+        information = self.information[left_out]
+        lost = 0.5 * np.einsum("i,rij,j->r", step, information, step)
+        score = self.score[left_out]
+        by_run = np.zeros(self.runs)
+        by_run[left_out] = self.log_p_by_run[left_out] + score @ step - lost
+        moved = self.free < len(BASE)
+        base = self.fit.base.copy()
+        base[self.free[moved]] += step[moved]
+        slope = (score - information @ step)[:, moved]
+        return self._cross_score(left_out, self.fit.here.log_p, by_run, base, slope, information[:, moved][:, :, moved])
+
+    @cached_property
+    def log_p_by_run(self) -> _Array:
+        """Log-likelihood of each run, (runs,)."""
+        return sums_by(self.unit, self.fit.here.log_p, self.runs)
+
+    def _cross_score(
+        self, runs: NDArray[np.bool_], log_p: _Array, by_run: _Array, base: _Array, slope: _Array, information: _Array
+    ) -> CrossScore:
+        """With slopes and information of a part's runs by those numbers of the base that can move, put in place."""
+        free = self.free[self.free < len(BASE)]
+        of_base, of_pairs = np.zeros((self.runs, len(BASE))), np.zeros((self.runs, len(BASE), len(BASE)))
+        of_base[np.ix_(runs, free)], of_pairs[np.ix_(runs, free, free)] = slope, information
+        return CrossScore(log_p, by_run, base, of_base, of_pairs)
+
+    def along(self, parts: Parts, split: int, part: int, step: _Array) -> CrossScore:
+        """The likelihood by a fit without the part, from the largest share of the step that is better for the rest."""
+        fitted, left_out = parts.readings(split, part, True), parts.readings(split, part, False)
+        rows = parts.runs(split, part)[self.unit]
+        numbers = free_numbers(self.fit.effects)
+        base, effects = self.fit.base, self.fit.effects
+        least = float(self.fit.here.log_p[~rows].sum())
+        for share in rules.STEP_SHARES:
+            values = self.fit.values.copy()
+            values[self.free] += share * step
+            moved = with_values(self.fit.effects, numbers, values[len(BASE) :])
+            if float(fitted.log_prob(values[: len(BASE)], moved).sum()) >= least:
+                base, effects = values[: len(BASE)], moved
+                break
+        # One step is no fit where the likelihood is far from a quadratic.
+        fit = refit(fitted, effects, base, rules.PART_ROUNDS)
+        here = channel_slopes(left_out.at(fit.base, fit.effects), left_out.reading_cm)
+        left_out_runs = parts.runs(split, part)
+        log_p = np.zeros(self.unit.size)
+        log_p[rows] = here.log_p
+        by_run = sums_by(self.unit[rows], here.log_p, self.runs)
+        by_base = here.by[:, self.free[self.free < len(BASE)]]
+        slope, information = _sums(by_base, self.unit[rows], self.runs)
+        of_part = slope[left_out_runs], information[left_out_runs]
+        return self._cross_score(left_out_runs, log_p, by_run, fit.base, *of_part)
+
+
+def sums_by(unit: NDArray[np.intp], values: _Array, runs: int) -> _Array:
+    """Sums of the readings' values over each run, (runs,)."""
+    return np.asarray(np.bincount(unit, values, runs), dtype=np.float64)
+
+
+def _sums(scores: _Array, unit: NDArray[np.intp], runs: int) -> tuple[_Array, _Array]:
+    """Sums over runs of scores (n, m) and of their products: (runs, m) and (runs, m, m)."""
+    order = np.argsort(unit, kind="stable")
+    of_runs = np.split(scores[order], np.cumsum(np.bincount(unit, minlength=runs))[:-1])
+    return np.array([each.sum(axis=0) for each in of_runs]), np.array([each.T @ each for each in of_runs])
+
+
+def _inverse(information: _Array) -> _Array:
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    inverse: _Array = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-8, hermitian=True)
+    inverse /= np.outer(scale, scale)
+    return inverse
