@@ -147,8 +147,9 @@ class SumsByRun:
     @cached_property
     def prior(self) -> tuple[_Array, _Array]:
         """Slope and information of the priors."""
-        scores = self.fit.scores[:, self.free]
-        own = np.maximum(np.diag(self.fit.information)[self.free] - (scores**2).sum(axis=0), 0.0)
+        whole, of_readings = np.diag(self.fit.information)[self.free], (self.fit.scores[:, self.free] ** 2).sum(axis=0)
+        # Rounding is no prior: a number of which the other runs say nothing would go to 0 by it.
+        own = np.where(whole - of_readings > 1e-9 * whole, whole - of_readings, 0.0)
         return -own * self.fit.values[self.free], own
 
     def learnt(self, left_out: NDArray[np.bool_], numbers: Sequence[str]) -> _Array:

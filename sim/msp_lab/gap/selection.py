@@ -57,10 +57,9 @@ def select(problem: Problem, max_terms: int) -> Selection:
     """Search the terms that are missing from the model."""
     state = base = first_state(problem)
     sums = scores_at(problem, state)
-    seen = first = screened(problem, state, sums=sums)
-    if state.by_run:
-        # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
-        seen = screened(problem, state, by_run=False, sums=sums)
+    # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
+    seen = screened(problem, state, by_run=False, sums=sums)
+    first = screened(problem, state, sums=sums) if state.by_run else seen
     needed_nats = seen.needed_nats
     for turn in range(2):
         state = add_effects(problem, state, seen, needed_nats, max_terms)

@@ -177,6 +177,8 @@ class _Crossed:
 def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _Agreement:
     """In which splits a term holds: by the fits of the others the parts gain, recalibrated or not."""
     whole, scale = crossed.sums, parts.problem.scale
+    if whole.fit.effects[k].effect.per == "run":
+        return _inside_its_run(parts, k, whole, smaller.sums)
     counts = np.bincount(whole.unit, minlength=whole.runs) * scale
     numbers = _strength(whole.fit, k)
     excess = _Excess(whole.unit, whole.runs)
@@ -211,6 +213,31 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
         gain_of_runs(np.mean(of_runs, axis=0), counts),
         float(np.mean(recalibrated_of_splits)),
     )
+
+
+def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) -> _Agreement:
+    """The same of an effect of one run, of which the others say nothing: parts are stretches of that run.
+
+    Its strength without a stretch is that of all less one step of Newton.
+    """
+    fit, scale = whole.fit, parts.problem.scale
+    (name,) = _strength(fit, k)
+    score = fit.scores[:, fit.names.index(name)]
+    rows = np.flatnonzero(score)
+    score, difference = score[rows], (fit.here.log_p - smaller.fit.here.log_p)[rows]
+    difference = np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
+    found = []
+    for split in range(rules.SPLITS):
+        # Each split has its stretches begin elsewhere.
+        place = np.arange(rows.size) / max(rows.size, 1) + split / (rules.SPLITS * rules.PARTS)
+        part = (place * rules.PARTS).astype(np.intp) % rules.PARTS
+        slope, information = (np.bincount(part, each, rules.PARTS) for each in (score, score**2))
+        step = -slope / np.maximum(information.sum() - information, 1e-300)
+        gained = np.bincount(part, difference, rules.PARTS) + slope * step - 0.5 * information * step**2
+        found.append(gain_of_runs(scale * gained, scale * np.bincount(part, minlength=rules.PARTS)))
+    holds = [each.nats >= rules.VALIDATED_NATS and each.z >= rules.VALIDATED_Z for each in found]
+    least = min(found, key=lambda each: each.nats)
+    return _Agreement(np.array(holds), least, least, least.nats)
 
 
 @dataclass(frozen=True)
