@@ -121,14 +121,15 @@ def _in_its_place(
     unit = problem.some_unit if state.by_run else None
     ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
 
-    def lead(other: CandidateFit, nats: float, separation: float) -> float:
-        """By how much another does better; a number of the base comes before an effect that is like it."""
+    def lead(other: CandidateFit, nats: float, correlation: float) -> float:
+        """By how much another does better; a number of the base comes before an effect that does as well."""
+        if abs(correlation) < rules.RELATED:
+            # It explains something else: it is added, and takes nobody's place.
+            return -np.inf
         nats += term.cost_nats - other.term.cost_nats
-        if separation < rules.SEPARABLE_Z:
-            nats += rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
-        return nats
+        return nats + rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
 
-    leads = [lead(*each) for each in zip(others, ahead, separations, strict=True)]
+    leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]
     if leads and max(leads) > rules.EXCHANGE_LEAD_NATS:
         best = others[int(np.argmax(leads))]
         better = less.having(best.fit, [*less.terms, best.term])

@@ -314,8 +314,12 @@ EXCHANGE_LEAD_NATS = 0.3
 """A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
 second best name stays."""
 BASE_PREFERENCE_NATS = 3.0
-"""An effect has to gain so much more than a number of the base that these data cannot tell from it. What calibration
-explains is not missing. Lower: offsets of the model are named effects."""
+"""An effect has to gain so much more than a number of the base in its place. What calibration explains is not missing.
+Lower: offsets of the model and tails of its noise are named effects."""
+RELATED = 0.2
+"""Two effects whose scores correlate by less explain different things, and none takes the place of the other. In place
+of tails of the noise (0.01) air temperature was named for runs that wander. Higher: a better name for the same is not
+found."""
 ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
