@@ -61,6 +61,10 @@ def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
     assert "motion_during_ping" not in [each.active.effect.name for each in selection.alternatives["latency", None]]
 
 
+def test_what_explains_something_else_takes_nobodys_place() -> None:
+    assert names_of(after_exchange(problem_of((60.0, 700.0), 25.0), "vibration")) == ["vibration"]
+
+
 @pytest.mark.parametrize("order", [("vibration", "latency"), *slow(("latency", "vibration", "range_scale"))])
 def test_a_needless_name_goes(order: tuple[str, ...]) -> None:
     selection = after_exchange(problem_of((60.0, 700.0), 25.0), *order)

@@ -273,6 +273,19 @@ def test_what_one_run_has_is_dropped_and_the_rest_is_kept() -> None:
     assert any("it holds in 0 of 10 splits of the runs" in why for _, why in found.dropped)
 
 
+def test_an_offset_of_one_run_is_named_next_to_what_all_have() -> None:
+    """The other runs say nothing of it: stretches of this run do, and what all runs have is validated as without it."""
+    contexts = flown(5)
+    rate = np.asarray(contexts["range_rate_cm_s"], dtype=float)
+    bias_cm = -0.03 * rate + np.where(contexts["run"] == "run07", 1.5, 0.0)
+    found = explained(contexts, read(contexts, 5, bias_cm=bias_cm))
+    assert {(each.name, each.of) for each in found.effects} == {("latency", None), ("session_offset", "run07")}
+    of_run = next(each for each in found.effects if each.of)
+    assert contains(of_run.parameters["offset_cm"], 1.5)
+    assert all(each.splits_agree == 1.0 for each in found.effects)
+    assert not found.dropped
+
+
 def test_errors_of_correlated_readings_are_wider() -> None:
     contexts = flown(8)
     rng = np.random.default_rng(8)
