@@ -9,7 +9,7 @@ from msp_lab.gap.problem import Problem, first_state, screened, without
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, settled
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.model.model import Model, make_term
+from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 from tests.support.slow import slow
@@ -63,6 +63,15 @@ def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:
     assert names_of(after_exchange(problem_of((60.0, 700.0), 25.0), "vibration")) == ["vibration"]
+
+
+def test_a_curve_that_a_name_explains_gets_the_name() -> None:
+    problem = problem_of((60.0, 700.0), 25.0)
+    base = first_state(problem)
+    line = SelectedTerm(make_curve_term("bias", ("range_rate_cm_s",), ((-150.0, 150.0),), [1.0, -1.0]), None)
+    state = base.having(problem.refit([line.active], base.fit.base), [line])
+    selection = settled(problem, Selection(base, state, screened(problem, base), {}, 6.0))
+    assert names_of(selection) == ["latency"]
 
 
 @pytest.mark.parametrize("order", [("vibration", "latency"), *slow(("latency", "vibration", "range_scale"))])

@@ -17,7 +17,7 @@ from msp_lab.gap.candidates import SelectedTerm, change_of
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, loss, with_terms
+from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
@@ -120,6 +120,25 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
     least = 0.5 * float(chi2.isf(p_value, max(form.degrees - numbers, 1))) - 0.5 * max(len(named) - 1, 0)
     better = loss(problem, state.fit, there) > form.cost_nats + least
     return there if better else state
+
+
+def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
+    """With a name in place of each curve of which it explains nearly all.
+
+    When the curve was added, another name stood in this one's place: a bend that begins near the nearest reading is as
+    good as a scale, needs a straight line for the rest, and goes.
+    """
+    for term in [each for each in state.terms if each.active.shape is not None]:
+        less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
+        least = max(rules.FORM_SHARE * loss(problem, less.fit, state), needed_nats)
+        found = trials(problem, less, screened(problem, less), 0.0, rules.SCREEN_KEEPS * least)
+        for each in found:
+            assert term.active.shape is not None
+            if each.gain_nats >= least and term.active.shape[0] in each.term.active.effect.channels:
+                state = less.having(each.fit, [*less.terms, each.term])
+                state = state.logging(f"{each.term.label} in place of {term.label}")
+                break
+    return state
 
 
 def merge_cancelling(problem: Problem, state: State) -> State:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves, merge_cancelling
+from msp_lab.gap.curves import add_curves, merge_cancelling, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
     CandidateFit,
@@ -75,7 +75,7 @@ def select(problem: Problem, max_terms: int) -> Selection:
 def settled(problem: Problem, selection: Selection) -> Selection:
     """Each term against all candidates in its place, without needless terms, and what runs differ by in addition."""
     needed = selection.needed_nats
-    state = compete_with_tails(problem, selection.state, needed)
+    state = name_curves(problem, compete_with_tails(problem, selection.state, needed), needed)
     state, alternatives = exchange(problem, state, needed)
     state = merge_cancelling(problem, eliminate(problem, state, needed))
     return replace(
