@@ -37,17 +37,15 @@ _SPECIAL = {
 }
 
 
-def agreement(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
-    """In how many splits of the runs it holds.
+def agreement(each: FoundEffect | UnknownEffect) -> str:
+    """In which share of the splits of the runs it holds.
 
     Examples
     --------
-    >>> found = FoundEffect("latency", "named", {}, 0.01, 5.0, splits_agree=0.9)
-    >>> agreement(found, GapFindings("explained", rows=2000, runs=10, splits=10))
-    'it holds in 9 of 10 splits of the runs'
+    >>> agreement(FoundEffect("latency", "named", {}, 0.01, 5.0, splits_agree=0.9))
+    'it holds in 90 % of the splits of the runs'
     """
-    holds = round((each.splits_agree or 0.0) * findings.splits)
-    return f"it holds in {holds} of {findings.splits} splits of the runs"
+    return f"it holds in {100.0 * (each.splits_agree or 0.0):.0f} % of the splits of the runs"
 
 
 def unit_of(column: str) -> str:

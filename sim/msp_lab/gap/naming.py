@@ -147,6 +147,8 @@ def _validated(problem: Problem, selection: Selection, splits: Splits) -> tuple[
     if not kept.dropped:
         return selection, kept
     selection = settled(problem, replace(selection, state=refitted(kept.state)))
+    if selection.state.keys == kept.state.keys:
+        return selection, replace(kept, state=selection.state)
     again = validated(problem, selection.state, splits)
     # One that was dropped may have come back, once another one had gone.
     there = {term.label for term in again.state.terms}

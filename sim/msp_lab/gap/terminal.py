@@ -144,11 +144,11 @@ def _found_table(findings: GapFindings) -> Table:
         label = effect_label(each.name, each.of)
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
         values = [parameter_words(name, value) for name, value in each.parameters.items()]
-        agree = [] if each.splits_agree is None else [agreement(each, findings)]
+        agree = [] if each.splits_agree is None else [agreement(each)]
         table.add_row(each.plain, "\n".join([what, *values, *agree]), each.next_step)
     for one in findings.unknown:
         what = f"unknown effect on {one.channel} over {and_list(one.variables)}"
-        table.add_row(one.plain, f"{what}\n{one.formula}\n{agreement(one, findings)}", one.next_step)
+        table.add_row(one.plain, f"{what}\n{one.formula}\n{agreement(one)}", one.next_step)
     return table
 
 

@@ -182,13 +182,22 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
     counts = np.bincount(whole.unit, minlength=whole.runs) * scale
     numbers = _strength(whole.fit, k)
     excess = _Excess(whole.unit, whole.runs)
-    holds, of_runs, limited_of_runs, recalibrated_of_splits = [], [], [], []
+    fits_left = rules.SPLITS_FITTED
+    holds: list[bool] = []
+    of_runs, limited_of_runs, recalibrated_of_splits = [], [], []
     for split in range(len(parts.splits)):
+        if sum(not each for each in holds) > (1.0 - rules.SPLITS_AGREE) * len(parts.splits) + 1e-9:
+            # Dropped, whatever the others say, unless another term is worse.
+            break
+        # What both are off by in the same way cancels: neither is fitted if the other is not.
+        fitted = {way: not (crossed.tells(way) and smaller.tells(way)) for way in parts.ways if way[0] == split}
+        if any(fitted.values()):
+            fits_left -= 1
+            if fits_left < 0:
+                continue
         gained, limited, known = (np.zeros(whole.runs) for _ in range(3))
         after, before = [], []
-        for way in (each for each in parts.ways if each[0] == split):
-            # What both are off by in the same way cancels: neither is fitted if the other is not.
-            exact = not (crossed.tells(way) and smaller.tells(way))
+        for way, exact in fitted.items():
             more, less = crossed.score(way, exact), smaller.score(way, exact)
             left_out = parts.runs(*way)
             # Of a run that differs from all others in the cause, a fit of the others knows nothing.
