@@ -270,7 +270,7 @@ def test_what_one_run_has_is_dropped_and_the_rest_is_kept() -> None:
     found = explained(contexts, read(contexts, 5, bias_cm=-0.03 * rate, wider=wider))
     assert [each.name for each in found.effects] == ["latency"]
     assert found.effects[0].splits_agree == 1.0
-    assert any("it holds in 0 of 10 splits of the runs" in why for _, why in found.dropped)
+    assert any("it holds in 0 of" in why for _, why in found.dropped)
 
 
 def test_an_offset_of_one_run_is_named_next_to_what_all_have() -> None:
