@@ -97,7 +97,7 @@ class OldReadings:
         """
         models, findings = read_named(steps.folder)
         given = len(models.path[0].model.effects)
-        return cls(steps.same_comparison(findings, "name"), models.held_out_fit.effects[given:])
+        return cls(steps.same_comparison(findings, "name"), models.final_fit.effects[given:])
 
     @property
     def model(self) -> Model:
