@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
+from msp_lab.gap.candidates import candidates_of
 from msp_lab.gap.cross_fit import Parts, SumsByRun, recalibrated
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
@@ -123,6 +124,12 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
             # With one base for all parts the effect gains a little more, at most what it gains where all is fitted.
             assert gains[1] == pytest.approx(expected, abs=8.0)
             assert gains[1] < with_it.log_likelihood - without_it.log_likelihood + 3.0
+
+
+@pytest.mark.parametrize(("runs", "asked"), [(2, 0), (3, 0), (4, 4), (20, 20), (40, 0)])
+def test_of_two_runs_nobody_knows_which_one_is_off(runs: int, asked: int) -> None:
+    candidates, _ = candidates_of(MODEL, flown([20.0] * runs, rows=3))
+    assert sum(each.effect.name == "session_offset" for each in candidates) == asked
 
 
 def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -> None:

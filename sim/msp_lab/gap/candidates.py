@@ -170,7 +170,9 @@ def candidates_of(
         words: Sequence[str | None] = (None,)
         if effect.per is not None:
             words = [str(word) for word in np.unique(np.asarray(contexts[effect.per])) if word]
-            if len(words) < 2 or (effect.per == "run" and len(words) > rules.MAX_RUN_CANDIDATES):
+            if len(words) < 2:
+                continue
+            if effect.per == "run" and not rules.MIN_RUNS <= len(words) <= rules.MAX_RUN_CANDIDATES:
                 continue
         if effect.name in BETWEEN_RUNS:
             continue
