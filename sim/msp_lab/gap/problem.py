@@ -190,11 +190,6 @@ class State:
         return replace(self, history=(*self.history, step))
 
     @property
-    def effects(self) -> int:
-        """How many effects and curves it has; a number of the base is none."""
-        return sum(not each.is_base for each in self.terms)
-
-    @property
     def keys(self) -> frozenset[tuple[str, str | None]]:
         """Which terms it has."""
         return frozenset(each.key for each in self.terms)

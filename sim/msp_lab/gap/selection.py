@@ -63,9 +63,9 @@ def select(problem: Problem, max_terms: int) -> Selection:
     needed_nats = seen.needed_nats
     for turn in range(2):
         state = add_effects(problem, state, seen, needed_nats, max_terms)
-        with_curves = add_curves(problem, state, needed_nats, max_terms - state.effects)
+        with_curves = add_curves(problem, state, needed_nats, max_terms - len(state.terms))
         unchanged, state = with_curves is state, with_curves
-        if unchanged or state.effects >= max_terms or turn:
+        if unchanged or len(state.terms) >= max_terms or turn:
             break
         state = reinformed(problem, state)
         seen = screened(problem, state, by_run=False)
@@ -89,7 +89,7 @@ def settled(problem: Problem, selection: Selection) -> Selection:
 def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float, max_terms: int) -> State:
     """Forward selection: the candidate that gains most, until none gains enough; needless terms go at each step."""
     visited: set[frozenset[Key]] = set()
-    while state.effects < max_terms:
+    while len(state.terms) < max_terms:
         trial = _next_term(problem, state, seen, needed_nats)
         if trial is None:
             break
