@@ -74,6 +74,17 @@ def test_far_shifts_keep_their_share_inside_runs() -> None:
     assert found.within_nats > 0.2 * found.between_nats
 
 
+def test_offsets_of_runs_do_not_hide_a_wider_scatter() -> None:
+    contexts = {
+        "run": np.repeat([f"r{each}" for each in range(4)], 200),
+        "true_range_cm": np.full(800, 200.0),
+        "throttle": np.tile(np.linspace(0.0, 1.0, 200), 4),
+    }
+    rotors, nothing = answer("rotor_noise", {"growth": 2.0}), FittedAnswer(Answer(None), (), SCALE.base, 0.0, GIVEN)
+    found = separation(GIVEN, (rotors, nothing), (0, 1), contexts, 1.0, np.random.default_rng(1))
+    assert found.within_nats > 10.0 * found.between_nats
+
+
 def test_what_is_like_the_same_third_answer_is_alike() -> None:
     assert _classes(4, [Same(0, 1, 1.0), Same(1, 3, 1.0)]) == (frozenset({0, 1, 3}), frozenset({2}))
 

@@ -104,9 +104,11 @@ def separation(
     shift = np.nan_to_num((right_rows.centre_cm - wrong_rows.centre_cm) / sigma_cm)
     unit = numbered(np.asarray(columns["run"]))
     counts = np.bincount(unit)
-    # A share of the nats: a shift of many sigma makes a reading an outlier, and counts for less than its square.
+    # Offsets hide shifts alone, not a wider scatter. A shift of many sigma makes a reading an outlier, and counts for
+    # less than its square.
     whole = float((shift**2).sum())
-    between = nats * float((np.bincount(unit, shift) ** 2 / counts).sum()) / whole if whole > 0.0 else 0.0
+    of_shifts = min(0.5 * whole / reading_cm.size, nats)
+    between = of_shifts * float((np.bincount(unit, shift) ** 2 / counts).sum()) / max(whole, 1e-12)
     offsets = offset_cm**2 / float(np.mean(sigma_cm**2))
     correlation = given.sensor.reading_model.correlation
     return Separation(*places, nats - between, between, offsets, correlation)
