@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 _Array = NDArray[np.float64]
@@ -24,6 +24,10 @@ ORDINARY_DEVIATIONS = 3.5
 """A vehicle is ordinary within so many deviations of the others. In 2,000 drawn fleets of 20 without odd vehicles,
 p-values of 0.001 then came 0.4 to 2 times as often as they should, and at 3 up to 3 times. Lower: the spread is
 underestimated; higher: odd vehicles hide behind the spread that they make."""
+SPREAD_CONFIDENCE = 0.8
+"""A vehicle is compared with the others at the upper limit of their spread at this confidence (by the sum of squares;
+Viechtbauer 2007, Stat. Med. 26:37): where vehicles differ by as much as their errors, the spread is often estimated as
+0, and one with many readings looks odd. Higher: weak odd ones are missed; 10 standard errors count as 8 at this one."""
 MIN_ORDINARY = 3
 """Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
 TURNS = 10
@@ -62,13 +66,15 @@ class Pooled:
         return float(np.log(2.0) + _log_tail(abs(self.mean) / self.error, freedom if self.tau > 0.0 else np.inf))
 
 
-def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
+def paule_mandel(values: _Array, errors: _Array, square: float | None = None) -> tuple[float, float, float]:
     """Mean, its standard error, and tau.
 
     Parameters
     ----------
     values, errors
         Estimates and their standard errors, two or more.
+    square
+        What the weighted sum of squares is to be; None: what is expected, one less than there are estimates.
 
     Examples
     --------
@@ -83,7 +89,7 @@ def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
         weight = 1.0 / (errors**2 + tau2)
         mean = float(weight @ values / weight.sum())
         squares = (values - mean) ** 2
-        excess = float(weight @ squares) - (values.size - 1)
+        excess = float(weight @ squares) - (values.size - 1 if square is None else square)
         if excess <= 1e-9 * values.size:
             break
         # Newton's step; the sum of squares falls with tau^2 and is convex, so that it never goes too far.
@@ -122,9 +128,9 @@ def left_out(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Ar
     -------
     tuple
         Deviation in standard deviations of a prediction, and the logarithm of its two-sided p-value, both (units,).
-        The prediction's variance is the vehicle's own, that between vehicles, and that of the mean; the second is known
-        from so few vehicles only, for which Student's t stands (Higgins, Thompson & Spiegelhalter 2009), with the
-        degrees of freedom of the sum (Satterthwaite 1946).
+        The prediction's variance is the vehicle's own, that between vehicles at its upper limit, and that of the mean;
+        where vehicles differ, the second is known from few of them only, for which Student's t stands (Higgins,
+        Thompson & Spiegelhalter 2009).
     """
     deviation = _deviations(values, errors, fleet.ordinary)
     others = fleet.ordinary.sum() - fleet.ordinary
@@ -136,13 +142,18 @@ def left_out(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Ar
 def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> _Array:
     """Each vehicle's deviation from the ordinary ones other than itself, in standard deviations of a prediction."""
     mean, error, tau = (np.empty(values.size) for _ in range(3))
-    mean[:], error[:], tau[:] = paule_mandel(values[ordinary], errors[ordinary])
+    mean[:], error[:], tau[:] = _predicting(values[ordinary], errors[ordinary])
     for k in np.flatnonzero(ordinary):
         others = ordinary.copy()
         others[k] = False
-        mean[k], error[k], tau[k] = paule_mandel(values[others], errors[others])
+        mean[k], error[k], tau[k] = _predicting(values[others], errors[others])
     deviation: _Array = (values - mean) / np.sqrt(errors**2 + tau**2 + error**2)
     return deviation
+
+
+def _predicting(values: _Array, errors: _Array) -> tuple[float, float, float]:
+    """Mean, its error, and the upper limit of tau at `SPREAD_CONFIDENCE`."""
+    return paule_mandel(values, errors, float(chi2.isf(SPREAD_CONFIDENCE, values.size - 1)))
 
 
 def shrunk(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:

@@ -133,11 +133,13 @@ class Search:
             and each.fleet.ordinary.sum() > len(self.units) / 2.0
         ]
         best = _best_by_key((each.shared_log_p, each) for each in open_)
-        best = [pair for pair in best if pair[0] <= min(self._log_level, rules.REFIT_WITHIN_SHARE * best[0][0])]
+        best = [pair for pair in best if pair[0] <= self._log_level]
         if not best:
             return False
         # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named.
-        best = [pair for pair in best if effect_of(pair[1].term.effect).base is not None][:1] or best[:SHARED_TRIED]
+        numbered = [pair for pair in best if effect_of(pair[1].term.effect).base is not None]
+        near = [pair for pair in best if pair[0] <= rules.REFIT_WITHIN_SHARE * best[0][0]]
+        best = numbered[:1] or near[:SHARED_TRIED]
         everyone = list(range(len(self.units)))
         tried = [_tried(number, number.fleet.mean) for _, number in best]
         gains = self._gains(everyone, tried)
@@ -236,6 +238,7 @@ class Search:
         members = tuple(units[i] for i in group)
         smallest = tuple(flagged[unit].log_p for unit in members)
         self._take(Finding("odd", term, members, smallest, gains.near(k, total)))
+        self._prune(members)
         return True
 
     def _of_base(self, numbers: Sequence[Number]) -> bool:
@@ -279,6 +282,27 @@ class Search:
         self.found.append(finding)
         if not finding.term.is_base:
             self._fit({unit: finding.term for unit in finding.units if not self.fits(unit, finding.term)})
+
+    def _prune(self, units: Iterable[int]) -> None:
+        """Take out effects of units that others, found later, have made needless."""
+        for unit in units:
+            for term in [each for each in self.terms[unit] if not each.sessions]:
+                own = [k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term]
+                others = tuple(each for each in self.terms[unit] if each != term)
+                if not own or not others or unit not in self.found[own[0]].units:
+                    continue
+                ((lost,),) = values_of(self.run(compare, [(self.units[unit], others, (term,))]))
+                if lost.gain_nats >= -rules.KEEP_SHARE * self._log_level:
+                    continue
+                self.terms[unit] = others
+                (self.scores[unit],) = self.examined([unit], self.terms)
+                # It is not asked again, so that effects do not take each other's place in turn.
+                self._without.add((unit, term.key))
+                old = self.found[own[0]]
+                kept = [k for k, each in enumerate(old.units) if each != unit]
+                units_left, log_p = tuple(old.units[k] for k in kept), tuple(old.log_p[k] for k in kept)
+                self.found[own[0]] = replace(old, units=units_left, log_p=log_p)
+        self.found = [each for each in self.found if each.units]
 
     def fits(self, unit: int, term: FleetTerm) -> bool:
         """Whether a unit is known to have an effect."""
@@ -331,7 +355,8 @@ class _Suspect:
     def candidates(self) -> list[tuple[Number, int]]:
         """The effects to refit, the clearest first; each with its best shape."""
         own = _best_by_key((log_p, (number, j)) for log_p, number, j in self.own)
-        own = [each for each in own if each[0] <= rules.REFIT_WITHIN_SHARE * own[0][0]][: rules.REFITS_PER_STEP]
+        # Not only those near the best: of what is large a score promises too little.
+        own = own[: rules.REFITS_PER_STEP]
         return [each for _, each in (*own, *_best_by_key((log_p, (number, j)) for log_p, number, j in self.other))]
 
 

@@ -48,8 +48,6 @@ class Problem:
         Effects that they cannot, with the columns that are missing.
     some, some_contexts, some_unit
         Every k-th reading, on which refits are made.
-    curves
-        Curves that can be asked for.
     alpha
         Probability of any false name.
     rng
@@ -67,7 +65,6 @@ class Problem:
     some: Prepared
     some_contexts: Mapping[str, Any]
     some_unit: NDArray[np.intp]
-    curves: CurveWeights
     alpha: float
     rng: np.random.Generator
     report: Progress
@@ -93,7 +90,6 @@ class Problem:
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in some_contexts:
                 some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
-        curves = curve_scan.curves_of(some_contexts, unit[thin])
         return cls(
             model,
             contexts,
@@ -104,7 +100,6 @@ class Problem:
             some,
             some_contexts,
             unit[thin],
-            curves,
             alpha,
             rng,
             report,
@@ -114,6 +109,11 @@ class Problem:
     def base(self) -> JointFit:
         """The base alone, refitted."""
         return fit_base(self.some)
+
+    @cached_property
+    def curves(self) -> CurveWeights:
+        """Curves that can be asked for."""
+        return curve_scan.curves_of(self.some_contexts, self.some_unit)
 
     @property
     def scale(self) -> float:
