@@ -70,6 +70,10 @@ def test_three_odd_vehicles_of_twenty_do_not_hide_each_other() -> None:
     assert log_p[:3].max() < np.log(1e-6)
     assert log_p[3:].min() > np.log(1e-3)
     assert (deviation[:3] > 5.0).all()
+    # In a number in which vehicles always differ the same deviation is less certain.
+    wider = left_out(values, errors, fleet, always_differ=True)
+    assert wider[0] == pytest.approx(deviation)
+    assert (wider[1][:3] > log_p[:3] + 5.0).all()
     # All of them together are no odd ones, but what the fleet shares.
     everyone = pooled(values[3:] + 10.0, errors[3:])
     assert everyone.ordinary.all()

@@ -121,8 +121,15 @@ def pooled(values: _Array, errors: _Array) -> Pooled:
     return Pooled(mean, error, tau, i2, ordinary)
 
 
-def left_out(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:
+def left_out(values: _Array, errors: _Array, fleet: Pooled, always_differ: bool = False) -> tuple[_Array, _Array]:
     """Each vehicle against the ordinary ones other than itself.
+
+    Parameters
+    ----------
+    values, errors, fleet
+        As for `pooled`, and what it gave.
+    always_differ
+        Vehicles differ in this number by nature, even where a spread of 0 fits these ones best.
 
     Returns
     -------
@@ -134,7 +141,7 @@ def left_out(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Ar
     """
     deviation = _deviations(values, errors, fleet.ordinary)
     others = fleet.ordinary.sum() - fleet.ordinary
-    freedom = np.maximum(others - 2, 1) if fleet.tau > 0.0 else np.full(values.size, np.inf)
+    freedom = np.maximum(others - 2, 1) if always_differ or fleet.tau > 0.0 else np.full(values.size, np.inf)
     log_p = [np.log(2.0) + _log_tail(abs(each), free) for each, free in zip(deviation, freedom.tolist(), strict=True)]
     return deviation, np.minimum(log_p, 0.0)
 

@@ -150,7 +150,7 @@ def _number(series: Series) -> Number:
     variance = np.array([(v + omega2 * i**2).sum() for v, i in zip(series.variance, series.information, strict=True)])
     error = np.sqrt(variance) / total
     fleet = pooled(value, error)
-    deviation, log_p = left_out(value, error, fleet)
+    deviation, log_p = left_out(value, error, fleet, series.term.is_base)
     if _one_sided(series.term) and fleet.mean < 2.0 * fleet.error:
         # Of what the fleet does not have, more than the fleet's is more than nothing; and less than nothing is random.
         deviation = np.clip(value / error, 0.0, np.maximum(deviation, 0.0))
