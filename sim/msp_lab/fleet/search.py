@@ -187,6 +187,9 @@ class Search:
             if number.term.is_base or number.term.sessions:
                 continue
             channels = effect_of(number.term.effect).channels
+            if "component" in channels:
+                # Echoes from elsewhere count as short or random readings until they have a name.
+                channels = (*channels, "short", "random")
             for j, unit in enumerate(number.units.tolist()):
                 own, others = float(number.log_p[j]), [of_base.get((unit, each), 0.0) for each in channels]
                 is_fitted = self.fits(unit, number.term)
