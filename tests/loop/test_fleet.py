@@ -52,7 +52,7 @@ def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(
     assert result.exit_code == 0, result.output
     assert max(map(len, result.stdout.splitlines())) <= 80
     flat = " ".join(result.stdout.split())
-    assert "1 of 6 vehicles" in flat
+    assert "1 of 6 vehicles differs" in flat
     assert "V3" in flat
     assert "5 % of such findings are expected to be false" in flat
     assert "Left out: V9 down" in flat
