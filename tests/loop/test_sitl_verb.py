@@ -287,20 +287,24 @@ both = pytest.mark.parametrize("name", ["truth", "estimate"])
 def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
     assert autopilot.first_s is not None
-    heights, errors = [], []
+    heights, climbs, errors = [], [], []
     for arrived_s, message in autopilot.distances:
         assert message.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
         assert (message.get_srcSystem(), message.get_srcComponent()) in ((SYSTEM, 191), (1, 191))
         silent = SILENT_S < arrived_s - autopilot.first_s < HEARD_S + 1.0
         if message.current_distance <= message.max_distance and not silent:
-            height_m = autopilot.height_at(message.time_boot_ms / 1e3)
+            boot_s = message.time_boot_ms / 1e3
+            height_m = autopilot.height_at(boot_s)
             heights.append(height_m)
+            climbs.append((autopilot.height_at(boot_s + 0.05) - autopilot.height_at(boot_s - 0.05)) / 0.1)
             errors.append(message.current_distance / 100 - STANDING_RANGE_M - height_m)
-    heights_m, errors_m = np.array(heights), np.array(errors)
+    heights_m, climbs_m_s, errors_m = np.array(heights), np.array(climbs), np.array(errors)
     assert heights_m.max() > TOP_M - 0.1
-    print(np.median(errors_m), np.percentile(errors_m, 95), np.max(errors_m))
-    # The sensor model scatters by 1.9 cm, and the message has whole centimetres; on the ground it stands at 20 cm.
-    assert abs(np.median(errors_m[heights_m > 0.3])) < 0.02
+    # The sensor model scatters by 1.9 cm, so a fused distance by 1 cm, and the few of the hover are fused from some of
+    # the same readings: four standard deviations. On the ground it stands at 20 cm.
+    assert abs(np.median(errors_m[(heights_m > 0.3) & (abs(climbs_m_s) < 0.2)])) < 0.04
+    # On the way up it is late by some 14 ms, as the filter is; of a busy computer a pose may come late too.
+    assert abs(np.median(errors_m[climbs_m_s > 0.5 * SPEED_M_S])) < 0.05 * SPEED_M_S
     # A speed is believed from the second reading of a sensor on, 0.4 s later, in which 2.5 m/s^2 make 0.2 m.
     assert np.percentile(abs(errors_m), 95) < 0.2
     assert len(errors_m) > 5 * (SILENT_S + LANDED_S - HEARD_S - 1.0)
