@@ -28,6 +28,9 @@ SIDES = {
     "top": (90.0, 0.0),
 }
 """Pitch and yaw of the direction to each side [deg]."""
+SQUARE_DEG = 4
+"""A direction this near to straight down is taken as that, however well it is known [deg]: more than the scatter of the
+estimate. More would turn a sensor straight that is canted on purpose."""
 BOARD_M = (0.25, 0.85)
 """Distances that a board half a metre away gives [m]."""
 
@@ -69,7 +72,7 @@ def compare_directions(
 
 def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
     assert axis.boresight is not None
-    pitch, yaw = rotation_of(axis.boresight)
+    pitch, yaw = rotation_of(axis.boresight, axis.half_width_deg)
     text = (
         f"{sensor.name} looks to pitch {pitch}, yaw {yaw} (to {axis.half_width_deg:.0f} deg), "
         f"{axis.from_file_deg:.0f} deg from pitch {sensor.rotation_deg.pitch:g}, yaw {sensor.rotation_deg.yaw:g} in "
@@ -78,17 +81,19 @@ def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
     return Proposal(text, _rotation(i, sensor, pitch, yaw))
 
 
-def rotation_of(boresight: tuple[float, float, float]) -> tuple[int, int]:
-    """Pitch and yaw of a direction, in whole degrees; straight down is pitch -90, yaw 0.
+def rotation_of(boresight: tuple[float, float, float], to_deg: float = 0.0) -> tuple[int, int]:
+    """Pitch and yaw of a direction that is known to some degrees, in whole degrees; straight down is pitch -90, yaw 0.
+
+    What cannot be told apart from straight down is taken as that, since most mounts are square.
 
     Examples
     --------
-    >>> rotation_of((0.0, 0.0, 1.0)), rotation_of((0.0, 0.5, 0.866))
-    ((-90, 0), (-60, 90))
+    >>> rotation_of((0.0, 0.0, 1.0)), rotation_of((0.0, 0.5, 0.866)), rotation_of((-0.1, 0.0, 0.995), 7.0)
+    ((-90, 0), (-60, 90), (-90, 0))
     """
     forward, to_right, down = boresight
     pitch = -round(math.degrees(math.asin(min(max(down, -1.0), 1.0))))
-    if abs(pitch) > 85:
+    if 90 - abs(pitch) <= max(to_deg, SQUARE_DEG):
         return (-90 if pitch < 0 else 90), 0
     return pitch, round(math.degrees(math.atan2(to_right, forward))) % 360
 
