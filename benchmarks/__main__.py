@@ -9,6 +9,7 @@ import argparse
 import json
 import os
 import platform
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,8 @@ def main() -> None:
     for name in names:
         if name not in BY_NAME:
             parser.error(f"no benchmark is called {name!r}; there are {', '.join(BY_NAME)}")
-    console = Console()
+    # In a file or a log a line may be as long as it needs.
+    console = Console(width=None if sys.stdout.isatty() else 200)
     figures = []
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("measuring", total=len(names or BY_NAME))
