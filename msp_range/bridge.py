@@ -302,9 +302,11 @@ class Bridge:
         steps = list(map(self._on_ranging, poller.step()))
         now_s = clock.now()
         outbox.send_due(now_s)
+        if has_arrived:
+            link.next_event_s = min(link.next_event_s, now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:
             return steps
-        if has_arrived or now_s >= link.next_event_s:
+        if now_s >= link.next_event_s:
             link.service(has_arrived)
         if now_s >= self._next_look_s:
             self._look_after(now_s)

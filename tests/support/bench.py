@@ -74,7 +74,7 @@ class Wire:
         self.last_error: str | None = None
         self.connected = True
         self.quiet_until_s = float("-inf")
-        self.files = ()
+        self.files: tuple[int, ...] = ()
         self.arriving = b""
         self.frames: list[tuple[float, bytes]] = []
         self._clock = clock

@@ -41,7 +41,7 @@ SCALE, AIR, OFFSET = (
 )
 
 
-def test_a_rival_with_free_numbers_imitates_what_the_session_does_not_vary() -> None:
+def test_an_alternative_with_free_numbers_imitates_what_the_session_does_not_vary() -> None:
     assert nats(SCALE, OFFSET, "true_range_cm") < 2.0
     assert nats(SCALE, AIR, "true_range_cm", "air_temperature_c") > 50.0
 

@@ -2,6 +2,7 @@
 
 import math
 import random
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -139,6 +140,40 @@ def test_a_silence_is_reported_in_time_by_a_loop_whose_transfers_follow_each_oth
     last_s = max(time_s for time_s, message in bench.sent() if message.current_distance == 500)
     (report_s,) = [time_s for time_s, text in bench.reports if text == "Range: no distance to the ground"]
     assert report_s - last_s < 0.95 + LINK_WAITS_S + transfer_s
+
+
+def test_a_message_that_arrives_waits_no_longer_for_transfers_that_follow_each_other_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    transfer_s = 0.008
+    bench = Bench(airframe(polling={"ping_interval_s": 0.075, "groups": [list(NAMES)]}), 500)
+    bench.wire.files = (3,)
+    arrived_s, waits_s = [0.0], []
+    read, sleep_until, receive = bench.bus.read, bench.clock.sleep_until, bench.wire.receive
+
+    def slow_read(address: int, count: int) -> bytes:
+        sleep_until(bench.clock.now() + transfer_s)
+        if not bench.wire.arriving and bench.now() > arrived_s[0] + 0.04:
+            arrived_s[0] = bench.now()
+            bench.receive(HEARTBEAT)
+        return read(address, count)
+
+    def woken(time_s: float, files: Sequence[int] = ()) -> bool:
+        if files and bench.wire.arriving:
+            return True
+        return sleep_until(time_s)
+
+    def timed() -> bytes:
+        if bench.wire.arriving:
+            waits_s.append(bench.now() - arrived_s[0])
+        return receive()
+
+    monkeypatch.setattr(bench.bus, "read", slow_read)
+    monkeypatch.setattr(bench.clock, "sleep_until", woken)
+    monkeypatch.setattr(bench.wire, "receive", timed)
+    bench.fly(4.0)
+    assert len(waits_s) > 40
+    assert max(waits_s) < LINK_WAITS_S + 2 * transfer_s
 
 
 @pytest.mark.parametrize("roll", [1.7, 3.1, 1e38, float("nan"), float("inf")])

@@ -84,7 +84,7 @@ def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
 def rotation_of(boresight: tuple[float, float, float], to_deg: float = 0.0) -> tuple[int, int]:
     """Pitch and yaw of a direction that is known to some degrees, in whole degrees; straight down is pitch -90, yaw 0.
 
-    What cannot be told apart from straight down is taken as that, since most mounts are square.
+    A direction whose interval includes straight down counts as that, since most mounts are square.
 
     Examples
     --------

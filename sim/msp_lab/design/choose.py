@@ -122,7 +122,7 @@ class Design:
     def needed_nats(self) -> float:
         """Expected nats that the hardest pair needs."""
         return max(
-            needed_nats(self.wanted, threshold_nats(self.answers[each.truth], self.answers[each.rival]))
+            needed_nats(self.wanted, threshold_nats(self.answers[each.truth], self.answers[each.alternative]))
             for each in self.separations
         )
 
@@ -181,8 +181,8 @@ def cheapest(
         (one, other) for one, other in permutations(range(len(answers)), 2) if answers[one].answer.name is not None
     ]
 
-    def needed(truth: int, rival: int) -> float:
-        return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[rival]))
+    def needed(truth: int, alternative: int) -> float:
+        return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[alternative]))
 
     def separations(session: Session, of: Iterable[tuple[int, int]], rows: int = DRAWN_ROWS) -> list[Separation]:
         contexts = session.sampled(rows)
@@ -193,7 +193,7 @@ def cheapest(
     reach = dict.fromkeys(pairs, 0.0)
     for most in richest:
         for each in separations(most, pairs):
-            pair = each.truth, each.rival
+            pair = each.truth, each.alternative
             reach[pair] = max(reach[pair], each.nats(MOST_READINGS, most.runs))
     same: list[Same] = []
     for one, other in combinations(range(len(answers)), 2):
@@ -216,7 +216,7 @@ def cheapest(
             report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
             if number not in known:
                 known[number] = separations(shortest, left)
-            found = [each for each in known[number] if (each.truth, each.rival) in left]
+            found = [each for each in known[number] if (each.truth, each.alternative) in left]
             session = _long_enough(make, shortest, found, needed)
             if session is not None and (best is None or best.session is None or session.minutes < best.session.minutes):
                 own_power = _power(session, found, answers)
@@ -266,7 +266,8 @@ def _long_enough(
     """The session with as many readings as every pair needs; None: no number is enough."""
     longer = 1.0
     while any(
-        each.nats(int(shortest.readings * longer), shortest.runs) < needed(each.truth, each.rival) for each in found
+        each.nats(int(shortest.readings * longer), shortest.runs) < needed(each.truth, each.alternative)
+        for each in found
     ):
         longer *= LONGER
         if shortest.readings * longer > MOST_READINGS:
@@ -288,9 +289,9 @@ def _checked(
     assert make is not None
 
     def is_hard(each: Separation) -> bool:
-        return each.nats(session.readings, session.runs) < HARD * needed(each.truth, each.rival)
+        return each.nats(session.readings, session.runs) < HARD * needed(each.truth, each.alternative)
 
-    hard = [(each.truth, each.rival) for each in design.separations if is_hard(each)]
+    hard = [(each.truth, each.alternative) for each in design.separations if is_hard(each)]
     found = [*(each for each in design.separations if not is_hard(each)), *separations(session, hard, CHECKED_ROWS)]
     longer = _long_enough(make, session, found, needed)
     if longer is None:
@@ -301,6 +302,8 @@ def _checked(
 def _power(session: Session, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:
     """Of the hardest pair."""
     return min(
-        power_of(each.nats(session.readings, session.runs), threshold_nats(answers[each.truth], answers[each.rival]))
+        power_of(
+            each.nats(session.readings, session.runs), threshold_nats(answers[each.truth], answers[each.alternative])
+        )
         for each in found
     )

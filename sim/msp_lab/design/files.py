@@ -108,7 +108,7 @@ def _entry(plan: Plan, number: int, findings: GapFindings, out: Path) -> dict[st
         "separations": [
             {
                 "true": labels[each.truth],
-                "rival": labels[each.rival],
+                "alternative": labels[each.alternative],
                 "nats": round(each.nats(session.readings, session.runs), 2),
             }
             for each in design.separations

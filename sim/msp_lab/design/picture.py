@@ -33,7 +33,9 @@ def draw_session(design: Design) -> Figure:
     for each in design.separations:
         nats = [each.nats(int(share * session.readings), session.runs) for share in SHARES]
         own.plot(
-            SHARES * session.readings / session.runs, nats, label=f"{labels[each.truth]}, not {labels[each.rival]}"
+            SHARES * session.readings / session.runs,
+            nats,
+            label=f"{labels[each.truth]}, not {labels[each.alternative]}",
         )
     needed = design.needed_nats
     own.axhline(needed, color=VERMILION, linestyle="--", label="needed")

@@ -31,7 +31,8 @@ FIND_NATS = 8.0
 """What an effect has to gain to be named where it may also be absent: what the largest of some 70 candidates gains by
 random variation is 6, and the shapes that are searched cost 1 or 2. Higher: longer sessions."""
 TRAINING_SHARE = 0.5
-"""The gap workflow names effects on half of the runs, and validates them on the other half."""
+"""Share of a session that counts. It was set when the gap workflow named effects on half of the runs. It uses all of them
+now, so that a session is rather too long than too short; 1 would leave no margin for validation."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Separation:
 
     Attributes
     ----------
-    truth, rival
+    truth, alternative
         Places of the right answer and of the wrong one.
     within_nats, between_nats
         Nats per reading by what differs inside runs, and by what differs between runs.
@@ -51,7 +52,7 @@ class Separation:
     """
 
     truth: int
-    rival: int
+    alternative: int
     within_nats: float
     between_nats: float
     offsets: float
@@ -90,14 +91,16 @@ def separation(
     rng
         Draws the readings.
     """
-    truth, rival = answers
+    truth, alternative = answers
     columns: dict[str, Any] = dict(contexts)
     reading_cm = truth.model.sample(columns, rng)
     columns[PREVIOUS] = previous(columns, reading_cm)
     prepared = Prepared.of(given, columns, reading_cm)
     right = refit(prepared, truth.terms, truth.base)
-    start = max((rival.base, right.base), key=lambda base: float(prepared.log_prob(base, rival.terms).sum()))
-    wrong = refit(prepared, rival.terms, start)
+    start = max(
+        (alternative.base, right.base), key=lambda base: float(prepared.log_prob(base, alternative.terms).sum())
+    )
+    wrong = refit(prepared, alternative.terms, start)
     nats = max(right.log_likelihood - wrong.log_likelihood, 0.0) / reading_cm.size
     right_rows, wrong_rows = prepared.at(right.base, right.effects), prepared.at(wrong.base, wrong.effects)
     sigma_cm = np.broadcast_to(right_rows.sigma_cm, reading_cm.shape)
@@ -131,11 +134,11 @@ def power_of(nats: float, threshold_nats: float) -> float:
     return float(norm.cdf((nats - threshold_nats) / sqrt(2.0 * nats))) if nats > 0.0 else 0.0
 
 
-def threshold_nats(truth: FittedAnswer, rival: FittedAnswer) -> float:
+def threshold_nats(truth: FittedAnswer, alternative: FittedAnswer) -> float:
     """What the new readings have to say for the right answer: to name it, and what the old ones say against it."""
-    if rival.answer.name is None:
+    if alternative.answer.name is None:
         return FIND_NATS
     against = 0.0
-    if truth.log_likelihood is not None and rival.log_likelihood is not None:
-        against = rival.log_likelihood - truth.log_likelihood
+    if truth.log_likelihood is not None and alternative.log_likelihood is not None:
+        against = alternative.log_likelihood - truth.log_likelihood
     return rules.ALTERNATIVE_NATS + float(np.clip(against, 0.0, rules.ALTERNATIVE_NATS))
