@@ -31,8 +31,8 @@ FIND_NATS = 8.0
 """What an effect has to gain to be named where it may also be absent: what the largest of some 70 candidates gains by
 random variation is 6, and the shapes that are searched cost 1 or 2. Higher: longer sessions."""
 TRAINING_SHARE = 0.5
-"""Share of a session that counts. It was set when the gap workflow named effects on half of the runs. It uses all of them
-now, so that a session is rather too long than too short; 1 would leave no margin for validation."""
+"""Share of a session that counts. It was set when the gap workflow named effects on half of the runs. It uses all
+of them now, so that a session is rather too long than too short; 1 would leave no margin for validation."""
 
 
 @dataclass(frozen=True)
