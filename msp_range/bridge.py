@@ -299,9 +299,13 @@ class Bridge:
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
         due_s = min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s)
         has_arrived = clock.sleep_until(due_s, link.files)
-        steps = list(map(self._on_ranging, poller.step()))
         now_s = clock.now()
-        outbox.send_due(now_s)
+        steps: list[Step] = []
+        if now_s >= poller.next_event_s:
+            steps = list(map(self._on_ranging, poller.step()))
+            now_s = clock.now()
+        if now_s >= outbox.next_event_s:
+            outbox.send_due(now_s)
         if has_arrived:
             link.next_event_s = min(link.next_event_s, now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:

@@ -13,6 +13,7 @@ import typer
 
 from msp_range import __version__
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
+from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
 
@@ -88,8 +89,6 @@ def run(
         signal.signal(signum, _leave)
     # The file has not been read yet, so there is nothing to reload.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    # Matrices are 3 x 3: numpy's threads would only use other processors and delay the start by 25 ms.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports produce no garbage; collecting takes 15 ms.
     gc.disable()
     try:
@@ -396,120 +395,8 @@ def _address(text: str) -> int:
         raise ConfigError(f"address {text!r}: expected a 7-bit address such as 0x70 or 112") from None
 
 
-@app.command()
-def replay(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
-    airframe_file: Annotated[
-        Path | None,
-        typer.Option("--airframe", help="airframe file; default: the one in the recording. Required for a CSV file"),
-    ] = None,
-    run_name: Annotated[
-        str | None, typer.Option("--run", help="the run to replay, for a CSV file with several")
-    ] = None,
-    record: Annotated[Path | None, typer.Option(help="new recording to write (.mcap)")] = None,
-    link: Annotated[str | None, typer.Option(help="link URL to send on; default: none")] = None,
-    realtime: Annotated[bool, typer.Option("--realtime", help="replay in real time")] = False,
-) -> None:
-    """Play recorded or measured readings through the bridge again, and show the results."""
-    from msp_range import replay as replaying
-    from msp_range.clock import SystemClock, VirtualClock
-    from msp_range.config import load_airframe, load_airframe_from
-    from msp_range.mavlink.transport import Nowhere, open_transport
-    from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
-    from msp_range.recording.reader import Recording, is_recording
-    from msp_range.recording.writer import Recorder
-
-    recording = Recording(file) if is_recording(file) else None
-    source = recording or file
-    if airframe_file is not None:
-        airframe = load_airframe(airframe_file)
-    elif recording is not None:
-        airframe = load_airframe_from(recording.files, file)
-    else:
-        raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
-    airframe = airframe.changed(link=link)
-    pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
-    transport = Nowhere() if link is None else open_transport(link, SystemClock())
-    first_s = replaying.first_ping_s(pings)
-    clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
-    recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    air, attitudes, motion = recorded_air(source, run_name), recorded_attitudes(source), recorded_motion(source)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, air, attitudes, motion)
-    if recorder is not None:
-        recorder.close()
-    replaying.show(outcome, file, None if recording is None else recording.losses)
-
-
-@app.command()
-def tune(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
-    airframe_file: Annotated[
-        Path | None,
-        typer.Option("--airframe", metavar="AIRFRAME.yaml", help="airframe file; default: the one that was flown"),
-    ] = None,
-    model: Annotated[
-        Literal["constant", "constant_velocity"] | None,
-        typer.Option(help="model of the Kalman filter; default: the airframe's"),
-    ] = None,
-) -> None:
-    """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
-    from msp_range.extras import require
-
-    require("kalman", "msp-range tune")
-    from msp_range import tuning
-
-    tuning.show(tuning.tune_recordings(recordings, airframe_file, model))
-
-
-@app.command()
-def recover(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the repaired copy to write")],
-) -> None:
-    """Repair a recording that a power cut left incomplete, so that Foxglove and other tools can open it."""
-    from msp_range.recording.recover import recover as recover_recording
-
-    kept = recover_recording(recording, out)
-    files = f" and {kept.files} attached files" if kept.files else ""
-    print(f"{out}: {kept.messages} messages{files}; lost: {kept.losses}")
-
-
-@app.command()
-def export(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
-) -> None:
-    """Write a recording's readings as CSV: time_s, sensor, reading_cm, and known context."""
-    from msp_range.recording.export import export as export_recording
-    from msp_range.recording.reader import Recording
-
-    source = Recording(recording)
-    rows = export_recording(source, out)
-    print(f"{out}: {rows} readings; lost: {source.losses}")
-
-
-@app.command()
-def layout(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
-    out: Annotated[
-        Path,
-        typer.Argument(metavar="OUT.json|OUT.xml", help="the layout to make: .json for Foxglove, .xml for PlotJuggler"),
-    ],
-) -> None:
-    """Write a layout with which Foxglove or PlotJuggler shows a recording: each sensor's ranges, and the fused one."""
-    from msp_range.recording.layouts import FORMS, plots_of
-    from msp_range.recording.reader import Recording
-
-    if out.suffix not in FORMS:
-        raise ConfigError(f"{out}: found the ending {out.suffix!r}; expected .json (Foxglove) or .xml (PlotJuggler)")
-    plots = plots_of(Recording(recording))
-    try:
-        out.write_text(FORMS[out.suffix](plots), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
-    print(f"{out}: {len(plots)} plots")
-
-
+for command in (replay, tune, recover, export, layout):
+    app.command()(command)
 add_moved(app, {"collect": "msp-lab collect", "characterise": "msp-lab characterise"})
 
 

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -23,23 +24,51 @@ WALL_CLOCK = re.compile(
 )
 """A module of tests in which this is found depends on the wall clock: it reads it, or talks to another program. Such a
 test has a module of its own, apart from those that compute."""
+ALONE = ("tests/docs/", "tests/real/")
+"""Folders of tests of which each is long and stands alone. Documents in real time only wait for what they start."""
 
 
 class OneModuleOneProcess(LoadScopeScheduling):
     """Each module's tests in one process, and all that depend on the wall clock one after the other in one.
 
-    Two of those at a time would keep each other from the processor, and see delays that are not the product's.
+    Two of those at a time would keep each other from the processor, and see delays that are not the product's. The
+    order is that of `pytest_collection_modifyitems`.
     """
 
+    def __init__(self, config: pytest.Config, log: Any) -> None:
+        config.option.loadscopereorder = False
+        super().__init__(config, log)
+
     def _split_scope(self, nodeid: str) -> str:
-        return _group(nodeid.split("::")[0])
+        module = nodeid.split("::")[0]
+        # Documents in real time use the same ports, so they follow each other.
+        return nodeid if module.startswith(ALONE) and not _has_clock(module) else _group(module)
 
 
 @cache
-def _group(module: str) -> str:
+def _has_clock(module: str) -> bool:
     path = Path(__file__).parents[1] / module
-    real_time = {"peers", "sitl"} & {*path.parts} or WALL_CLOCK.search(path.read_text(encoding="utf-8"))
-    return "real time" if real_time else module
+    return "sitl" in path.parts or WALL_CLOCK.search(path.read_text(encoding="utf-8")) is not None
+
+
+def _group(module: str) -> str:
+    return "real time" if _has_clock(module) and not module.startswith(ALONE) else module
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first, so that no process computes alone at the end."""
+    modules = [item.nodeid.split("::")[0] for item in items]
+    slow = Counter(module for module, item in zip(modules, items, strict=True) if item.get_closest_marker("slow"))
+    number = Counter(modules)
+
+    def rank(item: pytest.Item) -> tuple[bool, bool, bool, int, int]:
+        module = item.nodeid.split("::")[0]
+        if _group(module) == "real time":
+            return False, False, False, 0, 0
+        is_long = module.startswith((*ALONE, "tests/peers/"))
+        return True, not _has_clock(module), not is_long, -slow[module], -number[module]
+
+    items.sort(key=rank)
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -66,8 +66,9 @@ class Bus(Protocol):
     def read(self, address: int, count: int) -> bytes:
         """Return ``count`` bytes from the 7-bit ``address``; raises BusError as `write` does."""
 
-    def busy_s(self, address: int) -> float:
-        """For how long no device at ``address`` will answer a read [s]; 0: unknown, as on every real bus."""
+    def busy_s(self, address: int) -> float | None:
+        """For how long no device at ``address`` will answer a read [s], 0: it may at any time; None: unknown, as on
+        every real bus."""
 
     def reopen(self) -> None:
         """Close and open the bus again after a lock-up; raises BusError if that fails."""

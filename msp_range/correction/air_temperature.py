@@ -70,6 +70,8 @@ class AirTemperature:
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
+        if not self._received:
+            return
         kind = message.get_type()
         for source, track in self._received:
             if source.message == kind:

@@ -21,9 +21,6 @@ LONGEST_NUMBER_BYTES = 64
 HANGS_S = 5.0
 """A read that takes longer is reported as hanging [s]: seven times the time of a DS18B20."""
 
-LONGEST_WAIT_S = 0.25
-"""Longest time until the thread notices a new source [s]."""
-
 
 class Sample(NamedTuple):
     """A value of a source [deg C], and the time at which the read started [s]."""
@@ -128,13 +125,15 @@ class ThreadReader:
         self._newest: dict[FileSource, Sample] = {}
         self._errors: dict[FileSource, str] = {}
         self._reading_since_s: float | None = None
-        self._closing = threading.Event()
+        self._is_closed = False
+        self._has_changed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="thermometers", daemon=True)
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
         """The newest value since the last call; the first call for a source starts reading it."""
         if source not in self._next_s:
             self._next_s[source] = now_s
+            self._has_changed.set()
             if len(self._next_s) == 1:
                 self._thread.start()
         return self._newest.pop(source, None)
@@ -146,17 +145,19 @@ class ThreadReader:
 
     def close(self) -> None:
         """End the thread; if it hangs in a read, it ends with the program."""
-        self._closing.set()
+        self._is_closed = True
+        self._has_changed.set()
 
     def _run(self) -> None:
-        while not self._closing.is_set():
+        while not self._is_closed:
             for source, due_s in list(self._next_s.items()):
                 now_s = self._clock.now()
                 if now_s >= due_s:
                     self._next_s[source] = now_s + source.period_s
                     self._read_one(source, now_s)
             wait_s = min(list(self._next_s.values())) - self._clock.now()
-            self._closing.wait(min(max(wait_s, 0.0), LONGEST_WAIT_S))
+            self._has_changed.wait(max(wait_s, 0.0))
+            self._has_changed.clear()
 
     def _read_one(self, source: FileSource, now_s: float) -> None:
         self._reading_since_s = now_s

@@ -150,11 +150,12 @@ class Link:
         now_s = self._clock.now()
         self.next_event_s = now_s + SERVICE_INTERVAL_S
         received = self.transport.receive()
-        frames = self._frames.read(received)
-        if frames:
-            self._sort(now_s, frames)
-        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
-        self._decode_first(self._from_others, DECODED_FROM_OTHERS)
+        if received:
+            self._sort(now_s, self._frames.read(received))
+        if self._from_autopilot:
+            self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
+        if self._from_others:
+            self._decode_first(self._from_others, DECODED_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
@@ -232,7 +233,7 @@ class Link:
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
         if self._signing is None:
-            if frame.is_autopilot_heartbeat and is_signed(frame):
+            if is_signed(frame) and frame.is_autopilot_heartbeat:
                 self._participants.on_signed(now_s)
             return True
         accepted = self._signing.accepts(frame)

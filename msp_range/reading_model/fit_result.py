@@ -73,26 +73,32 @@ def bounds_of(moving: Sequence[int]) -> Bounds:
 _SHARES = frozenset({"hit", "short", "missed", "random", "saturated_fraction"})
 
 
-def with_floors(parameters: MixtureParameters) -> tuple[MixtureParameters, tuple[str, ...]]:
-    """Return the parameters with no weight below `MIN_WEIGHT`, and the names of the weights that were raised.
+def with_floors(parameters: MixtureParameters, saturates: bool) -> tuple[MixtureParameters, tuple[str, ...]]:
+    """Return the parameters with no share below `MIN_WEIGHT`, and the names of those that were raised.
+
+    The saturated fraction is one of them where the sensor ``saturates``: may read 255 for no echo.
 
     Examples
     --------
     >>> weights = {"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0}
     >>> given = {"weights": weights, "sigma_cm": 1.0, "short_rate_per_m": 0.5, "saturated_fraction": 0.0}
-    >>> found, raised = with_floors(MixtureParameters.model_validate(given))
+    >>> found, raised = with_floors(MixtureParameters.model_validate(given), saturates=False)
     >>> print(f"{found.weights.hit:.4f} {found.weights.random:g} {', '.join(raised)}")
     0.9997 0.0001 short, missed, random
     """
     shares = parameters.weights.model_dump()
     raised = tuple(name for name, share in shares.items() if share < MIN_WEIGHT)
+    seldom = ("saturated_fraction",) if saturates and parameters.saturated_fraction < MIN_WEIGHT else ()
+    if seldom:
+        parameters = parameters.model_copy(update={"saturated_fraction": MIN_WEIGHT})
     if not raised:
-        return parameters, ()
+        return parameters, seldom
     floored = {name: max(share, MIN_WEIGHT) for name, share in shares.items()}
     # The largest share pays for it.
     largest = max(shares, key=lambda name: shares[name])
     floored[largest] -= sum(floored.values()) - 1.0
-    return parameters.model_copy(update={"weights": parameters.weights.model_copy(update=floored)}), raised
+    weights = parameters.weights.model_copy(update=floored)
+    return parameters.model_copy(update={"weights": weights}), (*raised, *seldom)
 
 
 class FitError(ValueError):

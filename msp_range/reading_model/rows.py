@@ -30,6 +30,13 @@ def take(values: Any, rows: Any) -> Any:
     return values[rows] if isinstance(values, np.ndarray) else values
 
 
+def among(some: _Array, rows: NDArray[np.intp], size: int) -> _Array:
+    """Parts of some rows (m, k) in their places among all, (m, size); 0 for the others."""
+    parts = np.zeros((some.shape[0], size))
+    parts[:, rows] = some
+    return parts
+
+
 @dataclass(frozen=True)
 class MixtureRows:
     """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has them.
@@ -102,9 +109,7 @@ class MixtureRows:
         inside = np.flatnonzero(first <= last)
         if inside.size < first.size:
             some = MixtureRows.arrives(self.take(inside), first[inside], last[inside], part)
-            parts = np.zeros((some.shape[0], first.size))
-            parts[:, inside] = some
-            return parts
+            return among(some, inside, first.size)
         parts = part(self, first, last)
         has_max = last == self.maximum_cm
         moves = np.flatnonzero(has_max != ((first <= SATURATED_CM) & (last >= SATURATED_CM)))

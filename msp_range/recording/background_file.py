@@ -50,8 +50,8 @@ class BackgroundFile:
         self._clock = clock or SystemClock()
         self._kept_blocks = self._written_blocks = self._written_bytes = 0
         self._given_bytes = 0
-        self._buffer: list[bytes] = []
-        self._blocks: SimpleQueue[bytes | Callable[[], object]] = SimpleQueue()
+        self._block: list[bytes | bytearray] = []
+        self._blocks: SimpleQueue[list[bytes | bytearray] | Callable[[], object]] = SimpleQueue()
         self._given_s: deque[float] = deque()
         self._opened, self._finishing = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, args=(open_file,), name="recording", daemon=True)
@@ -64,6 +64,11 @@ class BackgroundFile:
             return self._clock.now() - self._given_s[0]
         except IndexError:
             return 0.0
+
+    def wait_while_behind(self, least_s: float, most_s: float) -> None:
+        """Wait while the oldest block has been waiting for more than ``least_s``, but not for ``most_s``."""
+        while least_s < self.behind_s <= most_s and not self.has_ended:
+            self._clock.sleep_until(self._clock.now() + REST_S)
 
     @property
     def has_ended(self) -> bool:
@@ -82,16 +87,17 @@ class BackgroundFile:
         """Bytes that were written so far, as their writer counts them."""
         return self._given_bytes
 
-    def write(self, data: bytes) -> None:
-        """Take ``data`` for the next `flush`."""
-        self._buffer.append(data)
+    def write(self, data: bytes | bytearray) -> None:
+        """Take ``data``, which does not change any more, for the next `flush`."""
+        self._block.append(data)
         self._given_bytes += len(data)
 
     def flush(self) -> None:
         """Hand over to the thread what was written."""
-        if self._buffer:
+        if self._block:
             self._given_s.append(self._clock.now())
-            self._blocks.put(self._take_buffer())
+            self._blocks.put(self._block)
+            self._block = []
 
     def finish(self, write_end: Callable[[], object]) -> None:
         """Complete the file in the background; ``write_end`` writes its last part, and is called in the thread."""
@@ -102,11 +108,6 @@ class BackgroundFile:
     def join(self, timeout_s: float) -> None:
         """Wait for the end, but not longer than this."""
         self._thread.join(timeout_s)
-
-    def _take_buffer(self) -> bytes:
-        data = b"".join(self._buffer)
-        self._buffer.clear()
-        return data
 
     def _run(self, open_file: Callable[[], FileIO]) -> None:
         try:
@@ -127,15 +128,16 @@ class BackgroundFile:
                 # All that has come while the disk was busy is kept together.
                 for _ in range(max(1, self._blocks.qsize())):
                     block = self._blocks.get()
-                    if not isinstance(block, bytes):
+                    if not isinstance(block, list):
                         at_end = True
                         block()
-                        block = self._take_buffer()
-                    rest = memoryview(block)
-                    while rest:
-                        rest = rest[file.write(rest) :]
+                        block = self._block
+                    for part in block:
+                        rest = memoryview(part)
+                        while rest:
+                            rest = rest[file.write(rest) :]
                     self._written_blocks += 1
-                    self._written_bytes += len(block)
+                    self._written_bytes += sum(map(len, block))
                 self._keep(file, path)
                 self._finishing.wait(REST_S)
         except OSError:

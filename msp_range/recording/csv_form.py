@@ -2,13 +2,19 @@
 
 One row is one ping. ``time_s`` is the time of the echo, or of the ping where there was none; an empty cell is
 unknown, and an empty ``reading_cm`` is no answer. Columns that are not named here are further context: numbers where
-every cell is a number or empty, words otherwise.
+every cell is a number or empty, words otherwise. Files are text in UTF-8, compressed ones (.gz) are unpacked; whatever
+is no table, or is too large, is refused in a line that names the place.
 """
 
+import codecs
 import csv
 import difflib
+import gzip
+import io
 import itertools
 import math
+import os
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +23,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.input_file import CONTROL, making
+from msp_range.input_file import CONTROL, making, open_input
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
-from msp_range.recording.csv_rows import LONGEST_CELL, csv_rows, short_list
 from msp_range.recording.error import RecordingError
 
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
@@ -28,6 +33,21 @@ BLOCK = 1 << 10
 """Rows that are held as text at a time: so many stay in a processor's cache."""
 MOST_WORD_BYTES = 256 * 2**20
 """Memory that a column of words may take: it is as many rows long as its longest word is wide."""
+LARGEST_BYTES = 512 * 2**20
+"""A larger file is refused: ten million readings with their contexts fit, and take 60 s and 1 GB to read."""
+MOST_EXPANSION = 50
+"""Bytes that a compressed file may have unpacked for each of its own. Tables have 5 to 20; a bomb has 1000."""
+FREE_EXPANSION_BYTES = 2**20
+"""Bytes that the smallest compressed file may have unpacked."""
+LONGEST_LINE = 2**18
+"""Characters of a line: a row of `MOST_COLUMNS` of the longest cells is shorter."""
+MOST_COLUMNS = 1000
+"""Columns of a table. Tables of readings have 4 to 40; each column costs 8 bytes of memory for each row."""
+LONGEST_CELL = 200
+"""Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
+
+_BLOCK_BYTES = 2**16
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 Column: TypeAlias = NDArray[Any]
 """float64 with NaN where unknown, or str with "" where unknown."""
@@ -128,6 +148,73 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
         raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def csv_rows(path: Path, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
+    """Each row of a table with the number of the line on which it ends; empty lines are left out.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is too large, not text, or not CSV.
+    """
+    try:
+        with open_input(path, LARGEST_BYTES) as file:
+            rows = csv.reader(_lines(path, file), delimiter=delimiter, strict=True)
+            for row in rows:
+                if len(row) > MOST_COLUMNS:
+                    raise RecordingError(
+                        f"{path}:{rows.line_num}: found {len(row)} columns, expected at most {MOST_COLUMNS}"
+                    )
+                if row:
+                    yield rows.line_num, row
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise RecordingError(f"{path}: cannot be unpacked: {error}") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    except csv.Error as error:
+        raise RecordingError(f"{path}:{rows.line_num}: not CSV: {error}") from None
+
+
+def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
+    is_packed = path.suffix == ".gz"
+    with gzip.GzipFile(fileobj=file) if is_packed else file as stream:
+        most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
+        if stream.peek(2)[:2] in _UTF_16:
+            raise RecordingError(f"{path}: found text in UTF-16, expected UTF-8")
+        decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
+        number, read, rest = 1, 0, ""
+        while True:
+            content = stream.read(_BLOCK_BYTES)
+            try:
+                block = decoder.decode(content, final=not content)
+            except UnicodeDecodeError as error:
+                line = number + error.object.count(b"\n", 0, error.start)
+                found = error.object[error.start]
+                raise RecordingError(f"{path}:{line}: found the byte 0x{found:02x}, expected text in UTF-8") from None
+            read += len(content)
+            if read > most:
+                raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
+            control = CONTROL.search(block)
+            if control is not None:
+                line = number + block.count("\n", 0, control.start())
+                raise RecordingError(f"{path}:{line}: found the control character {control[0]!r}, expected text")
+            rest += block
+            end = rest.rfind("\n") + 1
+            number += rest.count("\n", 0, end)
+            yield from io.StringIO(rest[:end])
+            rest = rest[end:]
+            if len(rest) > LONGEST_LINE:
+                raise RecordingError(f"{path}:{number}: found a line of more than {LONGEST_LINE} characters")
+            if not content:
+                yield from io.StringIO(rest)
+                return
+
+
+def short_list(names: Sequence[str]) -> str:
+    """Names of columns for a message: the first ones, each cut where it is long."""
+    shown = [name if len(name) <= 40 else f"{name[:40]}..." for name in names[:20]]
+    return ", ".join(shown) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
 def _check_header(path: Path, header: list[str], required: Sequence[str]) -> None:

@@ -81,7 +81,7 @@ class ReplayBus:
         return answer
 
     def busy_s(self, address: int) -> float:
-        """Not reported, so that the bridge asks as often as on the vehicle."""
+        """Not at all, as far as the bridge knows: it asks every few milliseconds, and reads each answer as soon."""
         return 0.0
 
     def reopen(self) -> None:

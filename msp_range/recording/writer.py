@@ -27,6 +27,9 @@ SIGKILL may cost. A shorter time loses less, wears an SD card more, and makes th
 HUNG_AFTER_S = 10.0
 """A disk that has not kept a block for this long counts as hung. An SD card that is tidying up may take some seconds;
 a larger value holds more in memory and reports later."""
+BEHIND_S = 1.0
+"""A recorder that waits does so for a disk that is farther behind [s]. Longer holds more in memory; shorter than some
+0.3 s, which a disk takes to keep a block, slows down flights on quick disks."""
 CLOSE_TIMEOUT_S = 5.0
 """How long `Recorder.close` waits for the disk; below the time after which systemd kills a service that is to stop."""
 METADATA_NAME = "msp_range"
@@ -58,6 +61,9 @@ class Recorder:
         The airframe file as ``airframe.yaml`` and the files that it names, by their relative paths, to be kept.
     metadata
         Whatever else names the flight.
+    waits
+        Whether `flush_if_due` waits for a slow disk, as a flight in simulated time has to: it records some hundred
+        times as much in a second as a vehicle does.
 
     Attributes
     ----------
@@ -78,6 +84,7 @@ class Recorder:
         *,
         files: Mapping[str, str] | None = None,
         metadata: dict[str, str] | None = None,
+        waits: bool = False,
     ) -> None:
         self.fault: str | None = None
         self._clock_start_s = clock.now()
@@ -91,6 +98,7 @@ class Recorder:
             self._mcap.add_attachment(self._utc_start_ns, name, "application/yaml", text.encode())
         self._mcap.flush()
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
+        self._waits = waits
 
     @property
     def path(self) -> Path | None:
@@ -146,6 +154,8 @@ class Recorder:
             return
         self._flush_due_s = now_s + FLUSH_INTERVAL_S
         self._mcap.flush()
+        if self._waits:
+            self._file.wait_while_behind(BEHIND_S, HUNG_AFTER_S)
         error = self._file.error
         if error is not None:
             self.fault = _FAULTS.get(error.errno or 0, f"disk error (errno {error.errno})")

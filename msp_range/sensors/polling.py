@@ -1,8 +1,8 @@
 """Ping range finders in the order of a schedule, and read their answers.
 
 A sensor that is measuring has no answer yet, so it is read again every `POLL_INTERVAL_S` from the moment at which
-it could first be done, and never later than its deadline. Attempts that would fail, as far as an emulated bus knows
-it, are left out.
+it could first be done, and never later than its deadline. Attempts that would fail are left out: by what an emulated
+bus knows, and on a real one by when the sensor answered last.
 """
 
 import errno
@@ -19,6 +19,14 @@ from msp_range.sensors.schedule import PolledSensor, Schedule
 
 LATE_S = 0.1
 """An answer that is read this long after the deadline is too old to be used [s]."""
+LONGEST_WAIT_S = 0.019
+"""A sensor that is expected to measure for longer than this is asked in between [s]: an answer that comes sooner than
+expected is read at most this late. Longer delays the first sight of an object that appears, shorter keeps bus and
+processor busier: each attempt in vain wakes the bridge."""
+SOONER_S = 0.0005
+"""After a first attempt that was answered the next one comes this much sooner [s], until one is in vain: only that
+shows how soon there is an answer. Smaller follows a sensor that becomes quicker more slowly, larger makes more attempts
+in vain."""
 REOPEN_INTERVAL_S = 1.0
 """Time between two attempts to reopen a bus that is locked up or missing [s]."""
 
@@ -43,22 +51,50 @@ class Ranging(NamedTuple):
 
 
 class _Pending:
-    """A sensor that was pinged, between ``from_s`` and ``ping_s``, and has not answered yet."""
+    """A sensor that was pinged, between ``from_s`` and ``ping_s``, and has not answered yet.
 
-    __slots__ = ("from_s", "next_try_s", "ping_s", "sensor")
+    It is busy for ``busy_s`` [s], and probably until ``expected_s``.
+    """
 
-    def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float, busy_s: float) -> None:
+    __slots__ = ("expected_s", "from_s", "next_try_s", "ping_s", "sensor", "tried_s")
+
+    def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float, busy_s: float, expected_s: float) -> None:
         self.sensor = sensor
-        self.from_s, self.ping_s = from_s, ping_s
-        deadline_s = ping_s + sensor.timing.deadline_s
-        self.next_try_s = ping_s + sensor.timing.first_answer_s
+        self.from_s, self.ping_s, self.expected_s = from_s, ping_s, expected_s
+        self.tried_s = -math.inf
+        next_try_s = ping_s + sensor.timing.first_answer_s
         until_s = ping_s + busy_s
-        while self.next_try_s < until_s:
-            self.next_try_s += POLL_INTERVAL_S
-        self.next_try_s = min(self.next_try_s, deadline_s)
+        while next_try_s < until_s:
+            next_try_s += POLL_INTERVAL_S
+        self._try_from(next_try_s, next_try_s)
+
+    def tried(self, now_s: float) -> None:
+        """Plan the next attempt after one in vain."""
+        self.tried_s = now_s
+        self._try_from(now_s + POLL_INTERVAL_S, now_s)
+
+    def _try_from(self, soonest_s: float, none_until_s: float) -> None:
+        deadline_s = self.ping_s + self.sensor.timing.deadline_s
+        self.next_try_s = min(max(soonest_s, min(self.expected_s, none_until_s + LONGEST_WAIT_S)), deadline_s)
 
 
 _next_try_s = attrgetter("next_try_s")
+
+
+class _Duration(NamedTuple):
+    """How long a sensor's last measurement took: at least so long for its answer, and so much longer [s]."""
+
+    earliest_s: float
+    beyond_s: float
+
+
+def _duration(pending: _Pending, earliest_s: float, now_s: float, before: _Duration | None) -> _Duration:
+    """The duration of the measurement that was answered now; what was learnt ``before`` holds for any answer."""
+    beyond_s = now_s - pending.ping_s - earliest_s
+    if before is not None:
+        beyond_s = min(beyond_s, before.beyond_s)
+    in_vain_s = pending.tried_s + 0.5 * POLL_INTERVAL_S - pending.ping_s - earliest_s
+    return _Duration(earliest_s, max(beyond_s - SOONER_S, in_vain_s))
 
 
 class Poller:
@@ -90,6 +126,7 @@ class Poller:
         self._pending: list[_Pending] = []
         self._next: _Pending
         self._to_reopen: Ranging | None = None
+        self._durations: dict[str, _Duration] = {}
         self._last_ping_s = clock.now()
         self._acknowledged = False
         self._reopened_s = float("-inf")
@@ -136,8 +173,12 @@ class Poller:
             return self._no_answer(sensor, self._last_ping_s, self._last_ping_s, error)
         # Taken after the write, which a stretched clock can delay: the next turn counts from the last ping of this one.
         self._last_ping_s = self._clock.now()
-        busy_s = self._bus.busy_s(sensor.device.address)
-        self._pending.append(_Pending(sensor, from_s, self._last_ping_s, busy_s))
+        busy_s, expected_s = self._bus.busy_s(sensor.device.address), -math.inf
+        if busy_s is None:
+            busy_s = 0.0
+            if sensor.name in self._durations:
+                expected_s = self._last_ping_s + sum(self._durations[sensor.name])
+        self._pending.append(_Pending(sensor, from_s, self._last_ping_s, busy_s, expected_s))
         self._acknowledged = True
         return None
 
@@ -155,11 +196,14 @@ class Poller:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
             deadline_s = pending.ping_s + timing.deadline_s
             if now_s < deadline_s and not error.bus_at_fault:
-                pending.next_try_s = min(now_s + POLL_INTERVAL_S, deadline_s)
+                pending.tried(now_s)
                 return None
             self._pending.remove(pending)
             return self._no_answer(sensor, pending.ping_s, self._clock.now(), error)
         self._pending.remove(pending)
+        if not decoded.status.is_fault:
+            before = self._durations.get(sensor.name)
+            self._durations[sensor.name] = _duration(pending, decoded.earliest_s, now_s, before)
         answered_s = self._clock.now()
         decoded = decoded.arrived_after(answered_s - pending.from_s)
         return Ranging(reading_of(sensor, pending.ping_s, decoded), pending.ping_s, answered_s)

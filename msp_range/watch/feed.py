@@ -6,8 +6,10 @@ packets, never the bridge time. A watcher may send ``{"mark": "text"}``, which g
 """
 
 import os
+import select
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,6 @@ import orjson
 from msp_range.bridge import Records
 from msp_range.input_file import printable
 
-SERVICE_INTERVAL_S = 0.05
-"""Time between two looks at who came, went or wrote [s]: a mark is at most this late. A look costs 2 us."""
 MOST_WATCHERS = 8
 """More are refused: a page's process and some terminals. Each costs the bridge a system call a packet."""
 LONGEST_MARK = 100
@@ -56,7 +56,6 @@ class Feed:
         self._greeting = greeting
         self._on_mark = on_mark
         self._watchers: list[socket.socket] = []
-        self._next_service_s = float("-inf")
         self._next_mark_s = float("-inf")
         self.dropped = 0
         self._server = _listening(path)
@@ -83,19 +82,14 @@ class Feed:
             self._forget(watcher)
 
     def service(self, now_s: float) -> None:
-        """Greet who has come, and take marks, where it is time."""
-        if now_s < self._next_service_s:
-            return
-        self._next_service_s = now_s + SERVICE_INTERVAL_S
-        for watcher in list(self._watchers):
-            self._receive(watcher, now_s)
-        # A queue of its length is what `listen` allows to wait.
-        for _ in range(MOST_WATCHERS):
-            try:
-                watcher, _ = self._server.accept()
-            except OSError:
-                return
-            self._greet(watcher, now_s)
+        """Greet who has come, and take marks: one system call where there is nothing to do."""
+        readable, _, _ = select.select([self._server, *self._watchers], (), (), 0.0)
+        for each in readable:
+            if each is self._server:
+                with suppress(OSError):  # It has gone already, or there are too many open files.
+                    self._greet(each.accept()[0], now_s)
+            else:
+                self._receive(each, now_s)
 
     def close(self) -> None:
         """End all connections and remove the socket."""
@@ -119,8 +113,6 @@ class Feed:
     def _receive(self, watcher: socket.socket, now_s: float) -> None:
         try:
             packet = watcher.recv(4096)
-        except BlockingIOError:
-            return
         except OSError:
             packet = b""
         if not packet:

@@ -218,17 +218,18 @@ def sample(
     require("sim", "msp-sim sample")
     from msp_range.recording.csv_form import read_csv, write_csv
     from msp_sim.effects.own import add_own_effects
-    from msp_sim.model.derived import PREVIOUS, sample_in_order, with_derived
+    from msp_sim.model.derived import PREVIOUS, derived_columns, sample_in_order
     from msp_sim.model.model import load_model
 
     add_own_effects(effects or ())
     readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
-    columns, derived = with_derived(readings, given.columns)
+    added, sources = derived_columns(readings.columns, given.columns)
+    columns = {**given.columns, **added}
     reading_cm = sample_in_order(readings, columns, seed)
     write_csv(out, {**columns, "reading_cm": reading_cm})
     print(f"{out}: {len(given)} readings", file=sys.stderr)
-    for name, words in derived.items():
+    for name, words in sources.items():
         print(f"{name} was computed from {words}", file=sys.stderr)
     for effect in readings.effects:
         absent = [name for name in effect.effect.requires if name not in columns and name != PREVIOUS]

@@ -1,8 +1,8 @@
 """Do the same for each item of a list, on one processor, on several, or on a Dask cluster.
 
-A function and a list of independent items enter; an `Outcome` for each item leaves, in the list's order. The results do
-not depend on where they were computed: each item is computed alone, with one BLAS thread, and whatever is summed over
-items is summed by the caller, in order.
+A function and a list of independent items enter; an `ItemOutcome` for each item leaves, in the list's order. The
+results do not depend on where they were computed: each item is computed alone, with one BLAS thread, and whatever is
+summed over items is summed by the caller, in order.
 
 There is one mechanism for several processes, Dask: `--jobs` starts a cluster on this machine, `--scheduler` uses one
 that runs. It replaces a worker that died and does its items again. With one job nothing is started, and the extra
@@ -52,7 +52,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[Result]):
+class ItemOutcome(Generic[Result]):
     """What became of an item.
 
     Attributes
@@ -98,7 +98,7 @@ class Workers:
 
     def map(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any = None, *, what: str
-    ) -> Iterator[Outcome[Result]]:
+    ) -> Iterator[ItemOutcome[Result]]:
         """Call ``function(shared, item)`` for each item.
 
         Parameters
@@ -112,7 +112,7 @@ class Workers:
 
         Yields
         ------
-        Outcome
+        ItemOutcome
             One per item, in order. An exception of an item is an outcome; it does not end the others.
 
         Raises
@@ -137,13 +137,13 @@ class Workers:
 
     def _in_process(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
-    ) -> Iterator[Outcome[Result]]:
+    ) -> Iterator[ItemOutcome[Result]]:
         for index, item in enumerate(items):
             yield _attempt(function, shared, index, item)
 
     def _on_cluster(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
-    ) -> Iterator[Outcome[Result]]:
+    ) -> Iterator[ItemOutcome[Result]]:
         from distributed import KilledWorker
 
         pickled = pickle.dumps((function, shared))
@@ -169,7 +169,9 @@ class Workers:
                     try:
                         yield from self._result(submitted([indexed]))
                     except KilledWorker:
-                        yield Outcome(indexed[0], None, "each worker process that computed it died (out of memory?)")
+                        yield ItemOutcome(
+                            indexed[0], None, "each worker process that computed it died (out of memory?)"
+                        )
 
     def _result(self, future: Any) -> Any:
         """The result of a task, which is then forgotten by the cluster."""
@@ -305,7 +307,7 @@ def _unpickled(pickled: bytes) -> Any:
     return pickle.loads(pickled)
 
 
-def _attempt_all(pickled: bytes, part: Sequence[tuple[int, Any]], expected: str) -> list[Outcome[Any]]:
+def _attempt_all(pickled: bytes, part: Sequence[tuple[int, Any]], expected: str) -> list[ItemOutcome[Any]]:
     """Compute some items on a worker."""
     if fingerprint() != expected:
         raise OtherVersion(f"a worker on {platform.node()} has {fingerprint()}; expected {expected}, as here")
@@ -314,12 +316,12 @@ def _attempt_all(pickled: bytes, part: Sequence[tuple[int, Any]], expected: str)
     return [_attempt(function, shared, index, item) for index, item in part]
 
 
-def _attempt(function: Callable[[Any, Any], Result], shared: Any, index: int, item: Any) -> Outcome[Result]:
+def _attempt(function: Callable[[Any, Any], Result], shared: Any, index: int, item: Any) -> ItemOutcome[Result]:
     # Products of large matrices differ in the last digits with the number of threads.
     with threadpool_limits(limits=1):
         try:
-            return Outcome(index, function(shared, item), None)
+            return ItemOutcome(index, function(shared, item), None)
         except UserError as error:
-            return Outcome(index, None, str(error))
+            return ItemOutcome(index, None, str(error))
         except Exception as error:  # Whatever is wrong with one item must not end the others.
-            return Outcome(index, None, f"{type(error).__name__}: {error}")
+            return ItemOutcome(index, None, f"{type(error).__name__}: {error}")

@@ -58,7 +58,7 @@ def main() -> None:
         print(scores)
         if given.figures:
             arguments = " ".join(word for word in sys.argv[1:] if word != "--figures" and word != str(given.figures))
-            replace_section(given.figures, "blind", f"    python -m tests.blind {arguments}\n\n{scores}")
+            replace_section(given.figures, "blind", f"Tables of `python -m tests.blind {arguments}`.\n\n{scores}")
 
 
 if __name__ == "__main__":

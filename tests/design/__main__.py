@@ -7,9 +7,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from scipy.stats import beta
-
 from tests.design.campaign import Outcome, run_case
+from tests.design.oracle import ENOUGH_NATS
+from tests.second_hand.score import wilson
 
 OUTCOMES = ("right", "wrong", "not promised", "same", "no question", "not asked", "crash")
 
@@ -20,16 +20,21 @@ def table(found: Sequence[Outcome]) -> str:
     for title in dict.fromkeys(each.pair for each in found):
         counts = [sum(each.pair == title and each.outcome == what for each in found) for what in OUTCOMES]
         lines.append(f"| {title} | {' | '.join(map(str, counts))} |")
-    right, wrong = (sum(each.outcome == what for each in found) for what in ("right", "wrong"))
     lines.append(f"| all | {' | '.join(str(sum(each.outcome == what for each in found)) for what in OUTCOMES)} |")
-    if right + wrong:
-        low = beta.ppf(0.025, right, wrong + 1) if right else 0.0
-        high = beta.ppf(0.975, right + 1, wrong) if wrong else 1.0
-        kept = (
-            f"{right} of {right + wrong}, {100 * right / (right + wrong):.0f} % ({100 * low:.0f} to {100 * high:.0f})"
-        )
-        lines.append(f"\nPromised and resolved right: {kept}")
+    for about, of in ((True, "about the pair"), (False, "about what was not recorded")):
+        own = [each for each in found if each.about_pair == about]
+        kept, broken = (sum(each.outcome == what for each in own) for what in ("right", "wrong"))
+        lines.append(f"\nPromises kept, questions {of}: {_share(kept, kept + broken)}")
+    same = [each for each in found if each.about_pair and each.outcome == "same"]
+    wrongly = sum(each.decidable_nats >= ENOUGH_NATS for each in same)
+    lines.append(f"\nCalled the same although an experiment would decide: {_share(wrongly, len(same))}")
     return "\n".join(lines)
+
+
+def _share(count: int, of: int) -> str:
+    """Counts with Wilson's 95 % interval."""
+    low, high = wilson(count, of)
+    return f"{count} of {of} (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def main() -> None:
@@ -47,7 +52,8 @@ def main() -> None:
         own = run_case(given.out, given.seed, number, given.power, given.sessions)
         found += own
         for each in own:
-            print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({each.detail})", flush=True)
+            detail = each.detail + (f"; {each.decidable_nats:.0f} nats by an oracle" if each.outcome == "same" else "")
+            print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({detail})", flush=True)
     print(table(found))
 
 

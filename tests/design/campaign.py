@@ -13,12 +13,10 @@ from typing import Any
 import yaml
 
 from msp_range.recording.csv_form import read_csv, write_csv
+from tests.design.oracle import PLACED_CM, decidable_nats
 from tests.design.pairs import Columns, Hidden, draw_case, with_readings
 from tests.second_hand.workflow import command
 from tests.support.measured import MODEL
-
-PLACED_CM = {"bench": 0.2, "flight": 0.5}
-"""Standard deviation of the true range's error, common to a placement or a flight."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,11 @@ class Outcome:
         What was found, or why there is no session.
     minutes
         Of the session.
+    decidable_nats
+        By which the other effect of the pair fails in an experiment that a person would do; of a question about the
+        pair that has no session.
+    about_pair
+        Whether an effect of the pair is among the question's answers. Other questions ask for what was not recorded.
     """
 
     number: int
@@ -48,6 +51,8 @@ class Outcome:
     promised: float = 0.0
     detail: str = ""
     minutes: float = 0.0
+    decidable_nats: float = 0.0
+    about_pair: bool = True
 
 
 def run_case(folder: Path, seed: int, number: int, power: float = 0.95, sessions: int = 0) -> list[Outcome]:
@@ -67,8 +72,11 @@ def run_case(folder: Path, seed: int, number: int, power: float = 0.95, sessions
 def _run(work: Path, seed: int, number: int, power: float, sessions: int) -> list[Outcome]:
     pair, hidden, size, columns = draw_case(seed, number)
 
-    def outcome(what: str, detail: str = "", promised: float = 0.0, minutes: float = 0.0) -> Outcome:
-        return Outcome(number, pair.title, hidden.name, size, what, promised, detail, minutes)
+    def outcome(
+        what: str, detail: str = "", promised: float = 0.0, minutes: float = 0.0, about: bool = True
+    ) -> Outcome:
+        nats = decidable_nats(pair, hidden, size) if what == "same" and about else 0.0
+        return Outcome(number, pair.title, hidden.name, size, what, promised, detail, minutes, nats, about)
 
     model, old = work / "given.yaml", work / "old.csv"
     model.write_text(yaml.safe_dump(yaml.safe_load(MODEL.read_text()) | {"effects": []}))
@@ -84,7 +92,12 @@ def _run(work: Path, seed: int, number: int, power: float, sessions: int) -> lis
     if crash:
         return [outcome("crash", crash)]
     questions = json.loads((work / "gap/design/design.json").read_text())["questions"]
-    return [outcome(*_held(each, hidden, size, power, seed + number)) for each in questions]
+    named = {each.name for each in pair.effects if each.name}
+    about = [any(answer["name"] in named for answer in each["answers"]) for each in questions]
+    return [
+        outcome(*_held(each, hidden, size, power, seed + number), about=own)
+        for each, own in zip(questions, about, strict=True)
+    ]
 
 
 def _held(

@@ -4,7 +4,7 @@ A seed enters, columns with readings leave; what is hidden is worked out from it
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any
 
@@ -18,6 +18,11 @@ Columns = dict[str, Any]
 RUNS, ROWS = 10, 120
 """Of the old readings."""
 CALIBRATED_C, ZERO_K = 22.5, 273.15
+HEIGHT_CM, LAG_MS = 220.0, 3.0
+STRUT_CM = HEIGHT_CM - 51.7
+"""Where the echo of a ping that a neighbour sent `LAG_MS` earlier seems to be, at 345 m/s."""
+FALSE_CM = 2.0
+"""Scatter of a false echo."""
 
 
 def sound_m_s(celsius: Floats | float) -> Floats:
@@ -31,8 +36,10 @@ class Hidden:
 
     Attributes
     ----------
-    bias, spread
-        Functions of columns and size: centimetres, and a factor on the scatter.
+    bias, spread, shorts
+        Functions of columns and size: centimetres, and factors on the scatter and on the odds of a short reading.
+    false
+        Function of columns and size: share of the echoes that are another one, and where that is [cm].
     least, most
         Sizes are drawn between; the sign too where it may be negative.
     """
@@ -42,6 +49,8 @@ class Hidden:
     most: float
     bias: Callable[[Columns, float], Any] = lambda columns, size: 0.0
     spread: Callable[[Columns, float], Any] = lambda columns, size: 1.0
+    shorts: Callable[[Columns, float], Any] = lambda columns, size: 1.0
+    false: Callable[[Columns, float], tuple[Any, Any]] = lambda columns, size: (0.0, 0.0)
     signed: bool = False
 
 
@@ -66,6 +75,21 @@ def _moves_meanwhile(columns: Columns, share: float) -> Floats:
     return np.asarray(share * columns["range_rate_cm_s"] * one_way_s)
 
 
+def _neighbours_echo(columns: Columns, share: float) -> tuple[Floats, Floats]:
+    """The ping of a neighbour was sent earlier, so that its echo seems nearer by the way of that time."""
+    lag_s = np.asarray(columns.get("neighbour_lag_ms", np.nan)) / 1000.0
+    range_cm = np.asarray(columns["neighbour_range_cm" if "neighbour_range_cm" in columns else "true_range_cm"])
+    seen_cm = range_cm - 100.0 * sound_m_s(CALIBRATED_C) * lag_s / 2.0
+    return np.where(seen_cm > 20.0, share, 0.0), seen_cm
+
+
+def _fixed_object(columns: Columns, share: float) -> tuple[Floats, Floats]:
+    """A strut at the edge of the beam, seen where nothing is nearer."""
+    return np.where(columns["true_range_cm"] > STRUT_CM, share, 0.0), np.full(
+        np.shape(columns["true_range_cm"]), STRUT_CM
+    )
+
+
 SCALE = Hidden("range_scale", 1.0, 3.0, lambda c, size: size / 100.0 * c["true_range_cm"], signed=True)
 AIR = Hidden("air_temperature", 0.5, 1.1, _air)
 THERMOMETER = Hidden("thermometer_offset", 6.0, 15.0, _wrong_thermometer, signed=True)
@@ -76,6 +100,11 @@ LOUD = Hidden("rotor_noise", 1.0, 2.5, spread=lambda c, size: 1.0 + size * c["th
 TILTED = Hidden("spread_with_incidence", 0.5, 1.2, spread=lambda c, size: 1.0 + size * np.abs(c["incidence_deg"]) / 10)
 SHAKEN = Hidden("vibration", 0.4, 1.0, spread=lambda c, size: np.where(c["vibration_hz"] > 0.0, 1.0 + size, 1.0))
 WIDER = Hidden("", 1.3, 1.8, spread=lambda c, size: size)
+
+WASH = Hidden("prop_wash", 2.0, 4.0, shorts=lambda c, size: np.exp(size * c["throttle"]))
+OBJECTS = Hidden("", 3.0, 6.0, shorts=lambda c, size: size)
+NEIGHBOUR = Hidden("crosstalk", 0.1, 0.3, false=_neighbours_echo)
+STRUT = Hidden("clutter", 0.1, 0.3, false=_fixed_object)
 
 
 def _nothing_varies_much(columns: Columns, rng: np.random.Generator) -> None:
@@ -117,23 +146,72 @@ def _steady_throttle(columns: Columns, rng: np.random.Generator) -> None:
     columns["throttle"] = 0.5 + 0.005 * rng.standard_normal(RUNS * ROWS)
 
 
+def _hover_with_neighbour(columns: Columns, rng: np.random.Generator) -> None:
+    """A hover at one height, each ping after one of the neighbour."""
+    columns["true_range_cm"] = HEIGHT_CM + 0.8 * rng.standard_normal(RUNS * ROWS)
+    columns["neighbour_range_cm"] = columns["true_range_cm"].copy()
+    columns["neighbour_lag_ms"] = np.full(RUNS * ROWS, LAG_MS)
+
+
 @dataclass(frozen=True)
 class Pair:
-    """Two effects, and the contexts in which they look alike."""
+    """Two effects, the contexts in which they look alike, and what a person would vary to see them apart.
+
+    Attributes
+    ----------
+    title, effects, twist
+        As it says.
+    between
+        Columns that differ from run to run, with their levels.
+    within
+        Columns that vary inside a run: in flight, or none at a bench, where each placement is a run.
+    """
 
     title: str
     effects: tuple[Hidden, Hidden]
     twist: Callable[[Columns, np.random.Generator], None]
+    between: Mapping[str, tuple[float, ...]]
+    within: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+RANGES: dict[str, tuple[float, ...]] = {"true_range_cm": (60.0, 120.0, 200.0, 300.0, 400.0)}
+AIRS: dict[str, tuple[float, ...]] = {"air_temperature_c": (0.0, 20.0, 40.0)}
+HEIGHTS: dict[str, tuple[float, ...]] = {"true_range_cm": (100.0, 220.0, 360.0)}
+THROTTLES: dict[str, tuple[float, ...]] = {"throttle": (0.2, 0.5, 0.8)}
 
 
 PAIRS = (
-    Pair("one temperature: air or scale", (AIR, SCALE), _nothing_varies_much),
-    Pair("days: thermometer or scale", (THERMOMETER, SCALE), _usual_days),
-    Pair("far end with near end: gradient or air", (GRADIENT, AIR), _ground_as_warm),
-    Pair("one height: late or moving", (LATE, MOVES), _one_height),
-    Pair("throttle with tilt: rotors or tilt", (LOUD, TILTED), _throttle_with_tilt),
-    Pair("shaken where turned: vibration or tilt", (SHAKEN, TILTED), _shaken_where_turned),
-    Pair("steady throttle: rotors or a worse sensor", (LOUD, WIDER), _steady_throttle),
+    Pair("one temperature: air or scale", (AIR, SCALE), _nothing_varies_much, RANGES | AIRS),
+    Pair("days: thermometer or scale", (THERMOMETER, SCALE), _usual_days, {"air_temperature_c": (2.0, 32.0)}, HEIGHTS),
+    Pair(
+        "far end with near end: gradient or air",
+        (GRADIENT, AIR),
+        _ground_as_warm,
+        RANGES | {"air_temperature_c": (20.0, 40.0), "target_temperature_c": (20.0, 40.0)},
+    ),
+    Pair(
+        "one height: late or moving",
+        (LATE, MOVES),
+        _one_height,
+        {},
+        HEIGHTS | {"range_rate_cm_s": (-100.0, -50.0, 0.0, 50.0, 100.0)},
+    ),
+    Pair(
+        "throttle with tilt: rotors or tilt",
+        (LOUD, TILTED),
+        _throttle_with_tilt,
+        {},
+        THROTTLES | {"incidence_deg": (0.0, 5.0, 10.0)},
+    ),
+    Pair(
+        "shaken where turned: vibration or tilt",
+        (SHAKEN, TILTED),
+        _shaken_where_turned,
+        {"vibration_hz": (0.0, 50.0), "incidence_deg": (0.0, 12.0)},
+    ),
+    Pair("steady throttle: rotors or a worse sensor", (LOUD, WIDER), _steady_throttle, {}, THROTTLES),
+    Pair("steady throttle: rotors' wash or objects", (WASH, OBJECTS), _steady_throttle, {}, THROTTLES),
+    Pair("hover: a neighbour's echo or a strut", (NEIGHBOUR, STRUT), _hover_with_neighbour, RANGES),
 )
 
 
@@ -178,14 +256,15 @@ def with_readings(columns: Mapping[str, Any], hidden: Hidden, size: float, seed:
     known.setdefault("vibration_hz", np.zeros(np.size(columns["true_range_cm"])))
     names, unit = np.unique(np.asarray(columns["run"]), return_inverse=True)
     known["true_range_cm"] = columns["true_range_cm"] + placed_cm * rng.standard_normal(names.size)[unit]
-    size_of = np.broadcast_to
-    bias = size_of(hidden.bias(known, size), unit.shape)
-    spread = size_of(hidden.spread(known, size), unit.shape)
+    share, seen_cm = hidden.false(known, size)
+    changes = (hidden.bias(known, size), hidden.spread(known, size), hidden.shorts(known, size), share, seen_cm)
     usual = sensor()
-    readings = [
-        replace(usual, offset_cm=float(off), sigma_cm=usual.sigma_cm * float(times)).reading(float(true_cm), chance)
-        if np.isfinite(true_cm)
-        else float("nan")
-        for true_cm, off, times in zip(known["true_range_cm"], bias, spread, strict=True)
-    ]
+    readings = []
+    rows = np.broadcast_arrays(known["true_range_cm"], *changes)
+    for true_cm, off, times, more, false, false_cm in zip(*(each.tolist() for each in rows), strict=True):
+        own = replace(usual, offset_cm=off, sigma_cm=usual.sigma_cm * times, short=usual.short * more)
+        if false and chance.random() < false:
+            # Another echo in place of the own one, which the sensor rounds as any other.
+            true_cm, own = false_cm, replace(own, sigma_cm=FALSE_CM, hit=1.0, short=0.0, missed=0.0, random=0.0)
+        readings.append(own.reading(true_cm, chance) if np.isfinite(true_cm) else float("nan"))
     return {**columns, "reading_cm": np.array(readings)}

@@ -102,3 +102,10 @@ def in_sentences(path: Path) -> list[str]:
     spans = re.findall(r"`([^`]+)`", prose)
     ours = [" ".join(span.split()).removeprefix("sudo ").removeprefix(".venv/bin/") for span in spans]
     return [span for span in ours if re.match(r"msp-(range|sim|lab) [a-z]", span)]
+
+
+def shown(command: str) -> str:
+    """A command for a test that runs exactly what a document shows; AssertionError if none does."""
+    scripts = [block.script for path in DOCUMENTS for block in blocks(path) if block.script]
+    assert any(command in commands(script) for script in scripts), f"no document shows {command}"
+    return command

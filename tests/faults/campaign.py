@@ -41,7 +41,7 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         if out is not None:
             recording = out / "flight.mcap"
             recording.unlink(missing_ok=True)
-            recorder, tlog = Recorder(recording, clock, files=scenario.airframe.files), out / "link.tlog"
+            recorder, tlog = Recorder(recording, clock, files=scenario.airframe.files, waits=True), out / "link.tlog"
         simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, tlog=tlog)
         crashed = None
         try:

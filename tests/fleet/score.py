@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.fleet.generator import Fleet
+from tests.second_hand.score import wilson
 from tests.second_hand.workflow import DATE, SENSOR, command
 
 
@@ -97,11 +98,19 @@ def table(outcomes: list[Outcome]) -> str:
         false = sum(len(each.false) for each in some)
         asked = [each.shared_right for each in some if each.shared_right is not None]
         other = sum(len(each.shared) - bool(each.shared_right) for each in some)
-        share = f"{100.0 * false / (false + found):.1f} %" if false + found else ""
-        of = f"{found} ({100.0 * found / hidden:.1f} %)" if hidden else ""
+        share = _share(false, false + found)
+        of = f"{found}, {_share(found, hidden)}" if hidden else ""
         right = f"{sum(asked)} of {len(asked)}" if asked else ""
         lines.append(f"| {kind} | {len(some)} | {hidden} | {of} | {false} | {share} | {right} | {other} |")
     return "\n".join(lines)
+
+
+def _share(count: int, of: int) -> str:
+    """In per cent, with its 95 % interval by Wilson; empty where there is none."""
+    if not of:
+        return ""
+    low, high = wilson(count, of)
+    return f"{100.0 * count / of:.1f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
 
 
 def as_json(outcome: Outcome) -> str:

@@ -18,8 +18,7 @@ from msp_range.config import load_airframe
 from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.columns import CONTEXT_COLUMNS
-from msp_range.recording.csv_form import read_csv, write_csv
-from msp_range.recording.csv_rows import csv_rows
+from msp_range.recording.csv_form import csv_rows, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.yaml_file import ConfigError

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from msp_lab.cli import app
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
+from tests.docs.shown import shown
 from tests.support.measured import ROOT
 
 MODEL = ROOT / "configs/sensors/mb1242.yaml"
@@ -23,6 +25,10 @@ def run(*arguments: Any, code: int = 0) -> str:
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     assert result.exit_code == code, result.output
     return result.output
+
+
+def options(words: list[str]) -> set[str]:
+    return {each for each in words if each.startswith("--")}
 
 
 def one_cold_day() -> dict[str, Any]:
@@ -43,45 +49,57 @@ def one_cold_day() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that docs/experiment.md names."""
     made = tmp_path_factory.mktemp("design")
-    write_csv(made / "cold.csv", one_cold_day())
-    run("gap", made / "cold.csv", "--model", MODEL, "--out", made / "gap", "--until", "add")
-    return made / "gap"
+    write_csv(made / "OLD.csv", one_cold_day())
+    shutil.copy(MODEL, made / "MODEL.yaml")
+    run("gap", made / "OLD.csv", "--model", made / "MODEL.yaml", "--out", made / "gaps/june", "--until", "add")
+    return made
 
 
 @pytest.mark.slow
-def test_the_readings_of_the_session_decide_between_air_and_clock(folder: Path) -> None:
-    """The real way: the campaign is collected from emulated sensors whose clock is slow, and the command is run."""
-    shown = run("design", folder, "--bench", "--sessions", "2")
-    assert "right in 2 of 2 sessions" in shown
-    questions = json.loads((folder / "design/design.json").read_text())["questions"]
+def test_the_readings_of_the_session_decide_between_air_and_clock(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As docs/experiment.md shows it; the campaign is collected from emulated sensors whose clock is slow."""
+    monkeypatch.chdir(folder)
+    _, *design = shlex.split(shown("msp-lab design gaps/june --bench --max-minutes 90"))
+    _, *collect = shlex.split(shown("msp-lab collect gaps/june/design/1-*/campaign.yaml --out new"))
+    _, *gap = shlex.split(shown("msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july"))
+    assert "right in 2 of 2 sessions" in run(*design, "--sessions", "2")
+    questions = json.loads(Path("gaps/june/design/design.json").read_text())["questions"]
     (question,) = [each for each in questions if each["kind"] == "indistinguishable"]
     named = {each["name"] for each in question["answers"]}
     assert {"range_scale", "air_temperature"} <= named
-    assert any("thermometer offset" in each for each in question["same"])
+    # A thermometer that is off by some degrees does what a scale does: at 40 C a tenth less than at 5 C.
+    (same,) = question["same"]
+    assert {"range scale", "bend"} <= set(same) <= {"range scale", "bend", "thermometer offset"}
     session = question["session"]
     assert session["expected_power"] >= 0.95
     assert Path(session["folder"], "session.png").stat().st_size > 5_000
 
     slow = yaml.safe_load(MODEL.read_text())
     slow["effects"] = [*slow["effects"], {"name": "range_scale", "parameters": {"scale_pct": -3.0}}]
-    (folder / "slow.yaml").write_text(yaml.safe_dump(slow))
-    collect, gap = (shlex.split(each)[1:] for each in session["commands"])
-    run(*collect, "--simulate", "--model", folder / "slow.yaml")
+    Path("slow.yaml").write_text(yaml.safe_dump(slow))
+    (campaign,) = Path().glob(collect[1])
+    run("collect", campaign, *collect[2:], "--simulate", "--model", "slow.yaml")
     run(*gap, "--until", "add")
-    (found,) = json.loads(Path(session["folder"], "gap/gap.json").read_text())["effects"]
+    (found,) = json.loads(Path("gaps/july/gap.json").read_text())["effects"]
+    for printed, of_document in zip(session["commands"], (collect, gap), strict=True):
+        assert options(shlex.split(printed)) == options(of_document)
     names = {found["name"], *(each["name"] for each in found["alternatives"])}
     assert "range_scale" in names
     assert "air_temperature" not in names
 
-    assert "give --force" in run("design", folder, "--bench", code=3)
+    assert "give --force" in run(*design, code=3)
 
 
 @pytest.mark.slow
 def test_no_session_is_promised_in_less_time_than_it_takes(folder: Path) -> None:
-    shown = run("design", folder, "--bench", "--sessions", "0", "--max-minutes", "5", "--out", folder / "short")
-    assert "allow it with --max-minutes" in shown
-    assert not list((folder / "short").glob("*/campaign.yaml"))
+    out = folder / "short"
+    printed = run("design", folder / "gaps/june", "--bench", "--sessions", "0", "--max-minutes", "5", "--out", out)
+    assert "with --max-minutes" in printed
+    assert not list(out.glob("*/campaign.yaml"))
 
 
 def test_a_folder_without_a_gap_run_says_how_to_make_one(tmp_path: Path) -> None:

@@ -1,6 +1,11 @@
 """`msp-lab fleet` on small drawn fleets."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +20,8 @@ from tests.fleet.generator import fleet
 from tests.fleet.score import run
 
 MODEL = "configs/sensors/mb1242.yaml"
+STARTED_S = 2
+"""Processor time after which a worker has imported everything and computes: importing takes 1.5 s."""
 
 
 def make_dataset(folder: Path, vehicles: int, late_ms: dict[int, float], readings: int = 150) -> Path:
@@ -86,3 +93,34 @@ def test_three_vehicles_are_no_fleet(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, [*arguments, "--vehicle", "("])
     assert result.exit_code == 3
     assert "no regular expression" in result.stderr
+
+
+@pytest.mark.slow
+def test_two_processes_of_which_one_is_killed_find_the_same_to_the_last_digit(tmp_path: Path) -> None:
+    dataset = make_dataset(tmp_path / "set", 8, {2: 200.0}, readings=800)
+    arguments = ["fleet", str(dataset), "--model", MODEL, "--out"]
+    assert CliRunner().invoke(app, [*arguments, str(tmp_path / "one")]).exit_code == 0
+    command = [str(Path(sys.executable).with_name("msp-lab")), *arguments, str(tmp_path / "two"), "--jobs", "2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as program:
+        killed = killed_worker(program)
+        output = program.communicate()[0]
+    assert program.returncode == 0, output
+    assert killed
+    assert "1 worker processes died" in " ".join(output.split())
+    for name in ("fleet.json", "fleet.csv"):
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+
+
+def killed_worker(program: "subprocess.Popen[str]") -> bool:
+    """Kill a worker of a program as soon as it computes; False if the program ended before."""
+    while program.poll() is None:
+        listed = subprocess.run(
+            ["ps", "-ww", "-eo", "pid=,ppid=,times=,args="], capture_output=True, text=True, check=True
+        )
+        for line in listed.stdout.splitlines():
+            pid, parent, seconds, command = line.split(maxsplit=3)
+            if int(parent) == program.pid and "spawn_main" in command and int(seconds) >= STARTED_S:
+                os.kill(int(pid), signal.SIGKILL)
+                return True
+        time.sleep(0.1)
+    return False

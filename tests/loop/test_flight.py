@@ -228,6 +228,18 @@ def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
     assert min(before + after) > 0
 
 
+def test_fly_prints_what_compares_with_the_true_height(tmp_path: Path) -> None:
+    output = run("fly", SCENARIOS / "demo.yaml", "--out", tmp_path / "f")
+    lines = [line for line in output.splitlines() if "true height" in line and "no estimate" not in line]
+    off_cm = []
+    for line in lines:
+        true_m, fused_m = (float(part.split(" m")[0]) for part in line.split("true height ")[1].split(", fused ")[:2])
+        if "over an edge of the ground" not in line:
+            off_cm.append(100.0 * (fused_m - true_m))
+    assert len(lines) > len(off_cm) >= 5
+    assert max(map(abs, off_cm)) < 4.0
+
+
 def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
     output = run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
     assert "times real time" in output

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from msp_lab.cli import app
 from msp_lab.gap import demo
-from msp_lab.gap.findings import read_findings
+from msp_lab.gap.findings_file import read_findings
 from msp_range.recording.csv_form import write_csv
 from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model

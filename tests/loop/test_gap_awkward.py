@@ -9,7 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
-from msp_lab.gap.findings import GapFindings, read_findings
+from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings_file import read_findings
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
@@ -167,7 +168,23 @@ def test_one_true_range_and_nothing_else_is_compared(tmp_path: Path) -> None:
     assert findings.effects == ()
 
 
-def test_nothing_is_added_where_nothing_may_be(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_limit_on_the_number_of_effects_that_is_reached_is_reported(tmp_path: Path) -> None:
     columns = readings(1500, 3, bias=lambda c: 4.0 * np.sin(c["true_range_cm"] / 40.0))
+    named = found(tmp_path, columns, "--max-effects", "1")
+    assert reports(named, "more may be missing (--max-effects)")
+    (tmp_path / "flights.csv").unlink()
     named = found(tmp_path, columns, "--max-effects", "0")
     assert (named.effects, named.unknown) == ((), ())
+
+
+@pytest.mark.slow
+def test_as_many_effects_are_named_as_there_are(tmp_path: Path) -> None:
+    """Eight of nine sensors are mounted off, and there is room for more: then the evidence is the limit."""
+    columns = readings(2700, 3)
+    sensor = np.arange(2700) % 9
+    columns["sensor"] = np.char.add("s", sensor.astype(str))
+    columns["reading_cm"] = np.where(columns["reading_cm"] < 700.0, columns["reading_cm"] + 3.0 * sensor, 765.0)
+    named = found(tmp_path, columns, "--max-effects", "20")
+    assert {each.of for each in named.effects if each.name == "mounting_offset"} == {f"s{k}" for k in range(1, 9)}
+    assert not reports(named, "--max-effects")

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msp_lab.gap.findings import GapFindings, Settings, read_findings
+from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.findings_file import read_findings
 from msp_lab.gap.steps import Steps
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import write_csv

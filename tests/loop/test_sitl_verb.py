@@ -19,6 +19,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
+from msp_sim.flight.flight_log import SensorTrack
 from msp_sim.sitl.flying import fly_sitl
-from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle
+from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle, status_line
 from tests.support.known import known
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -100,7 +102,7 @@ class FakeAutopilot(threading.Thread):
         return time.monotonic() - self._switched_on_s
 
     def flight_s(self) -> float:
-        """Time since it has been asked for poses and has received a distance; before that 0."""
+        """Time since it has been asked for every pose and has received a distance; before that 0."""
         return self.now_s() - self.first_s if self.first_s is not None else 0.0
 
     def run(self) -> None:
@@ -143,7 +145,7 @@ class FakeAutopilot(threading.Thread):
                 self.asked_hz[int(message.param1)] = 1e6 / message.param2
             elif kind == "DISTANCE_SENSOR":
                 self.distances.append((self.now_s(), message))
-                if self.first_s is None and self.asked_hz:
+                if self.first_s is None and mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED in self.asked_hz:
                     self.first_s = self.now_s()
 
     def _speak(self, now_s: float) -> None:
@@ -363,6 +365,16 @@ def test_a_fault_of_a_sensor_that_the_airframe_does_not_have_is_refused(tmp_path
         fly_sitl(quad, "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None, False)
 
 
+def test_the_status_line_has_what_a_sensor_that_is_only_fused_reads() -> None:
+    good = SensorTrack([0.9], [2.0], [2.01], [None], [None], [None])
+    missed = SensorTrack([0.9], [2.0], [None], [None], ["no_echo"], [None])
+    single = SensorTrack([0.9], [2.0], [2.01], [1.98], [None], [None])
+    flight = SimpleNamespace(fused=good, tracks={"good": good, "missed": missed, "single": single})
+    vehicle = SimpleNamespace(age_s=lambda now_s: None)
+    sitl: Any = SimpleNamespace(now_s=lambda: 9.0, vehicle=vehicle, flight=flight, is_autopilot_connected=lambda: True)
+    assert status_line(sitl).endswith("fused -, good 2.01 m, missed no_echo, single 1.98 m")
+
+
 @pytest.mark.real_time
 def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown], out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
@@ -423,6 +435,9 @@ def test_where_the_vehicle_is_is_known_from_fresh_poses_after_it_was_disarmed() 
     assert vehicle.source is None, "a position without an attitude is no pose"
     vehicle.on_message(100.0, LEVEL)
     vehicle.on_message(100.0, local_position(0.0))
+    assert not vehicle.is_known(100.0), "armed before its first pose: it may have climbed meanwhile"
+    vehicle.on_message(100.0, DISARMED)
+    vehicle.on_message(100.0, ARMED)
     assert vehicle.is_known(100.0 + POSE_STALE_S)
     vehicle.on_message(101.1, local_position(0.0))
     assert not vehicle.is_known(101.1), "an old attitude is no pose either"

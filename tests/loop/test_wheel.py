@@ -1,6 +1,5 @@
-"""What `pip install .` brings: the commands, and every file that they read."""
+"""What `pip install .` brings: the commands, and every file that they read (tests/peers/test_packages.py flies it)."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -44,23 +43,3 @@ def test_it_holds_every_configuration_file_template_and_command(wheel: Path) -> 
     assert configs | needed <= held
     scripts = {Path(name).name for name in held if ".data/scripts/" in name}
     assert scripts == {path.name for path in (ROOT / "bin").iterdir()}
-
-
-@pytest.mark.slow
-def test_a_flight_by_name_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
-    site, empty = tmp_path / "site", tmp_path / "empty"
-    empty.mkdir()
-    options = ["--no-index", "--no-deps", "--no-compile", f"--target={site}"]
-    subprocess.run([*PIP, "install", *options, str(wheel)], check=True, timeout=120.0)
-    command = "import msp_range; print(msp_range.__file__); from msp_sim.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", command, "fly", "hover", "--out", "flight"],
-        cwd=empty,
-        env={**os.environ, "PYTHONPATH": str(site)},
-        capture_output=True,
-        text=True,
-        timeout=120.0,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(str(site))
-    assert {"summary.json", "flight.png"} <= {path.name for path in (empty / "flight").iterdir()}

@@ -18,16 +18,17 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--standard-errors", type=float, default=10.0)
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    out = given.out.resolve()  # scenarios name files next to them
+    out.mkdir(parents=True, exist_ok=True)
     found: dict[bool, list[Case]] = {}
     for null, count in ((False, given.cases), (True, given.nulls)):
         found[null] = []
         for number in range(count):
-            case = run_case(given.out, given.seed, number, given.standard_errors, null)
+            case = run_case(out, given.seed, number, given.standard_errors, null)
             found[null].append(case)
             print(f"{case.effect} {case.parameters} at {case.sensor}: {case.named}, {case.seconds:g} s", flush=True)
     text = table(found[False], found[True])
-    (given.out / "table.md").write_text(text, encoding="utf-8")
+    (out / "table.md").write_text(text, encoding="utf-8")
     print(text)
 
 

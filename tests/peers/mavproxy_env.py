@@ -10,7 +10,10 @@ import sys
 import venv
 from pathlib import Path
 
-REQUIREMENTS = ("MAVProxy==1.8.75", "pymavlink>=2.4.49", "pyserial>=3.5", "defusedxml>=0.7.1")
+REQUIREMENTS = (
+    *("MAVProxy==1.8.75", "pymavlink>=2.4.49", "pyserial>=3.5", "defusedxml>=0.7.1"),
+    *("pexpect>=4.9", "ptyprocess>=0.7", "psutil>=6.0"),  # of ArduPilot's sim_vehicle.py, which starts MAVProxy
+)
 FOLDER = Path(__file__).parents[2] / ".venv-mavproxy"
 PYTHON = FOLDER / "bin" / "python"
 MAVPROXY = FOLDER / "bin" / "mavproxy.py"

@@ -76,3 +76,11 @@ def test_help_and_check_are_quick(arguments: list[str], heavy: set[str]) -> None
     done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=60.0)
     assert done.returncode == 0
     assert imported(done.stderr) & heavy == set()
+
+
+def test_each_command_has_one_thread_of_blas_before_numpy_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    for package in ("msp_range", "msp_sim", "msp_lab"):
+        program = f"import os, sys, {package}.start; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert done.stdout == "1 False\n"

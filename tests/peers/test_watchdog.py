@@ -125,7 +125,7 @@ def test_a_hang_of_the_loop_is_seen(ended: bool, tmp_path: Path, monkeypatch: py
             end.run_until(lambda: systemd.waits_s() > WATCHDOG_S)
             if ended:
                 assert service.stop(signal.SIGABRT) == -signal.SIGABRT
-                assert "in i2c_rdwr" in (tmp_path / "log.jsonl").read_text()
+                assert "in _transfer" in (tmp_path / "log.jsonl").read_text()
             else:
                 fed = len(systemd.fed_s)
                 end.run_until(lambda: len(systemd.fed_s) >= fed + 5)

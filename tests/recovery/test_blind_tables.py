@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
-from msp_lab.gap.findings import FoundEffect, GapFindings, read_findings
+from msp_lab.gap.findings import FoundEffect, GapFindings
+from msp_lab.gap.findings_file import read_findings
 from msp_sim.model.model import load_model
 from tests.blind.flight import Columns, Regime, contexts, habits
 from tests.blind.mechanisms import MECHANISMS

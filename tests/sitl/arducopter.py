@@ -2,18 +2,22 @@
 
 import math
 import os
+import shlex
 import socket
 from pathlib import Path
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from tests.docs.shown import shown
 from tests.sitl import documented
 from tests.sitl.autopilot import STANDING_RANGE_M, TOP_M, Autopilot, Series, version
 from tests.sitl.ground_station import connected_tcp
 
 ARDUCOPTER = os.environ.get("MSP_RANGE_ARDUCOPTER", "")
 """The `arducopter` SITL binary."""
+COMMAND = "arducopter --model + --speedup 1 --home -35.363262,149.165237,584,0 --defaults copter.parm,range.parm"
+"""How docs/sitl.md starts it."""
 
 
 class ArduCopter(Autopilot):
@@ -57,8 +61,9 @@ class ArduCopter(Autopilot):
         self.link = f"tcp:127.0.0.1:{self._port + 2}"
 
     def _command(self) -> tuple[list[str], dict[str, str]]:
-        home = documented.home(self.section)
-        options = ["--model", "+", "--speedup", "1", "--home", home, "--defaults", "defaults.parm"]
+        _, *options = shlex.split(shown(COMMAND))
+        options[options.index("--home") + 1] = documented.home(self.section)
+        options[options.index("--defaults") + 1] = "defaults.parm"
         return [ARDUCOPTER, *options, "--base-port", str(self._port)], dict(os.environ)
 
     def _socket(self) -> socket.socket:

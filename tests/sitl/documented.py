@@ -23,6 +23,19 @@ def sitl_command(section: str, link: str) -> list[str]:
     return words
 
 
+def sitl_link(section: str) -> str:
+    """Where that command connects to."""
+    (link,) = re.findall(r"^    msp-sim sitl .*--link (\S+)", _text(section), re.M)
+    return str(link)
+
+
+def typed(section: str) -> list[str]:
+    """What a person types into MAVProxy or PX4's shell, one line each."""
+    lines = re.findall(r"^    ((?:mode|arm|takeoff|commander) .*)$", _text(section), re.M)
+    assert lines, f"docs/sitl.md: nothing to type in section {section!r}"
+    return lines
+
+
 def home(section: str) -> str:
     """The place in the commands of a section: latitude, longitude, altitude [m], heading [deg]."""
     (place,) = set(re.findall(r"(?:--home|--custom-location)[= ]([-0-9.,]+)", _text(section)))

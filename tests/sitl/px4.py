@@ -40,8 +40,7 @@ class Px4(Autopilot):
     wanted: ClassVar = {"HIL_STATE_QUATERNION": 50.0, "ALTITUDE": 20.0, "ESTIMATOR_STATUS": 20.0}
 
     def _command(self) -> tuple[list[str], dict[str, str]]:
-        binary = Path(PX4) if Path(PX4).is_file() else Path(PX4) / "bin" / "px4"
-        build = binary.resolve().parents[1]
+        build = build_folder()
         environment = os.environ | {"PX4_SIM_MODEL": "sihsim_quadx"}
         environment |= {f"PX4_PARAM_{name}": value for name, value in documented.parameters(self.section).items()}
         return [str(build / "bin" / "px4"), "-d", str(build / "etc"), "-w", str(self.folder)], environment
@@ -105,3 +104,9 @@ class Px4(Autopilot):
         states = self.station.all("HIL_STATE_QUATERNION")
         first = next((i for i, (_, state) in enumerate(states) if state.lat), len(states))
         return states[first:]
+
+
+def build_folder() -> Path:
+    """The folder with `bin/px4` and `etc`."""
+    binary = Path(PX4) if Path(PX4).is_file() else Path(PX4) / "bin" / "px4"
+    return binary.resolve().parents[1]

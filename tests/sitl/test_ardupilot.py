@@ -47,8 +47,8 @@ def test_takeoff_to_6_m_and_landing(tmp_path: Path) -> None:
     assert not [text for text in copter.texts() if "No ap_message" in text]
 
 
-def test_proximity_sees_the_walls(tmp_path: Path) -> None:
-    """On the ground in the middle of a yard of 8 m by 6 m, the nose to the north, sensors 0.25 m from the middle."""
+def wait_for_walls(copter: ArduCopter) -> None:
+    """Wait until its proximity library sees all walls: in a yard of 8 m by 6 m, sensors 0.25 m from the middle."""
     walls_m = {
         mavlink.MAV_SENSOR_ROTATION_NONE: 3.75,
         mavlink.MAV_SENSOR_ROTATION_YAW_90: 2.75,
@@ -56,7 +56,6 @@ def test_proximity_sees_the_walls(tmp_path: Path) -> None:
         mavlink.MAV_SENSOR_ROTATION_YAW_270: 2.75,
     }
     seen_m: dict[int, float] = {}
-    copter = ArduCopter(tmp_path, "ArduPilot with proximity sensors")
 
     def sees_walls() -> bool:
         # ArduPilot sends what its proximity library holds, one message a sector (GCS_Common.cpp, send_proximity).
@@ -68,8 +67,13 @@ def test_proximity_sees_the_walls(tmp_path: Path) -> None:
         health = copter.sensor_health(mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY)
         return any(good for _, good in health)
 
+    copter.station.wait("a healthy proximity sensor", is_healthy, 30.0)
+    # The library smooths with 0.25 Hz, and an outlier takes that long to be forgotten.
+    copter.station.wait(f"walls at {walls_m}, seen at {seen_m}", sees_walls, 30.0)
+
+
+def test_proximity_sees_the_walls(tmp_path: Path) -> None:
+    copter = ArduCopter(tmp_path, "ArduPilot with proximity sensors")
     with running(copter), msp_sim(copter):
-        copter.station.wait("a healthy proximity sensor", is_healthy, 30.0)
-        # The library smooths with 0.25 Hz, and an outlier takes that long to be forgotten.
-        copter.station.wait(f"walls at {walls_m}, seen at {seen_m}", sees_walls, 30.0)
+        wait_for_walls(copter)
         note(copter, "on the ground between four walls", "sees the four walls within 0.3 m")

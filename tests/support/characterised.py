@@ -11,7 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msp_lab.characterise import findings as found
+from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
+from msp_lab.characterise.findings import (
+    Baseline,
+    CalibrationFindings,
+    Findings,
+    HeldOut,
+    MaximumRange,
+    Mixture,
+    MixtureParameter,
+    Peak,
+)
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.question_findings import CompensationRow, FactorEffect, HotBox, HotBoxRow, Question, Verdict
 from msp_lab.readings.intake import SourceFile
 from msp_range.recording.csv_form import MeasuredData
 from tests.support.known import known
@@ -120,27 +132,27 @@ def _point(
     return columns
 
 
-def _estimate(values: ArrayLike, unit: str = "cm", of: str = "readings") -> found.IntervalEstimate:
+def _estimate(values: ArrayLike, unit: str = "cm", of: str = "readings") -> IntervalEstimate:
     values = np.asarray(values, float)
     mean, half = float(np.mean(values)), 1.96 * float(np.std(values)) / math.sqrt(values.size)
-    return found.IntervalEstimate(mean, mean - half, mean + half, unit, values.size, of)
+    return IntervalEstimate(mean, mean - half, mean + half, unit, values.size, of)
 
 
-def _about(value: float, half: float, unit: str = "") -> found.IntervalEstimate:
-    return found.IntervalEstimate(value, value - half, value + half, unit, 12, "points")
+def _about(value: float, half: float, unit: str = "") -> IntervalEstimate:
+    return IntervalEstimate(value, value - half, value + half, unit, 12, "points")
 
 
-def found_in(data: MeasuredData) -> found.Findings:
+def found_in(data: MeasuredData) -> Findings:
     """Findings of `measured` readings, by means and counts only."""
     points = tuple(_points(data))
     baseline = tuple(each for each in points if each.condition == "baseline")
-    return found.Findings(
+    return Findings(
         sensor="MB1242",
         date="2026-10-05",
         calibration_temperature_c=22.5,
         sources=(SourceFile("campaign.csv", "0" * 64, len(data)),),
         points=points,
-        baseline=found.Baseline(
+        baseline=Baseline(
             baseline,
             _about(0.02, 0.07, "cm"),
             _about(0.45, 0.02, "cm"),
@@ -154,12 +166,12 @@ def found_in(data: MeasuredData) -> found.Findings:
         mixture=_mixture(),
         maximum_range=_maximum(data),
         field_of_view=_field_of_view(data),
-        sonar=found.SonarFit(
+        sonar=SonarFit(
             9.0023,
             0.0136294,
             5.74512,
             tuple(
-                found.SonarRow(z, angle, fitted, left)
+                SonarRow(z, angle, fitted, left)
                 for (z, angle), fitted, left in zip(
                     BREAKAWAY_DEG.items(), (23.4, 17.9, 14.5, 12.5), (24.5, 17.7, 14.7, 11.7), strict=True
                 )
@@ -175,7 +187,7 @@ def found_in(data: MeasuredData) -> found.Findings:
     )
 
 
-def _points(data: MeasuredData) -> Iterator[found.PointResult]:
+def _points(data: MeasuredData) -> Iterator[PointResult]:
     keys = np.unique(
         np.stack(
             [
@@ -201,7 +213,7 @@ def _points(data: MeasuredData) -> Iterator[found.PointResult]:
         readings = data["reading_cm"][here]
         hits = readings[np.abs(readings - float(z)) < 15]
         codes = np.isin(readings, (255, 765))
-        yield found.PointResult(
+        yield PointResult(
             condition,
             sensor,
             condition,
@@ -224,8 +236,8 @@ def _points(data: MeasuredData) -> Iterator[found.PointResult]:
         )
 
 
-def _calibration(points: tuple[found.PointResult, ...]) -> found.CalibrationFindings:
-    return found.CalibrationFindings(
+def _calibration(points: tuple[PointResult, ...]) -> CalibrationFindings:
+    return CalibrationFindings(
         "none",
         (),
         "A straight line predicts points that it has not seen no better than nothing does.",
@@ -233,15 +245,15 @@ def _calibration(points: tuple[found.PointResult, ...]) -> found.CalibrationFind
         _about(-0.05, 0.2, "cm"),
         _about(1.0004, 0.0011),
         _about(0.45, 0.02, "cm"),
-        found.IntervalEstimate(1.0, None, None, "cm", 12),
+        IntervalEstimate(1.0, None, None, "cm", 12),
         "all readings are whole",
         _about(0.3, 0.1, "cm"),
         0.42,
         0.2,
         (
-            found.HeldOut("none", 0.13, None),
-            found.HeldOut("offset and scale", 0.15, _about(-0.005, 0.01, "cm^2")),
-            found.HeldOut("piecewise linear", 0.19, _about(-0.01, 0.01, "cm^2")),
+            HeldOut("none", 0.13, None),
+            HeldOut("offset and scale", 0.15, _about(-0.005, 0.01, "cm^2")),
+            HeldOut("piecewise linear", 0.19, _about(-0.01, 0.01, "cm^2")),
         ),
         "range",
         tuple(each.true_range_cm for each in points),
@@ -250,7 +262,7 @@ def _calibration(points: tuple[found.PointResult, ...]) -> found.CalibrationFind
     )
 
 
-def _mixture() -> found.Mixture:
+def _mixture() -> Mixture:
     parameters = (
         ("weights.hit", 0.963, 0.003, "", 0.96),
         ("weights.short", 0.004, 0.001, "", 0.01),
@@ -261,10 +273,9 @@ def _mixture() -> found.Mixture:
         ("saturated_fraction", 0.25, 0.03, "", 0.25),
     )
     counts = np.random.default_rng(3).multinomial(20000, np.full(20, 0.05))
-    return found.Mixture(
+    return Mixture(
         tuple(
-            found.MixtureParameter(name, _about(value, half, unit), before)
-            for name, value, half, unit, before in parameters
+            MixtureParameter(name, _about(value, half, unit), before) for name, value, half, unit, before in parameters
         ),
         20000,
         -39000.0,
@@ -274,13 +285,13 @@ def _mixture() -> found.Mixture:
     )
 
 
-def _maximum(data: MeasuredData) -> found.MaximumRange:
+def _maximum(data: MeasuredData) -> MaximumRange:
     readings = data["reading_cm"][data["condition"] == "maximum_range"]
     values, counts = np.unique(readings, return_counts=True)
     pairs = tuple((int(value), int(count)) for value, count in zip(values, counts, strict=True))
-    peaks = tuple(found.Peak(float(code), float(np.mean(readings == code))) for code in (765, 255))
-    bulk = found.Peak(502.0, 0.96)
-    return found.MaximumRange(
+    peaks = tuple(Peak(float(code), float(np.mean(readings == code))) for code in (765, 255))
+    bulk = Peak(502.0, 0.96)
+    return MaximumRange(
         500.0,
         readings.size,
         pairs,
@@ -288,11 +299,11 @@ def _maximum(data: MeasuredData) -> found.MaximumRange:
         int(np.sum(readings == 255)),
         (bulk, *peaks),
         (bulk,),
-        found.IntervalEstimate(502.0, 501.0, 502.0, "cm", readings.size),
+        IntervalEstimate(502.0, 501.0, 502.0, "cm", readings.size),
     )
 
 
-def _field_of_view(data: MeasuredData) -> found.FieldOfView:
+def _field_of_view(data: MeasuredData) -> FieldOfView:
     points = []
     chosen = data.select(data["condition"] == "field_of_view")
     for z in BREAKAWAY_DEG:
@@ -302,7 +313,7 @@ def _field_of_view(data: MeasuredData) -> found.FieldOfView:
             share = float(np.mean(good))
             beyond = max(abs(theta) - BREAKAWAY_DEG[z], 0.0)
             points.append(
-                found.AnglePoint(
+                AnglePoint(
                     z,
                     theta,
                     readings.size,
@@ -316,42 +327,42 @@ def _field_of_view(data: MeasuredData) -> found.FieldOfView:
     angles = []
     for z, angle in BREAKAWAY_DEG.items():
         end = angle + 1.8 if angle < 23.4 else None
-        side = found.IntervalEstimate(angle, angle, end, "deg", 27, "points")
-        angles.append(found.BreakawayAngle(z, side, side, side))
-    oblique = found.Oblique(
+        side = IntervalEstimate(angle, angle, end, "deg", 27, "points")
+        angles.append(BreakawayAngle(z, side, side, side))
+    oblique = Oblique(
         "unknown", _about(0.3, 0.05), 1.1, 0.8, "Readings lie between the range along the axis and the nearest point."
     )
-    return found.FieldOfView(
+    return FieldOfView(
         "More than half of the readings lie within 5 cm of the wall.", tuple(points), tuple(angles), oblique
     )
 
 
-def _questions() -> Iterator[found.Question]:
-    def effects(bias: float, verdict: found.Verdict, missed: float = 1.2) -> tuple[found.FactorEffect, ...]:
+def _questions() -> Iterator[Question]:
+    def effects(bias: float, verdict: Verdict, missed: float = 1.2) -> tuple[FactorEffect, ...]:
         return (
-            found.FactorEffect("bias", _about(bias, 0.12, "cm"), 0.3, 1.0, 0.5, verdict, 0.25),
-            found.FactorEffect(
+            FactorEffect("bias", _about(bias, 0.12, "cm"), 0.3, 1.0, 0.5, verdict, 0.25),
+            FactorEffect(
                 "spread",
-                found.IntervalEstimate(1.03, 0.97, 1.09, "", 12, "points"),
+                IntervalEstimate(1.03, 0.97, 1.09, "", 12, "points"),
                 0.3,
                 1.0,
                 1.25,
                 "does not matter",
                 1.1,
             ),
-            found.FactorEffect(
+            FactorEffect(
                 "missed",
-                found.IntervalEstimate(missed, missed / 4, missed * 4, "", 1200),
+                IntervalEstimate(missed, missed / 4, missed * 4, "", 1200),
                 0.6,
                 1.0,
                 2.0,
                 "cannot tell",
                 4.0,
             ),
-            found.FactorEffect("outliers", None, None, None, 2.0, "cannot tell", None),
+            FactorEffect("outliers", None, None, None, 2.0, "cannot tell", None),
         )
 
-    some: tuple[tuple[str, str, str, str, str, float, found.Verdict], ...] = (
+    some: tuple[tuple[str, str, str, str, str, float, Verdict], ...] = (
         ("material", "Does the material matter?", "asphalt", "plywood", "", 0.06, "does not matter"),
         ("material", "Does the material matter?", "concrete", "plywood", "", -0.04, "does not matter"),
         ("temperature", "Does hot air at the sensor matter?", "46 C", "21 C", "", -1.25, "matters"),
@@ -378,7 +389,7 @@ def _questions() -> Iterator[found.Question]:
         ("external_interference", "Does external ultrasound matter?", "110 dB", "quiet", "", 0.1, "cannot tell"),
     )
     for name, question, level, reference, sensor, bias, verdict in some:
-        yield found.Question(
+        yield Question(
             name,
             question,
             level,
@@ -391,9 +402,9 @@ def _questions() -> Iterator[found.Question]:
         )
 
 
-def _box(level: str, box_c: float) -> found.HotBox:
+def _box(level: str, box_c: float) -> HotBox:
     rows = tuple(
-        found.HotBoxRow(
+        HotBoxRow(
             z,
             _about(-0.5 * 30 * (box_c - 21.1) / 294, 0.15, "cm"),
             -0.5 * z * (box_c - 21.1) / 294,
@@ -402,7 +413,7 @@ def _box(level: str, box_c: float) -> found.HotBox:
         )
         for z in BASELINE_CM
     )
-    return found.HotBox(
+    return HotBox(
         level,
         box_c,
         21.1,
@@ -416,13 +427,13 @@ def _box(level: str, box_c: float) -> found.HotBox:
     )
 
 
-def _compensation(data: MeasuredData) -> Iterator[found.CompensationRow]:
+def _compensation(data: MeasuredData) -> Iterator[CompensationRow]:
     chosen = data.select(data["condition"] == "temperature_compensation")
     for z in (305, 335, 366, 396, 427):
         here = (chosen["true_range_cm"] == z) & (np.abs(chosen["reading_cm"] - z) < 20)
         readings, air = chosen["reading_cm"][here], chosen["air_temperature_c"][here]
         compensated = readings * np.sqrt((air + 273.15) / 295.65)
-        yield found.CompensationRow(
+        yield CompensationRow(
             z,
             _estimate(readings - z),
             _estimate(compensated - z),

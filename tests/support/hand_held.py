@@ -4,7 +4,6 @@ Emulated sensors at their true places, over a flat floor, and an autopilot that 
 virtual, unless a clock is given. `Person` does what commissioning asks for.
 """
 
-import ctypes
 import math
 import random
 from collections.abc import Callable
@@ -12,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from numpy.random import SeedSequence, default_rng
-from smbus2 import i2c_msg
 
 from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
@@ -228,7 +226,7 @@ class Autopilot(LoopbackAutopilot):
 
 
 class EmulatedBus(KernelBus):
-    """The vehicle's sensors behind the bridge's own bus: smbus2's messages, without the kernel."""
+    """The vehicle's sensors as the bridge's own bus, without smbus2 and the kernel."""
 
     def __init__(self, vehicle: HandHeld) -> None:
         super().__init__("/dev/emulated")
@@ -240,12 +238,13 @@ class EmulatedBus(KernelBus):
     def reopen(self) -> None:
         """It is always open."""
 
-    def _transfer(self, message: i2c_msg, verb: str, address: int) -> None:
-        assert message.addr == address
-        if verb == "read":
-            ctypes.memmove(message.buf, self._devices.read(address, message.len), message.len)
-        else:
-            self._devices.write(address, bytes(message))
+    def write(self, address: int, data: bytes) -> None:
+        """Write to the emulated sensors."""
+        self._devices.write(address, data)
+
+    def read(self, address: int, count: int) -> bytes:
+        """Read from the emulated sensors."""
+        return self._devices.read(address, count)
 
 
 class Person:

@@ -116,6 +116,8 @@ class ParameterAutopilot:
                 self.set_names.append(message.param_id)
                 self.values[message.param_id] = self._decoded(message.param_value, message.param_type)
                 self._send_value(message.param_id)
+        elif kind == "SETUP_SIGNING":
+            self._connection.setup_signing(bytes(message.secret_key), sign_outgoing=True)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._connection.mav.timesync_send(time.monotonic_ns(), message.ts1)
         elif kind == "DISTANCE_SENSOR" and self._uses_range_finder:

@@ -58,8 +58,7 @@ class ScriptedBus:
         assert len(answer) == count
         return answer
 
-    def busy_s(self, address: int) -> float:
-        return 0.0
+    def busy_s(self, address: int) -> None: ...
 
     def reopen(self) -> None:
         self._next("reopen", 0)

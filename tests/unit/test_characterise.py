@@ -187,6 +187,8 @@ def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) 
     assert model.calibration == ()
     # Nothing read short, so how such readings fall off is still as it was.
     assert model.reading_model.weights.short == 1e-4
+    # No missed echo read 255, which this sensor may still do.
+    assert model.reading_model.saturated_fraction == 1e-4
     assert model.reading_model.short_rate_per_m == started.reading_model.short_rate_per_m
 
 

@@ -1,5 +1,6 @@
 """The one CSV form: what goes in comes out, and user errors are reported with file, line and column."""
 
+import gzip
 import os
 from pathlib import Path
 
@@ -10,13 +11,60 @@ from hypothesis import strategies as st
 
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
-from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
+from msp_range.recording.csv_form import MeasuredData, read_csv, short_list, write_csv
 from msp_range.recording.error import RecordingError
 
 
 def written(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def test_a_packed_file_is_read_and_one_that_is_damaged_is_refused_in_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv.gz"
+    packed = gzip.compress(b"time_s,sensor,reading_cm\n0.5,left,120\n")
+    path.write_bytes(packed)
+    assert read_csv(path)["reading_cm"].tolist() == [120.0]
+    for damaged in (packed[:-9], b"no gzip", packed[:10] + b"\xff" + packed[11:]):
+        path.write_bytes(damaged)
+        with pytest.raises(RecordingError, match=r"a\.csv\.gz: cannot be unpacked"):
+            read_csv(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_in_utf_16_is_said_to_be_that(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes("\ufefftime_s,sensor,reading_cm\n".encode(encoding))
+    with pytest.raises(RecordingError, match="found text in UTF-16, expected UTF-8"):
+        read_csv(path)
+
+
+def test_a_row_with_more_cells_than_the_header_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", "time_s,sensor,reading_cm\n0.5,left,120\n0.6,left,120,7\n")
+    with pytest.raises(RecordingError, match=r"a\.csv:3: found 4 cells, expected 3 as in the header"):
+        read_csv(path)
+
+
+def test_a_column_of_numbers_that_has_a_word_further_on_is_words_as_they_were_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("msp_range.recording.csv_form.BLOCK", 2)
+    rows = "".join(f"0.5,left,120,{note}\n" for note in ("1", "02", "3.50", "gust"))
+    path = written(tmp_path / "a.csv", f"time_s,sensor,reading_cm,note\n{rows}")
+    assert read_csv(path)["note"].tolist() == ["1", "02", "3.50", "gust"]
+
+
+def test_of_many_columns_the_first_ones_are_named() -> None:
+    names = [f"c{number}" for number in range(25)]
+    assert short_list(names) == ", ".join(names[:20]) + " and 5 more"
+    assert short_list(names[:20]) == ", ".join(names[:20])
+
+
+def test_a_file_that_ends_within_a_character_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"time_s,reading_cm,sensor\n0.5,120,caf\xc3")
+    with pytest.raises(RecordingError, match=r"a\.csv:2: found the byte 0xc3, expected text in UTF-8"):
+        read_csv(path)
 
 
 def test_reads_numbers_words_and_what_is_unknown(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
 from msp_sim.cli import app
-from msp_sim.model.derived import sample_in_order, with_derived
+from msp_sim.model.derived import derived_columns, sample_in_order
 from msp_sim.model.model import Model
 from tests.support.curves import with_curve
 
@@ -55,7 +55,7 @@ def test_rate_time_incidence_and_lag_follow_from_other_columns() -> None:
     given |= {"roll_deg": np.full(N, 3.0), "pitch_deg": np.full(N, -4.0)}
     model = Model(SENSOR).adding("latency", delay_ms=100.0).adding("slant_range", share=1.0)
     model = with_curve(model, "bias", ["time_in_run_s"], [[0.0, 100.0]], [0.0, 5.0])
-    columns, added = with_derived(model, given)
+    columns, added = derived_columns(model.columns, given)
     assert added.keys() == {"range_rate_cm_s", "incidence_deg", "time_in_run_s"}
     inner = np.r_[1 : N // 2 - 1, N // 2 + 1 : N - 1]
     np.testing.assert_allclose(columns["range_rate_cm_s"][inner], 150.0 * np.cos(given["time_s"][inner]), atol=0.3)
@@ -64,10 +64,27 @@ def test_rate_time_incidence_and_lag_follow_from_other_columns() -> None:
     assert columns["time_in_run_s"][[0, 1, N // 2]] == pytest.approx([0.0, 0.1, 0.0])
     crosstalk = Model(SENSOR).adding("crosstalk", share=0.5)
     two = {"time_s": np.array([0.0, 0.1, 0.25]), "sensor": np.array(["a", "b", "b"]), "true_range_cm": np.full(3, 90.0)}
-    lag_ms = with_derived(crosstalk, two)[0]["neighbour_lag_ms"]
+    lag_ms = derived_columns(crosstalk.columns, two)[0]["neighbour_lag_ms"]
     np.testing.assert_allclose(lag_ms, [np.nan, 100.0, 250.0])
     known = {**given, "range_rate_cm_s": np.full(N, 7.0)}
-    assert (with_derived(model, known)[0]["range_rate_cm_s"] == 7.0).all()
+    assert "range_rate_cm_s" not in derived_columns(model.columns, known)[0]
+
+
+def test_a_rate_is_that_of_the_motion_and_not_of_noise_pauses_or_jumps() -> None:
+    time_s = np.append(0.02 * np.arange(500), 20.0 + 0.02 * np.arange(500))
+    true_cm = np.where(time_s < 15.0, 100.0 * time_s, 150.0)
+    true_cm[250:500] += 400.0  # over an edge
+    true_cm[700:] += 100.0  # and at the next place of a bench
+    noisy_cm = true_cm + np.random.default_rng(3).normal(0.0, 2.0, 1000)
+    rate = derived_columns({"range_rate_cm_s"}, {"time_s": time_s, "true_range_cm": noisy_cm})[0]["range_rate_cm_s"]
+    near_jump = np.abs(np.arange(1000)[:, None] - [249.5, 699.5]).min(axis=1) < 5.0
+    assert np.isnan(rate[near_jump]).mean() > 0.7
+    moving = np.arange(1000) < 500
+    assert 8.0 < np.nanstd(rate[moving & ~near_jump] - 100.0) < 20.0
+    assert abs(np.nanmean(rate[moving & ~near_jump]) - 100.0) < 2.0
+    assert abs(np.nanmean(rate[~moving & ~near_jump])) < 2.0
+    alone = {"time_s": 2.0 * np.arange(9), "true_range_cm": 50.0 * np.arange(9)}
+    assert "range_rate_cm_s" not in derived_columns({"range_rate_cm_s"}, alone)[0]
 
 
 def test_the_command_says_what_it_computed(tmp_path: Path) -> None:

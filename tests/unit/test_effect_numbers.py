@@ -39,8 +39,10 @@ NUMBERS: list[tuple[str, str | None, dict[str, float], Context, str, float]] = [
     ("missed", None, {"log_odds": 1.2}, {}, "missed", 1.2),
     ("missed_with_range", None, {"log_odds_per_m": 0.7, "from_cm": 100.0}, {}, "missed", 0.7),
     # The breakaway angle at 2 m is 12.6 deg.
-    ("beyond_field_of_view", None, {"log_odds_per_deg": 1.0}, {"incidence_deg": -15.6}, "missed", 3.0),
-    ("beyond_field_of_view", None, {"log_odds_per_deg": 1.0}, {"incidence_deg": 12.0}, "missed", 0.0),
+    ("beyond_field_of_view", None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": -15.6}, "missed", 3.0),
+    ("beyond_field_of_view", None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": 30.0}, "missed", 4.0),
+    ("beyond_field_of_view", None, {"log_odds": 4.0, "breakaway": 0.5}, {"incidence_deg": 7.3}, "missed", 4.0),
+    ("beyond_field_of_view", None, {"log_odds": 4.0}, {"incidence_deg": 12.0}, "missed", 0.0),
     ("missed_by_target", "grass", {"log_odds": 1.2}, {"target": "grass"}, "missed", 1.2),
     ("missed_by_target", "grass", {"log_odds": 1.2}, {"target": "asphalt"}, "missed", 0.0),
     ("unexpected_objects", None, {"log_odds": 1.2}, {}, "short", 1.2),

@@ -92,6 +92,11 @@ def test_tilted_beams() -> None:
     assert centre_cm("slant_range", {"share": 1.0}, **tilted, slant_range_cm=205.0) == pytest.approx(205.0)
     # The beam's half angle at 2 m is 12.6 deg: its edge is 7.4 deg off the normal.
     assert centre_cm("nearest_point", {"share": 1.0}, **tilted) == pytest.approx(200.0 / math.cos(math.radians(7.4)))
+    half = {"share": 1.0, "beam": 0.5}
+    assert centre_cm("nearest_point", half, **tilted) == pytest.approx(200.0 / math.cos(math.radians(13.7)))
+    # Of a surface that is steeper than 85 deg the nearest point is not behind the sensor.
+    steep = 200.0 / math.cos(math.radians(85.0 - 12.6))
+    assert centre_cm("nearest_point", {"share": 1.0}, true_range_cm=200.0, incidence_deg=120.0) == pytest.approx(steep)
 
 
 def test_the_false_echo_of_a_neighbour() -> None:

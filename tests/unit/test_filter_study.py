@@ -21,6 +21,7 @@ from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, re
 from msp_lab.filter_study.statistics import delay_samples, error_statistics, mirrored
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
+from tests.docs.shown import shown
 from tests.support.slow import slow
 
 READINGS = np.random.default_rng(5).normal(300.0, 20.0, (3, 40)).round()
@@ -299,13 +300,15 @@ def test_what_nothing_explains_is_reported_as_unexplained(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_the_command_explains_the_report_and_draws_its_figures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
-        app(["filters", "--seeds", "10", "--out", str(tmp_path)])
+        app([*shown("msp-lab filters --out study").split()[1:], "--seeds", "10"])
     assert not ended.value.code
     printed = capsys.readouterr().out
-    found = json.loads((tmp_path / "filters.json").read_text())
+    study = Path("study")
+    found = json.loads((study / "filters.json").read_text())
     explained = {each["filter"]: each for each in found["explanations"]}
     assert found["errors_are_truth_less_estimate"] is True
     for name, late in (("moving average 5", 3), ("moving average 11", 6), ("moving average 15", 8)):
@@ -319,9 +322,9 @@ def test_the_command_explains_the_report_and_draws_its_figures(
     assert explained["kalman 3"]["rows"]["steps"]["gap_before"] > 20
     assert explained["kalman 3"]["rows"]["steps"]["gap_after"] < 4
     for number in range(7, 16):
-        assert (tmp_path / f"figure_5_{number}.png").stat().st_size > 10_000
+        assert (study / f"figure_5_{number}.png").stat().st_size > 10_000
     # Its own table of middles has nothing to explain.
-    assert len(read_table(tmp_path / "table.csv")) == 27
+    assert len(read_table(study / "table.csv")) == 27
 
 
 def test_the_report_s_columns_are_put_in_order() -> None:

@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
 
 from msp_lab.fleet.meta import left_out, paule_mandel, pooled, shrunk
-from msp_lab.fleet.statistics import Series, between_sessions, over_sessions
+from msp_lab.fleet.statistics import NumberOverSessions, between_sessions, over_sessions
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.vehicles import units_of
 from msp_range.errors import UserError
@@ -53,6 +56,7 @@ def test_bcg_trials_give_the_published_mean_and_spread() -> None:
     fleet = pooled(values, errors)
     assert fleet.ordinary.all()
     assert fleet.i2 == pytest.approx(0.9212, abs=0.0005)
+    assert np.exp(fleet.log_p) == pytest.approx(2.0 * student.sf(abs(mean) / error, 12))
 
 
 def test_equal_estimates_have_no_spread_and_the_error_of_their_mean() -> None:
@@ -78,7 +82,34 @@ def test_three_odd_vehicles_of_twenty_do_not_hide_each_other() -> None:
     everyone = pooled(values[3:] + 10.0, errors[3:])
     assert everyone.ordinary.all()
     assert everyone.mean == pytest.approx(10.0, abs=0.6)
-    assert everyone.log_p < -100.0
+    assert everyone.tau == 0.0
+    assert everyone.log_p == pytest.approx(np.log(2.0) + norm.logsf(everyone.mean / everyone.error))
+
+
+def test_each_vehicle_is_compared_with_what_the_others_alone_predict() -> None:
+    values = np.array([0.3, -1.4, 2.2, 0.9, -0.6, 14.0, 1.6])
+    errors = np.array([0.4, 1.1, 0.7, 0.5, 2.0, 0.6, 0.9])
+    fleet = pooled(values, errors)
+    assert list(np.flatnonzero(~fleet.ordinary)) == [5]
+    deviation, log_p = left_out(values, errors, fleet)
+    for k in range(values.size):
+        others = np.array([each != k for each in range(values.size)]) & fleet.ordinary
+        b, s = values[others], errors[others]
+
+        def mean_of(tau2: float, b: np.ndarray = b, s: np.ndarray = s) -> float:
+            return float(np.average(b, weights=1.0 / (s**2 + tau2)))
+
+        def excess(tau2: float, b: np.ndarray = b, s: np.ndarray = s) -> float:
+            return float(((b - mean_of(tau2)) ** 2 / (s**2 + tau2)).sum() - chi2.ppf(0.2, b.size - 1))
+
+        tau2 = brentq(excess, 0.0, 1e4)
+        predicted = tau2 + 1.0 / (1.0 / (s**2 + tau2)).sum()
+        own = errors[k] ** 2
+        away = (values[k] - mean_of(tau2)) / np.sqrt(own + predicted)
+        assert deviation[k] == pytest.approx(away, rel=1e-6)
+        # Satterthwaite: of the sum of two variances only `predicted` is estimated, with n - 2 degrees.
+        freedom = (b.size - 2) * (own + predicted) ** 2 / predicted**2
+        assert np.exp(log_p[k]) == pytest.approx(2.0 * student.sf(abs(away), freedom), rel=1e-6)
 
 
 def test_an_estimate_as_uncertain_as_the_fleet_is_spread_moves_half_way() -> None:
@@ -115,9 +146,11 @@ def test_the_spread_between_sessions_is_that_of_the_median_vehicle() -> None:
     information = tuple(np.full(12, 4.0) for _ in range(40))
     quiet = tuple(2.0 * rng.standard_normal(12) for _ in range(40))
 
-    def series(score: tuple[np.ndarray, ...]) -> Series:
+    def series(score: tuple[np.ndarray, ...]) -> NumberOverSessions:
         units = tuple(range(len(score)))
-        return Series(FleetTerm("offset", "value"), units, np.zeros(len(score)), score, information, information)
+        return NumberOverSessions(
+            FleetTerm("offset", "value"), units, np.zeros(len(score)), score, information, information
+        )
 
     loud = tuple(each + 4.0 * 1.5 * rng.standard_normal(12) for each in quiet)
     assert np.sqrt(between_sessions(series(quiet))) < 0.3

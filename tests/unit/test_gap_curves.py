@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve, curves_of, scan
+from msp_lab.gap.curves import add_curves
 from msp_lab.gap.findings import FoundEffect
 from msp_lab.gap.formula import formula
 from msp_lab.gap.naming import name_effects
-from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.prepared import CHANNELS, Prepared
+from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import refit
 from msp_lab.gap.splits import draw_splits
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.model.model import Model
+from msp_sim.effects.curve import hats
+from msp_sim.model.model import Model, make_curve_term
 from msp_sim.model.sampler import Sampler
 from tests.support.curves import with_curve
 from tests.support.measured import MODEL as FILE
@@ -49,7 +53,7 @@ def read(contexts: Columns, seed: int, bias_cm: Array | float = 0.0) -> Array:
 
 def forms(contexts: Columns, reading_cm: Array) -> list[CandidateCurve]:
     fitted = refit(Prepared.of(MODEL, contexts, reading_cm), [])
-    return scan(curves_of(contexts), fitted.here, fitted.scores, None)
+    return scan(curves_of(contexts), fitted, None)
 
 
 def hidden(channel: str, contexts: Columns, seed: int) -> Array:
@@ -69,6 +73,51 @@ def hidden(channel: str, contexts: Columns, seed: int) -> Array:
     return np.where(befallen, instead, read(contexts, seed))
 
 
+@pytest.mark.parametrize("by_run", [False, True])
+def test_a_scan_of_correlated_readings_has_the_statistic_of_each_curve_alone(by_run: bool) -> None:
+    """Against the scores of its knots one by one, and what of them is left next to what is fitted."""
+    contexts = flown(7, 600, 12)
+    contexts["throttle"] = np.where(np.arange(600) % 9 == 0, np.nan, number(contexts, "throttle"))
+    contexts["run"] = contexts["run"].reshape(12, 50).T.ravel()
+    mixture = MODEL.sensor.reading_model.model_copy(update={"correlation": 0.6, "correlation_spacing_s": 0.1})
+    correlated = Model.of(MODEL.sensor.model_copy(update={"reading_model": mixture}))
+    model = with_curve(correlated, "missed", ["target"], [["asphalt", "grass"]], [0.0, 2.0])
+    unit = np.unique(contexts["run"], return_inverse=True)[1]
+    prepared = Prepared.of(model, contexts, model.sample(contexts, np.random.default_rng(7)))
+    fitted = refit(prepared, [make_curve_term("bias", ["target"], [["asphalt", "grass"]], [0.0, 0.0])])
+    here, free = fitted.here, ~fitted.held
+    nuisance, inner = fitted.scores[:, free], np.linalg.inv(fitted.information[np.ix_(free, free)])
+    found = scan(curves_of(contexts, unit), fitted, unit if by_run else None)
+    assert {"bias", "spread", "missed"} <= {each.channel for each in found}
+    assert {(len(each.variables), each.cost_nats) for each in found} == {(1, 0.0), (2, rules.PAIR_COST_NATS)}
+    assert [each.log_p for each in found if each.channel == "bias" and each.variables == ("target",)] == [0.0]
+    for form in found[::6]:
+        there = np.all([number(contexts, each) > 0.0 for each in form.variables if each != "target"], axis=0)
+        weights = hats(contexts, form.variables, form.knots) * np.broadcast_to(there, 600)[:, None]
+        weights -= weights.sum(axis=1, keepdims=True) * weights.sum(axis=0) / weights.sum()
+        channel = CHANNELS.index(form.channel)
+        scores = np.column_stack([here.score(channel, each) for each in weights.T])
+        carried = inner @ nuisance.T @ scores
+        left, before = scores - nuisance @ carried, scores.T @ scores
+        after = before - scores.T @ nuisance @ carried
+        if channel > 1:
+            share = here.shares[:, channel - 2]
+            expected = share * (1.0 - share) * (here.by[:, channel] ** 2).sum() / (share * (1.0 - share)).sum()
+            varies, mean = weights.T @ (expected[:, None] * weights), weights.T @ expected
+            before, after = before + varies, after + varies - np.outer(mean, mean) / expected.sum()
+            before, after = 0.5 * before, 0.5 * after
+        scale = np.sqrt(np.diag(before))
+        values, vectors = np.linalg.eigh(after / np.outer(scale, scale))
+        turned = (vectors / np.sqrt(np.maximum(values, 1e-9)) / scale[:, None])[:, values.size - form.degrees :]
+        z = (scores.sum(axis=0) - fitted.at.gradient[free] @ carried) @ turned
+        if by_run:
+            sums = np.array([left[unit == run].sum(axis=0) for run in range(12)]) @ turned
+            variance = sums.var(axis=0, ddof=1) * 12
+            z = z / np.sqrt(np.maximum(np.maximum(variance, variance.sum() / max(form.degrees, 1)), 1.0))
+            z = z * np.sqrt(max(11 - form.degrees, 1) / 12)
+        assert form.gain == pytest.approx(0.5 * float(z @ z), rel=1e-3, abs=1e-3), form
+
+
 @pytest.mark.parametrize("channel", ["bias", "spread", "short", "missed", "random"])
 def test_a_free_form_is_found_in_its_channel_over_its_variable(channel: str) -> None:
     contexts = flown(1)
@@ -76,6 +125,25 @@ def test_a_free_form_is_found_in_its_channel_over_its_variable(channel: str) -> 
     assert (first.channel, first.variables) == (channel, ("throttle",))
     assert first.log_p < -15.0
     assert first.gain > 15.0
+
+
+def test_readings_of_a_kind_that_never_came_hide_no_curve() -> None:
+    """Only its prior holds their share, so that its scores are all alike and do not sum to zero."""
+    contexts = flown(1)
+    reading_cm = hidden("bias", contexts, 1)
+    first = forms(contexts, np.where(reading_cm == 765.0, number(contexts, "true_range_cm").round(), reading_cm))[0]
+    assert (first.channel, first.variables) == ("bias", ("throttle",))
+    assert first.gain > 15.0
+
+
+def test_what_hardly_comes_but_at_one_word_is_found() -> None:
+    """Of the misses that came nearly all are at one of four places, so nearly all that was expected is elsewhere."""
+    contexts = flown(4) | {"anchor": np.random.default_rng(4).choice(["a1", "a2", "a3", "a4"], N)}
+    reading_cm = np.array(sensor(missed=0.002, hit=0.978).readings(number(contexts, "true_range_cm").tolist(), 4))
+    there = (contexts["anchor"] == "a1") & (np.random.default_rng(5).random(N) < 0.15)
+    first = forms(contexts, np.where(there, 765.0, reading_cm))[0]
+    assert (first.channel, first.variables, first.degrees) == ("missed", ("anchor",), 3)
+    assert first.gain > 10.0
 
 
 def test_p_values_are_uniform_where_nothing_is_there_and_a_constant_is_the_base_s() -> None:
@@ -128,10 +196,13 @@ def test_a_reading_whose_context_is_not_known_has_no_place_on_the_curve() -> Non
     contexts = flown(2)
     contexts["throttle"] = np.where(np.arange(N) % 3 == 0, np.nan, number(contexts, "throttle"))
     asked = curves_of(contexts)
-    for (variables, _), weights in zip(asked.curves, asked.weights, strict=True):
+    values = np.column_stack([np.ones(N), np.arange(N) % 3 == 0])
+    sums = {**asked.columns.sums(values), **asked.pairs.sums(values)}
+    for (variables, _), form in zip(asked.curves, asked.forms, strict=True):
         # About their mean where the column is known, and nothing where it is not.
-        assert weights.mean(axis=0) == pytest.approx(0.0, abs=1e-6)
-        assert weights[::3].any() == ("throttle" not in variables)
+        of_all, of_unknown = (form.T @ sums[variables]).T
+        assert of_all == pytest.approx(0.0, abs=1e-2)
+        assert of_unknown.any() == ("throttle" not in variables)
 
 
 def one_air(seed: int, low_c: float, high_c: float, n: int = N) -> Columns:
@@ -218,3 +289,15 @@ def test_a_value_for_each_of_eight_places_is_no_curve() -> None:
     reading_cm = read(contexts, 6, rng.permutation(np.linspace(-1.5, 1.5, 8))[place] * SIGMA_CM * 0.3)
     found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
     assert ("bias", ("true_range_cm",)) not in {(each.channel, each.variables) for each in found.unknown}
+
+
+def test_what_varies_inside_runs_is_found_where_few_runs_differ() -> None:
+    """Seven runs with offsets of their own: of so few a scan over runs would ask more than the evidence does."""
+    rng = np.random.default_rng(3)
+    contexts, unit = flown(3, 2400, 7), np.arange(2400) * 7 // 2400
+    contexts["throttle"] = np.clip(0.55 + 0.02 * rng.standard_normal(7)[unit] + 0.12 * rng.standard_normal(2400), 0, 1)
+    bias_cm = 0.7 * (number(contexts, "throttle") > 0.6) + 0.35 * rng.standard_normal(7)[unit]
+    problem = Problem.of(MODEL, contexts, read(contexts, 3, bias_cm), unit, rng)
+    state = first_state(problem)
+    assert state.by_run
+    assert [each.label for each in add_curves(problem, state, 6.0, 6).terms] == ["bias over throttle"]

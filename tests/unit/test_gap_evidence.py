@@ -140,3 +140,14 @@ def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> N
     assert np.mean(np.array(wandering) < rules.RUN_OFFSETS_P) < 0.1
     assert np.mean(np.array(offset) < rules.RUN_OFFSETS_P) > 0.9
     assert 0.25 < np.median(still) < 0.75
+
+
+def test_offsets_of_runs_do_not_hide_by_how_much_one_of_two_names_is_ahead() -> None:
+    """One has the right form inside runs, and offsets of the runs hide nothing of that."""
+    rng = np.random.default_rng(11)
+    slope, along = rng.uniform(-2.0, 2.0, RUNS), np.linspace(-0.5, 0.5, ROWS)
+    difference = (slope[:, None] * (along + 0.5)).ravel()
+    offset = np.repeat(3.0 * rng.standard_normal(RUNS), ROWS)
+    inside = lead_nats(fit(noise(11)), fit(noise(11) + (slope[:, None] * along).ravel()), UNIT)
+    assert inside > 7.0
+    assert lead_nats(fit(noise(11) + offset), fit(noise(11) + offset + difference), UNIT) == pytest.approx(inside, 0.3)

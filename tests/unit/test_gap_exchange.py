@@ -40,7 +40,10 @@ def after_exchange(problem: Problem, *names: str) -> Selection:
         "latency": {"delay_ms": 5.0},
         "motion_during_ping": {"share": -0.5},
         "vibration": {"growth": 0.05},
+        "nearest_point": {"share": 0.3, "beam": 1.0},
         "range_scale": {"scale_pct": 0.05},
+        "heavy_tails": {"share": 0.1, "wider": 2.5},
+        "cycle_slip": {"share": 0.05, "cycles": 8.0},
     }
     base = first_state(problem)
     first = screened(problem, base)
@@ -61,6 +64,20 @@ def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
     assert "motion_during_ping" not in [each.active.effect.name for each in selection.alternatives["latency", None]]
 
 
+@pytest.mark.parametrize(
+    ("share", "start", "found"),
+    [(0.05, "heavy_tails", ["heavy_tails", "cycle_slip"]), (0.0, "cycle_slip", ["heavy_tails"])],
+)
+def test_a_slip_is_named_next_to_tails_and_not_in_their_place(share: float, start: str, found: list[str]) -> None:
+    """Alone, each explains most of what the other does."""
+    rng = np.random.default_rng(5)
+    true_cm = rng.uniform(60.0, 500.0, 2 * N)
+    off_cm = 1.6 * rng.standard_t(5.0, 2 * N) + np.where(rng.random(2 * N) < share, 5.3, 0.0)
+    reading_cm = np.rint(true_cm + off_cm)
+    problem = Problem.of(MODEL, {"true_range_cm": true_cm}, reading_cm, np.arange(2 * N) * RUNS // (2 * N), rng)
+    assert names_of(after_exchange(problem, start)) == found
+
+
 def test_what_explains_something_else_takes_nobodys_place() -> None:
     assert names_of(after_exchange(problem_of((60.0, 700.0), 25.0), "vibration")) == ["vibration"]
 
@@ -72,6 +89,41 @@ def test_a_curve_that_a_name_explains_gets_the_name() -> None:
     state = base.having(problem.refit([line.active], base.fit.base), [line])
     selection = settled(problem, Selection(base, state, screened(problem, base), {}, 6.0))
     assert names_of(selection) == ["latency"]
+
+
+def test_the_right_name_is_proposed_where_few_runs_differ_by_it() -> None:
+    """Air temperature of eight days: over so few runs its score says little, and readings are what proposes it."""
+    rng = np.random.default_rng(0)
+    day = np.arange(N) * 8 // N
+    air_c = (15.0 + 12.0 * np.linspace(-1.0, 1.0, 8)[rng.permutation(8)])[day]
+    true_cm = rng.uniform(60.0, 400.0, N)
+    too_long = np.sqrt((273.15 + 22.5) / (273.15 + air_c)) - 1.0
+    off_cm = 1.6 * rng.standard_normal(N) + 0.3 * rng.standard_normal(8)[day]
+    contexts = {"true_range_cm": true_cm, "air_temperature_c": air_c, "run": np.array([f"day{k}" for k in day])}
+    reading_cm = np.rint(true_cm * (1.0 + 0.2 * too_long) + off_cm)
+    problem = Problem.of(MODEL, contexts, reading_cm, day, rng)
+    assert names_of(after_exchange(problem, "range_scale")) == ["air_temperature"]
+
+
+def test_exchange_goes_on_until_no_name_is_better() -> None:
+    """Three wrong names over the columns of the right ones, whose alternatives are known only once all are there."""
+    rng = np.random.default_rng(4)
+    true_cm, rate_cm_s = rng.uniform(60.0, 500.0, N), 80.0 * rng.standard_normal(N)
+    tilt_deg, throttle = rng.uniform(0.0, 25.0, N), rng.uniform(0.2, 1.0, N)
+    contexts = {
+        "true_range_cm": true_cm,
+        "range_rate_cm_s": rate_cm_s,
+        "incidence_deg": tilt_deg,
+        "throttle": throttle,
+        "vibration_hz": np.where(throttle > 0.6, 60.0, 0.0),
+        "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
+    }
+    heard_cm = true_cm / np.cos(np.radians(tilt_deg)) - 0.004 * rate_cm_s
+    reading_cm = np.rint(heard_cm + (1.5 + 3.0 * throttle**2) * rng.standard_normal(N))
+    problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), rng)
+    selection = after_exchange(problem, "motion_during_ping", "nearest_point", "vibration")
+    assert sorted(names_of(selection)) == ["latency", "rotor_noise", "slant_range"]
+    assert [each.active.effect.name for each in selection.alternatives["latency", None]] == ["motion_during_ping"]
 
 
 @pytest.mark.parametrize("order", [("vibration", "latency"), *slow(("latency", "vibration", "range_scale"))])

@@ -20,11 +20,8 @@ from msp_lab.gap.findings import (
     ReadingsFile,
     Settings,
     UnknownEffect,
-    as_json,
-    from_json,
-    read_findings,
-    write_findings,
 )
+from msp_lab.gap.findings_file import as_json, from_json, read_findings, write_findings
 from msp_lab.gap.verdict import verdict
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model

@@ -64,6 +64,24 @@ def test_what_the_runs_leave_open_is_suggested() -> None:
             assert (each.verdict == "suggested") == contains(value, 0.0)
 
 
+def test_readings_in_half_centimetres_are_on_no_coarse_grid() -> None:
+    contexts = flown(6)
+    heard_cm = contexts["true_range_cm"] + np.random.default_rng(6).normal(0.0, 1.9, N)
+    found = named(contexts, np.rint(2.0 * heard_cm) / 2.0)
+    assert "coarse_rounding" not in [each.name for each in found.effects]
+
+
+def test_what_all_readings_have_is_a_finding() -> None:
+    contexts = flown(5)
+    found = named(contexts, 5.0 * np.rint(read(contexts, 5, sigma_cm=6.0) / 5.0))
+    (effect,) = found.effects
+    share = effect.parameters["share"]
+    assert (effect.name, effect.verdict, effect.parameters["step_cm"].value) == ("coarse_rounding", "named", 5.0)
+    assert share.value == share.high == 1.0
+    assert share.low is not None
+    assert 0.99 < share.low < 1.0
+
+
 def test_light_is_not_asked_for_sound() -> None:
     contexts = flown(1) | {"air_temperature_c": np.random.default_rng(1).uniform(0.0, 30.0, N)}
     ranger = Model.of(load_sensor_model(ROOT / "configs" / "sensors" / "tof_ranger.yaml"))

@@ -44,6 +44,22 @@ def test_the_reading_before_is_that_of_the_same_sensor_and_run(tmp_path: Path) -
             assert previous[1:].tolist() == found["reading_cm"][rows][order][:-1].tolist()
 
 
+def test_what_follows_from_other_columns_is_computed_and_said(tmp_path: Path) -> None:
+    columns = readings(400, runs=2)
+    columns["true_range_cm"] = 300.0 + 100.0 * np.sin(columns["time_s"])
+    columns |= {"roll_deg": np.full(400, 3.0), "pitch_deg": np.tile([4.0, -4.0], 200)}
+    found = taken(tmp_path, columns)
+    np.testing.assert_allclose(found.data["range_rate_cm_s"][2:198], 100.0 * np.cos(columns["time_s"][2:198]), atol=1.0)
+    np.testing.assert_allclose(found.data["incidence_deg"], 5.0, rtol=1e-3)
+    assert found.messages[:2] == (
+        "range_rate_cm_s is computed from true_range_cm over time_s.",
+        "incidence_deg is computed from roll_deg and pitch_deg, over level ground.",
+    )
+    columns["range_rate_cm_s"] = np.full(400, 7.0)
+    (tmp_path / "flight.csv").unlink()
+    assert set(taken(tmp_path, columns).data["range_rate_cm_s"]) == {7.0}
+
+
 def test_files_without_runs_are_runs(tmp_path: Path) -> None:
     paths = []
     for seed in (1, 2):
@@ -53,7 +69,16 @@ def test_files_without_runs_are_runs(tmp_path: Path) -> None:
         paths.append(tmp_path / f"day{seed}.csv")
     found = read_readings(paths, MODEL_GIVEN)
     assert np.unique(found.data["run"]).tolist() == ["day1", "day2"]
-    assert any("Found 2 runs" in each for each in found.messages)
+    assert any("Found 2 runs" in each and "pauses" not in each for each in found.messages)
+
+
+def test_flights_in_one_table_are_noticed_by_their_pauses(tmp_path: Path) -> None:
+    columns = readings(400)
+    del columns["run"]
+    columns["time_s"] = columns["time_s"] + 300.0 * (np.arange(400) // 100)
+    (message,) = (each for each in taken(tmp_path, columns).messages if "Found 1 run" in each)
+    assert "3 pauses of over 30 s" in message
+    assert "--map run=COLUMN" in message
 
 
 def test_files_of_one_name_in_several_folders_are_several_runs(tmp_path: Path) -> None:
@@ -181,7 +206,7 @@ def test_a_context_that_never_changes_is_reported(tmp_path: Path) -> None:
     columns["true_range_cm"] = np.full(400, 150.0)
     columns["reading_cm"] = np.where(columns["reading_cm"] > 700, 765.0, 150.0)
     found = taken(tmp_path, columns)
-    assert dict(found.constant) == {"air_temperature_c": "21", "true_range_cm": "150"}
+    assert dict(found.constant) == {"air_temperature_c": "21", "true_range_cm": "150", "range_rate_cm_s": "0"}
     assert any("All readings are at one true range (150 cm)" in each for each in found.messages)
     assert any("air_temperature_c is constant (21)" in each for each in found.messages)
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
+from msp_lab.gap.before_after import add, compare
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.formula import formula
-from msp_lab.gap.intake import read_readings
+from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.model_file import model_text
-from msp_lab.gap.naming import ExtendedModels, name_effects
+from msp_lab.gap.naming import ExtendedModels, name, name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
-from msp_lab.gap.workflow import Comparison, add, compare, name
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import Model
@@ -101,6 +101,17 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     said = with_words(findings).sentence
     number, unit = re.findall(r"late by (\S+) (m?s)", said)[0]
     assert float(number) * (1000.0 if unit == "s" else 1.0) == pytest.approx(written["value"], rel=0.06)
+
+
+def test_an_effect_that_the_model_had_keeps_its_own_value_in_the_file(tmp_path: Path) -> None:
+    contexts = flown(3)
+    late_cm = contexts["true_range_cm"] - 0.05 * contexts["range_rate_cm_s"]
+    before = given(0.5).adding("latency", delay_ms=-100.0)
+    findings, models = explained(tmp_path, before, contexts, sensor().readings(late_cm.tolist(), 3))
+    had, added = yaml.safe_load(model_text(models.final_fit, findings, "test"))["effects"]
+    assert had == {"name": "latency", "parameters": {"delay_ms": -100.0}}
+    assert added["parameters"]["delay_ms"]["value"] == pytest.approx(150.0, rel=0.1)
+    assert "late by 0.15 s, on top of what the model says" in with_words(findings).sentence
 
 
 def test_where_nothing_is_missing_no_number_of_the_base_is_said_to_move() -> None:

@@ -67,11 +67,19 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_the_scores_of_a_fit_are_slopes(name: str) -> None:
-    contexts = flown(1, 600)
-    reading_cm = Model(MODEL.sensor, (EFFECTS[name],)).sample(contexts, np.random.default_rng(3))
-    prepared = Prepared.of(MODEL, contexts, reading_cm)
+CORRELATED = ("latency", "rotor_noise", "spread curve")
+
+
+@pytest.mark.parametrize(
+    ("name", "correlation"), [*((name, 0.0) for name in EFFECTS), *((name, 0.6) for name in CORRELATED)]
+)
+def test_the_scores_of_a_fit_are_slopes(name: str, correlation: float) -> None:
+    contexts = flown(1, 600) | {"run": np.repeat(["a", "b"], 300), "time_s": 0.1 * np.arange(600)}
+    numbers = {"correlation": correlation, "correlation_spacing_s": 0.1}
+    mixture = MODEL.sensor.reading_model.model_copy(update=numbers)
+    model = Model.of(MODEL.sensor.model_copy(update={"reading_model": mixture}))
+    reading_cm = Model(model.sensor, (EFFECTS[name],)).sample(contexts, np.random.default_rng(3))
+    prepared = Prepared.of(model, contexts, reading_cm)
     fitted = refit(prepared, [EFFECTS[name]])
     assert len(fitted.names) == fitted.values.size == NB + len(EFFECTS[name].values)
     for k in range(fitted.values.size):
@@ -89,6 +97,27 @@ def test_the_scores_of_a_fit_are_slopes(name: str) -> None:
         np.testing.assert_allclose(
             fitted.scores[usual, k], slope[usual], atol=0.06 * size + 0.01, err_msg=fitted.names[k]
         )
+
+
+def test_slopes_of_components_are_those_of_all_parts_together() -> None:
+    contexts = flown(1, 600) | {"run": np.repeat(["a", "b"], 300), "time_s": 0.1 * np.arange(600)}
+    effects = [
+        make_term("heavy_tails", None, {"share": 0.1, "wider": 3.0}),
+        make_term("multipath", None, {"share": 0.1}),
+        make_term("lost_high_byte", None, {"share": 0.1}),
+    ]
+    reading_cm = Model(MODEL.sensor, tuple(effects)).sample(contexts, np.random.default_rng(3))
+    prepared = Prepared.of(MODEL.adding("clutter", share=0.02), contexts, reading_cm, spacing_s=0.1)
+    base = np.array([0.2, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
+    here = prepared.slopes(base, effects)
+    for k in (0, 1):
+        for parameter in effects[k].effect.parameters:
+            value = effects[k].values[parameter.name]
+            step = parameter.step * (1.0 if parameter.neutral is not None else value)
+            there = placed((effects[k],), np.array([*({**effects[k].values, parameter.name: value + step}).values()]))
+            moved = prepared.log_prob(base, [*effects[:k], *there, *effects[k + 1 :]])
+            found = prepared.slope_of(k, parameter, base, effects, here)
+            assert found == pytest.approx((moved - here.log_p) / step, abs=1e-7)
 
 
 def test_a_fit_is_at_its_highest_and_its_errors_are_those_of_repetition() -> None:
@@ -196,3 +225,22 @@ def test_noise_that_follows_the_errors_is_also_tried_with_half_of_its_correlatio
     found = with_candidate(problem, state.fit, latency, 50.0)
     assert found.effects[0].values["delay_ms"] == pytest.approx(350.0, abs=10.0)
     assert found.base[correlation] < 0.3
+
+
+def test_a_step_of_rounding_is_one_of_the_usual_ones_and_leaves_the_other_numbers_free() -> None:
+    """The likelihood jumps along the step: a slope of it would end every fit at its start."""
+    rng = np.random.default_rng(8)
+    contexts = flown(8)
+    reading_cm = np.rint(np.asarray(contexts["true_range_cm"], dtype=float) + 1.9 * rng.standard_t(4.0, 2000))
+    reading_cm = np.where(rng.random(2000) < 0.5, 4.0 * np.rint(reading_cm / 4.0), reading_cm)
+    problem = Problem.of(MODEL, contexts, reading_cm, np.arange(2000) // 100, rng)
+    base = first_state(problem).fit
+    rounding = next(each for each in problem.candidates if each.effect.name == "coarse_rounding")
+    fit = with_candidate(problem, base, rounding, 0.1)
+    assert fit.effects[0].values["step_cm"] == 4.0
+    assert fit.effects[0].values["share"] == pytest.approx(0.5, abs=0.1)
+    tails = make_term("heavy_tails", None, {"share": 0.02, "wider": 5.0})
+    both = refit(problem.some, [*fit.effects, tails], fit.base)
+    alone = refit(problem.some, [tails], base.base)
+    assert both.effects[1].values["wider"] == pytest.approx(alone.effects[0].values["wider"], rel=0.2)
+    assert both.held[both.names.index("0.step_cm")]

@@ -1,15 +1,18 @@
 """The efficient-score screen against textbook formulas and brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from msp_lab.gap.candidates import CandidateEffect, candidates_of
-from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.prepared import BASE, Prepared, ReadingsAtFit
+from msp_lab.gap.profile import Gains
 from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.model.model import Model
+from msp_sim.model.model import Model, applies
 from tests.support.measured import MODEL as SENSOR
 from tests.support.plain_sampler import PlainSensor
 
@@ -43,13 +46,17 @@ def informed(k: int, seed: int) -> Array:
     return information
 
 
+def as_promised(asked: NDArray[np.intp]) -> Gains:
+    """Gains without a limit."""
+    return np.full(asked.size, np.inf), np.zeros(asked.size)
+
+
 def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) -> ScoreSums:
     """Score sums of runs where nothing is missing."""
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(information * N / units)
     by_unit = wider * rng.standard_normal((units, information.shape[0])) @ root.T
-    k = information.shape[0] - NB
-    return ScoreSums(by_unit, information * N, np.full(k, np.inf), np.full(k, np.nan), N)
+    return ScoreSums(by_unit, information * N, N, as_promised)
 
 
 def screened(
@@ -95,7 +102,7 @@ def test_what_the_base_does_as_well_cannot_be_seen() -> None:
     of = drawn(informed(4, 1), 2)
     by_unit = of.by_unit.copy()
     by_unit[:, NB + 2] = 0.5 * by_unit[:, :NB].sum(axis=1) + 1e-7
-    seen = screened(ScoreSums(by_unit, information * N, of.profile, of.best, N), information, TWO_SIDED)
+    seen = screened(replace(of, by_unit=by_unit, products=information * N), information, TWO_SIDED)
     assert seen.z[2] == 0.0
     assert np.isinf(seen.deviation[2])
     assert np.abs(seen.z[[0, 1, 3]]).min() > 0.0
@@ -108,7 +115,7 @@ def test_a_number_that_cannot_be_negative_is_not() -> None:
     information = np.eye(NB + 2)
     by_unit = np.zeros((40, NB + 2))
     by_unit[:, NB:] = [-8.0, 8.0]
-    of = ScoreSums(by_unit, information * N, np.full(2, np.inf), np.full(2, np.nan), N)
+    of = ScoreSums(by_unit, information * N, N, as_promised)
     seen = screened(of, information, one_sided)
     assert seen.z[0] == 0.0
     assert seen.z[1] == pytest.approx(40 * 8.0 / np.sqrt(N))
@@ -126,19 +133,22 @@ def test_the_critical_value_is_that_of_the_largest() -> None:
     assert seen.critical == pytest.approx(1.96, abs=0.12)
 
 
-@pytest.mark.parametrize(("by_run", "wider"), [(False, 1.0), (True, 1.0), (True, 3.0)])
-def test_p_values_are_even_where_nothing_is_missing(by_run: bool, wider: float) -> None:
+@pytest.mark.parametrize(
+    ("by_run", "wider", "of_readings"), [(False, 1.0, 1.0), (True, 1.0, 1.0), (True, 3.0, 1.0), (False, 3.0, 3.0)]
+)
+def test_p_values_are_even_where_nothing_is_missing(by_run: bool, wider: float, of_readings: float) -> None:
     information = informed(4, 4)
-    rejected = np.mean(
-        [
-            screened(drawn(information, seed, 20, wider), information, TWO_SIDED, by_run).p_value < 0.05
-            for seed in range(150)
-        ]
-    )
+    tested = [BY_KEY["latency", None], BY_KEY["range_scale", None], BY_KEY["bend", None], BY_KEY["bend", None]]
+    rejected = []
+    for seed in range(150):
+        of = drawn(information, seed, 20, wider)
+        of = replace(of, products=of_readings**2 * of.products)
+        rejected.append(screened(of, information, tested, by_run).p_value < 0.05)
+    share = np.mean(rejected)
     # 0.05 give or take three standard errors; by runs it may be less.
-    assert rejected <= 0.105
+    assert share <= 0.105
     if not by_run:
-        assert rejected >= 0.005
+        assert share >= 0.005
 
 
 def test_runs_that_scatter_more_than_their_readings_count_less() -> None:
@@ -147,12 +157,34 @@ def test_runs_that_scatter_more_than_their_readings_count_less() -> None:
     alone, by_run = screened(of, information, TWO_SIDED), screened(of, information, TWO_SIDED, True)
     assert (by_run.deviation / alone.deviation) ** 2 == pytest.approx(np.full(4, 9.0), rel=0.3)
     assert by_run.z == pytest.approx(alone.z / 3.0, rel=0.2)
+    # What all runs show is no scatter of theirs, and runs that scatter less are random all the same.
+    in_all = of.by_unit + np.append(np.zeros(NB), np.full(4, 30.0))
+    shown = screened(replace(of, by_unit=in_all), information, TWO_SIDED, True)
+    assert shown.deviation == pytest.approx(by_run.deviation)
+    even = screened(drawn(information, 2, 200, 0.3), information, TWO_SIDED, True)
+    assert even.deviation == pytest.approx(alone.deviation)
+
+
+def test_the_p_value_is_of_the_largest_that_is_no_number_of_the_base() -> None:
+    def p_value(key: str, other: str, sum_of_scores: float, products: float = 1.0) -> float:
+        by_unit = np.zeros((40, NB + 2))
+        by_unit[:, NB] = sum_of_scores / 40.0
+        of = ScoreSums(by_unit, products * N * np.eye(NB + 2), N, as_promised)
+        return screened(of, np.eye(NB + 2), [BY_KEY[key, None], BY_KEY[other, None]]).p_value
+
+    assert p_value("latency", "missed", 1000.0) == 1.0 / 2001.0
+    assert p_value("missed", "latency", 1000.0) > 0.5
+    # The search for a shape is taken off; what is rare is limited by its gain, and what is not by its own scatter.
+    sure = 2.5 * np.sqrt(N)
+    assert p_value("clutter", "latency", sure) > 5.0 * p_value("multipath", "latency", sure)
+    assert p_value("multipath", "latency", sure, 4.0) == p_value("multipath", "latency", sure)
+    assert p_value("latency", "multipath", sure, 4.0) > 5.0 * p_value("latency", "multipath", sure)
 
 
 def test_runs_of_readings_that_scatter_more_do_not_count_less_for_it() -> None:
     information = informed(4, 1)
     of = drawn(information, 2, 200, 3.0)
-    as_they_are = ScoreSums(of.by_unit, 9.0 * of.products, of.profile, of.best, N)
+    as_they_are = replace(of, products=9.0 * of.products)
     alone, by_run = screened(as_they_are, information, TWO_SIDED), screened(as_they_are, information, TWO_SIDED, True)
     assert (by_run.deviation / alone.deviation) ** 2 == pytest.approx(np.ones(4), abs=0.25)
 
@@ -171,10 +203,16 @@ def test_what_rests_on_a_few_readings_is_worth_what_it_gains() -> None:
     by_unit = np.zeros((40, NB + 4))
     by_unit[:, NB:] = [-8.0, 8.0, -8.0, 8.0]
     information = np.eye(NB + 4)
-    of = ScoreSums(by_unit, information * N, np.array([0.25, 4.0, np.inf, np.inf]), np.full(4, np.nan), N)
-    seen = screened(of, information, TWO_SIDED)
+    of = ScoreSums(by_unit, information * N, N, lambda asked: (np.array([0.125, 2.0]), np.array([-0.1, 0.3])))
+    seen = screened(of, information, [BY_KEY["missed", None], BY_KEY["missed_by_target", "grass"], *TWO_SIDED[:2]])
     whole = 40 * 8.0 / np.sqrt(N)
     assert seen.z == pytest.approx([-0.5, 2.0, -whole, whole])
+    assert seen.best == pytest.approx([-0.1, 0.3, np.nan, np.nan], nan_ok=True)
+    by_unit[:, NB:] += 14.0 * np.array([1.0, -1.0] * 20)[:, None]
+    tested = [BY_KEY["missed", None], BY_KEY["missed_by_target", "grass"], *TWO_SIDED[:2]]
+    by_run = screened(replace(of, by_unit=by_unit), information, tested, True)
+    # The scatter of runs is 14^2 of 50 for each.
+    assert by_run.z[:2] == pytest.approx(seen.z[:2] / np.sqrt(14.0**2 / 50.0 * 40 / 39), rel=1e-3)
 
 
 def plain(contexts: dict[str, NDArray[np.generic]], seed: int) -> Array:
@@ -193,12 +231,13 @@ def plain(contexts: dict[str, NDArray[np.generic]], seed: int) -> Array:
     return np.array(sensor.readings(np.asarray(contexts["true_range_cm"], dtype=float).tolist(), seed))
 
 
-def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> ScoreSums:
+def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, asked: list[int]) -> Gains:
     base = np.zeros(NB)
     simulated = replicate(MODEL, base, [], contexts, np.random.default_rng(5))
     information = information_of(simulated, base, [], TESTED)
     unit = np.zeros(reading_cm.size, dtype=np.intp)
-    return score_sums(MODEL, base, [], TESTED, contexts, reading_cm, unit, information)
+    readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
+    return score_sums(readings, TESTED, unit, information).profile(np.array(asked))
 
 
 def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
@@ -210,18 +249,70 @@ def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
     twice = ~lost & (rng.random(N) < 0.1)
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
     reading_cm = np.where(lost, 765.0, np.where(twice, np.minimum(np.rint(2.0 * true_cm), 765.0), reading_cm))
-    found = profile(contexts, reading_cm)
     at = {candidate.key: j for j, candidate in enumerate(TESTED)}
-    grass_at, asphalt_at = at["missed_by_target", "grass"], at["missed_by_target", "asphalt"]
+    asked = [at["missed_by_target", "grass"], at["missed_by_target", "asphalt"], at["multipath", None]]
+    assert all(TESTED[j].is_rare for j in asked)
+    assert not TESTED[at["latency", None]].is_rare
+    gains, best = profile(contexts, reading_cm, asked)
     # Odds are of grass against asphalt, so the one is as the other with the other sign.
-    assert 1.0 <= found.best[grass_at] <= 4.0
-    assert found.best[asphalt_at] < 0.0
-    assert found.best[at["multipath", None]] == pytest.approx(0.1)
-    assert found.profile[grass_at] > 50.0
-    assert found.profile[at["multipath", None]] > 500.0
-    assert np.isinf(found.profile[at["latency", None]])
-    nothing = profile(contexts, plain(contexts, 7))
-    assert nothing.profile[grass_at] < 15.0
+    assert 1.0 <= best[0] <= 4.0
+    assert best[1] < 0.0
+    assert best[2] == pytest.approx(0.1)
+    assert gains[0] > 25.0
+    assert gains[2] > 250.0
+    nothing, _ = profile(contexts, plain(contexts, 7), asked)
+    assert nothing[0] < 7.5
+
+
+def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In parts, of which the last one is shorter, against readings in one part and one number at a time."""
+    contexts = flown(6, 800) | {"previous_reading_cm": np.full(800, 150.0)}
+    reading_cm = plain(contexts, 6)
+    reading_cm[::9], reading_cm[5::80] = 765.0, 40.0
+    tested, _ = candidates_of(MODEL, contexts)
+    base = np.array([0.3, 0.1, 0.2, 0.3, -0.2, 0.0, 0.0, 0.0])
+    prepared = Prepared.of(MODEL, contexts, reading_cm)
+    scores = score_matrix(prepared, base, [], tested)
+    information = scores.T @ scores / 800
+    acts = np.any(scores[:, NB:] != 0.0, axis=0).tolist()
+    asked = np.array([j for j, each in enumerate(tested) if each.is_rare and not each.is_base and acts[j]], np.intp)
+    unit = np.arange(800) % 3
+    monkeypatch.setattr("msp_lab.gap.prepared.CHUNK", 300)
+    monkeypatch.setattr("msp_lab.gap.rules.PRODUCT_ROWS", 400)
+    readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
+    sums = score_sums(readings, tested, unit, information, prior=0.01)
+    prior = np.append(0.01 * base * 800 / 3, np.zeros(len(tested)))
+    assert sums.by_unit == pytest.approx(np.array([scores[unit == k].sum(axis=0) - prior for k in range(3)]))
+    assert sums.products == pytest.approx(2.0 * scores[::2].T @ scores[::2])
+    gains, best = sums.profile(asked)
+    here = prepared.log_prob(base, []).sum()
+    odds = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+    for j, gain, number in zip(asked.tolist(), gains, best, strict=True):
+        each = tested[j]
+        numbers = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+        mean = 0.0
+        if each.odds is not None:
+            field = ("log_odds_short", "log_odds_missed", "log_odds_random")[each.odds - 1]
+            moved = getattr(each.at(1.0).change(prepared.scene), field)
+            template = np.broadcast_to(np.where(applies(prepared.scene, each.at(1.0)), moved, 0.0), 800)
+            numbers, mean = np.concatenate([odds, -odds]) / np.abs(template).max(), float(template.mean())
+            numbers = numbers[np.abs(numbers) <= each.parameter.high]
+        of_model = []
+        for value in numbers.tolist():
+            there = base.copy()
+            there[1 + (each.odds or 1)] -= value * mean
+            of_model.append(prepared.log_prob(there, [each.at(value)]).sum() - here)
+        block = [2, 3, 4, NB + j]
+        inverse = np.linalg.inv(information[np.ix_(block, block)])
+        # The score next to the odds, over its standard error, and its gain by steps along it.
+        efficient = scores[:, block] @ (inverse[-1] / np.sqrt(inverse[-1, -1]))
+        towards = np.sign(sums.by_unit[:, block].sum(axis=0) @ inverse[-1])
+        change = np.outer([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6], towards * efficient)
+        along = np.where(change > -0.9, np.log1p(np.maximum(change, -0.9)), np.log(0.1) + 10.0 * (change + 0.9))
+        wanted = max(0.0, along.sum(axis=1).max(), *of_model)
+        assert gain == pytest.approx(wanted, rel=0.01, abs=0.05), each
+        if max(of_model) > 0.5:
+            assert number == pytest.approx(numbers[int(np.argmax(of_model))]), each
 
 
 def test_scores_of_faults_and_of_squares_are_slopes() -> None:

@@ -144,7 +144,7 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     assert offset.learnt(left_out, ["0.offset_cm"])[3] < 1e-4
     assert offset.learnt(np.arange(12) == 4, ["0.offset_cm"])[3] == pytest.approx(1.0, abs=0.02)
     # It stays as it is then, whatever the rounding of sums: a part without the run has no opinion of it.
-    rounded = replace(fit, information=fit.information * (1.0 + 1e-12))
+    rounded = replace(fit, slopes=lambda: fit.at._replace(information=fit.information * (1.0 + 1e-12)))
     assert SumsByRun(rounded, problem.some_unit, 12).step(~left_out)[-1] == 0.0
     # Of the end of a curve that one run alone reaches as little; of the rest the others know nearly all.
     far = np.where(contexts["run"] == "run03", 500.0, contexts["true_range_cm"])

@@ -11,7 +11,7 @@ from msp_lab.gap.runs import dependence, previous, spacing_s
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.history import History
 from msp_sim.model.model import Model
-from msp_sim.model.slopes import log_prob
+from msp_sim.model.rows import log_prob
 from msp_sim.model.streams import RandomStreams
 from tests.support.measured import MODEL as FILE
 

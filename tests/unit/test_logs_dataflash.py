@@ -72,9 +72,18 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
     assert capfd.readouterr().err == ""
 
 
-def test_out_of_range_is_the_maximum_and_no_data_is_no_answer() -> None:
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"RNGFND1_MAX": 7.0, "RNGFND1_MAX_CM": 9.0},
+        {"RNGFND1_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0},
+        {"RNGFND_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0},
+    ],
+)
+def test_out_of_range_is_the_maximum_and_no_data_is_no_answer(parameters: dict[str, float]) -> None:
+    """By the names of 4.7, of 4.0 to 4.6, and of versions before."""
     status = np.array([4.0, 3.0, 1.0, 2.0])
-    ranger = _ranger(1, np.arange(4.0), np.array([2.0, 0.0, 1.0, 0.1]), status, 25, {"RNGFND1_MAX": 7.0})
+    ranger = _ranger(1, np.arange(4.0), np.array([2.0, 0.0, 1.0, 0.1]), status, 25, parameters)
     np.testing.assert_array_equal(ranger.series.values, [200.0, 700.0, np.nan, 10.0])
 
 
@@ -82,3 +91,8 @@ def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
     (tmp_path / "plane.bin").write_bytes(LOG.read_bytes().replace(b"ArduCopter V4", b"ArduPlane V44"))
     copter, plane = (read_ardupilot(path, nothing).context["throttle"] for path in (LOG, tmp_path / "plane.bin"))
     np.testing.assert_allclose(100.0 * plane.values, copter.values)
+
+
+def test_the_second_range_finder_of_an_old_log_has_no_maximum_of_the_first() -> None:
+    ranger = _ranger(2, np.arange(1.0), np.array([8.0]), None, 25, {"RNGFND_MAX_CM": 700.0})
+    assert ranger.series.values.tolist() == [800.0]

@@ -92,6 +92,21 @@ def test_the_lag_is_taken_off_where_it_is_asked_for(tmp_path: Path) -> None:
     assert scatter["off"] < 0.5 * scatter["left"]
 
 
+def test_a_reference_that_stays_while_the_range_changes_is_named(tmp_path: Path) -> None:
+    """A vehicle that was not moved, whose sensor was turned to other things: seen in a real log of ArduSub."""
+    messages = telemetry()
+    for _, _, message in messages:
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            message.relative_alt = -5 + message.time_boot_ms % 3
+    path = write_telemetry(tmp_path / "bench.tlog", messages)
+    (found,) = imported(path, "--out", tmp_path / "set")
+    down = found["rangers"][0]
+    assert down["lag_s"] is None
+    assert down["reference_span_cm"] == pytest.approx(0.2, abs=0.01)
+    printed = " ".join(run("import", path, "--out", tmp_path / "shown").output.split())
+    assert "the reference changes by 0.2 cm in all, and the readings differ from it by more" in printed
+
+
 def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> None:
     (found,) = imported(LOGS / "px4.ulg", "--out", tmp_path / "set")
     assert found["form"] == "PX4 ULog, PX4 1.17.0"
@@ -259,7 +274,7 @@ def test_folders_with_a_dot_tell_logs_of_one_name_apart(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         write_csv(tmp_path / folder / "bench.csv", readings(100, runs=1))
     found = imported(*sorted(tmp_path.glob("v*/bench.csv")), "--out", tmp_path / "set")
-    assert [each["run"] for each in found] == ["v1.0/bench", "v1.1/bench"]
+    assert [each["runs"] for each in found] == [["v1.0/bench/flight-1"], ["v1.1/bench/flight-1"]]
 
 
 def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.intervals import quantile, wilson
 from msp_sim.monte_carlo.outcome import judged
-from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, Store
+from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, FlightStore
 from msp_sim.monte_carlo.summary import summarise
 
 AIRFRAME = load_airframe("quad_pallet")
@@ -107,19 +107,19 @@ def row(number: int) -> dict[str, Any]:
 
 
 def test_flights_are_kept_and_an_interrupted_table_is_resumed(tmp_path: Path) -> None:
-    store = Store(tmp_path, COLUMNS, {"seed": 1})
+    store = FlightStore(tmp_path, COLUMNS, {"seed": 1})
     for number in (0, 1, 4):
         store.add(number, row(number))
     store.close()
     table = tmp_path / FLIGHTS
     # Killed while it wrote: the last row is not complete.
     table.write_text(table.read_text(encoding="utf-8") + "5,0.0,0.", encoding="utf-8")
-    again = Store(tmp_path, COLUMNS, {"seed": 1})
+    again = FlightStore(tmp_path, COLUMNS, {"seed": 1})
     assert [each[NUMBER] for each in again.rows] == [0, 1, 4]
     for number in (2, 3):
         again.add(number, row(number))
     again.close()
-    whole = Store(tmp_path / "whole", COLUMNS, {"seed": 1})
+    whole = FlightStore(tmp_path / "whole", COLUMNS, {"seed": 1})
     for number in range(5):
         whole.add(number, row(number))
     whole.close()
@@ -128,9 +128,9 @@ def test_flights_are_kept_and_an_interrupted_table_is_resumed(tmp_path: Path) ->
 
 
 def test_flights_of_another_seed_are_not_mixed(tmp_path: Path) -> None:
-    Store(tmp_path, COLUMNS, {"seed": 1, "version": "a"}).close()
+    FlightStore(tmp_path, COLUMNS, {"seed": 1, "version": "a"}).close()
     with pytest.raises(ConfigError, match="holds flights with another seed; name another --out"):
-        Store(tmp_path, COLUMNS, {"seed": 2, "version": "a"})
+        FlightStore(tmp_path, COLUMNS, {"seed": 2, "version": "a"})
 
 
 def test_the_summary_counts_flights() -> None:

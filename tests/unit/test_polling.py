@@ -17,6 +17,7 @@ from msp_range.config import load_airframe
 from msp_range.reading import Decoded, Status
 from msp_range.sensors.polling import Poller, Ranging, reading_of
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_sim.device.bus import EmulatedBus
 from tests.support.scripted_bus import ScriptedBus
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -38,6 +39,8 @@ class Sonar:
         self.asked_s: list[float] = []
         self.ready_s = READY_S
         self.range_m: Callable[[float], float | None] = lambda ping_s: 3.0
+        # It measures for 10 ms longer than the sound needs, as an MB1242 does.
+        self.earliest_s: Callable[[], float] = lambda: max(self.ready_s - 0.010, 0.0)
         self.is_absent = False
         self.status: Callable[[], Status] = lambda: Status.OK
 
@@ -54,7 +57,7 @@ class Sonar:
         if status.is_fault:
             return Decoded(status, None, 0x8000)
         range_m = self.range_m(self.pings_s[-1])
-        return Decoded(Status.NO_ECHO if range_m is None else Status.OK, range_m, 300)
+        return Decoded(Status.NO_ECHO if range_m is None else Status.OK, range_m, 300, False, self.earliest_s())
 
 
 class Bench:
@@ -82,6 +85,7 @@ class Bench:
         while self.poller.next_event_s < until_s - 1e-9:
             self.clock.sleep_until(self.poller.next_event_s)
             ended += self.poller.step()
+        self.clock.sleep_until(until_s)
         return ended
 
     def order(self) -> list[tuple[float, str]]:
@@ -111,7 +115,7 @@ def test_four_sensors_in_turn_are_two_and_a_half_hertz_each_and_ten_together() -
 def test_a_sensor_whose_reading_did_not_fit_has_another_turn_soon_and_not_for_ever() -> None:
     bench = Bench(ROUND)
     order = []
-    for _ in range(24):
+    for _ in range(30):
         order += [ranging.reading.sensor for ranging in bench.poll(0.1)]
         if order[-1:] == ["b"]:
             bench.schedule.again("b")
@@ -143,6 +147,66 @@ def test_an_answer_is_read_within_three_milliseconds(ready_s: float) -> None:
     assert ranging.answered_s - ranging.ping_s == pytest.approx(asked_s[-1])
     assert ranging.reading.status is Status.OK
     assert max(ready_s, FIRST_S) - 1e-9 <= asked_s[-1] <= max(ready_s + 0.003, FIRST_S) + 1e-9
+
+
+def late_s(bench: Bench, ready_s: Sequence[float]) -> tuple[list[float], int]:
+    """How late the answers are read that are ready so long after one ping after another [s]; attempts of all."""
+    late = []
+    bench.sonars["a"].asked_s.clear()
+    for each_s in ready_s:
+        bench.sonars["a"].ready_s = each_s
+        while not (ended := bench.poller.step()):
+            bench.clock.sleep_until(bench.poller.next_event_s)
+        (ranging,) = ended
+        assert ranging.reading.status is Status.OK
+        late.append(ranging.answered_s - ranging.ping_s - max(each_s, FIRST_S))
+    return late, len(bench.sonars["a"].asked_s)
+
+
+@pytest.mark.parametrize(("ready_s", "attempts"), [(0.0215, 1.4), (READY_S, 1.4), (0.0374, 1.4), (0.067, 3.6)])
+def test_a_sensor_is_asked_when_its_answer_is_expected(ready_s: float, attempts: float) -> None:
+    bench = Bench("a")
+    late, asked = late_s(bench, [ready_s] * 40)
+    assert max(late) < 0.003 + 1e-9
+    assert sum(late) / 40 < 0.0016
+    assert asked / 40 <= attempts
+
+
+def test_a_sensor_whose_duration_does_not_follow_its_answer_is_followed_too() -> None:
+    """The answers of a driver that does not know when they can come, of a sensor that becomes quicker and slower."""
+    bench = Bench("a")
+    bench.sonars["a"].earliest_s = lambda: 0.0
+    late, asked = late_s(bench, [*[0.035] * 10, *[0.030] * 10, *[0.036] * 10])
+    assert max(late) < 0.006
+    assert late[19] < 0.003
+    assert asked / 30 <= 1.8
+
+
+def test_a_fault_does_not_change_when_the_next_answer_is_expected() -> None:
+    bench = Bench("a")
+    late_s(bench, [0.035] * 4)
+    bench.sonars["a"].status = lambda: Status.CLOCK_FAULT
+    bench.poll(0.1)
+    bench.sonars["a"].status = lambda: Status.OK
+    assert late_s(bench, [0.035])[1] <= 2
+
+
+def test_an_answer_that_comes_at_another_time_than_the_last_is_not_read_much_later() -> None:
+    sinking_s = [0.060 - 0.0046 * i for i in range(8)]  # 2 m/s
+    late, _ = late_s(Bench("a"), sinking_s)
+    assert max(late) < 0.005
+    late, _ = late_s(Bench("a"), sinking_s[::-1])
+    assert max(late) < 0.003 + 1e-9
+    for object_s in (0.0211, 0.035, 0.050):
+        late, _ = late_s(Bench("a"), [0.067, object_s, object_s, object_s, object_s, object_s])
+        assert max(late) < 0.019
+        assert late[-1] < 0.003 + 1e-9
+
+
+def test_a_bus_that_may_be_answered_at_any_time_is_asked_all_the_time() -> None:
+    bench = Bench("a")
+    bench.poller = Poller(EmulatedBus([], bench.clock.now), bench.clock, bench.schedule)
+    assert late_s(bench, [READY_S] * 3)[1] == 3 * 5
 
 
 def test_a_bus_that_cannot_take_silence_is_read_once_at_the_deadline() -> None:
@@ -436,8 +500,7 @@ class Reopened:
     def read(self, address: int, count: int) -> bytes:
         return b""
 
-    def busy_s(self, address: int) -> float:
-        return 0.0
+    def busy_s(self, address: int) -> None: ...
 
     def reopen(self) -> None:
         self.reopened_s.append(self._clock.now())

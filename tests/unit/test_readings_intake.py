@@ -26,6 +26,11 @@ def data(seed: int = 1, n: int = 100, **changes: Callable[[Columns], NDArray[Any
     return MeasuredData(columns | {name: change(columns) for name, change in changes.items()})
 
 
+def noticed(found: LoadedReadings) -> tuple[str, ...]:
+    """Its messages but for what was computed from other columns."""
+    return tuple(each for each in found.messages if " is computed from " not in each)
+
+
 def written(folder: Path, content: MeasuredData, name: str = "readings.csv") -> Path:
     write_csv(folder / name, content)
     return folder / name
@@ -42,7 +47,7 @@ def test_files_are_joined_and_named(tmp_path: Path) -> None:
     ]
     assert np.isnan(found.data["air_temperature_c"][:300]).all()
     assert (found.data["air_temperature_c"][300:] == 20.0).all()
-    assert found.messages == ("The run 'day' is in 2 files and counts as 2 runs.",)
+    assert noticed(found) == ("The run 'day' is in 2 files and counts as 2 runs.",)
 
 
 def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
@@ -93,14 +98,14 @@ def test_readings_that_the_sensor_cannot_make_are_no_answer(tmp_path: Path) -> N
     assert loaded.data["reading_cm"][0] == 32868.0
     found = without_impossible(loaded, SENSOR)
     assert np.isnan(found.data["reading_cm"][:3]).all()
-    assert found.messages == ("3 readings are outside of the sensor's 20 to 765 cm and count as no answer: 32868",)
+    assert noticed(found) == ("3 readings are outside of the sensor's 20 to 765 cm and count as no answer: 32868",)
 
 
 def test_a_maps_note_comes_along(tmp_path: Path) -> None:
     path = written(tmp_path, data())
     note = tmp_path / "map.yaml"
     note.write_text("columns: {reading_cm: reading_cm}\nnote: a borrowed ruler\n", encoding="utf-8")
-    assert load_readings([path], SENSOR, load_map([str(note)])).messages == ("a borrowed ruler",)
+    assert noticed(load_readings([path], SENSOR, load_map([str(note)]))) == ("a borrowed ruler",)
 
 
 def test_what_a_bridge_made_of_readings_is_no_context(tmp_path: Path) -> None:
@@ -121,7 +126,7 @@ def test_flights_that_were_exported_are_a_run_each(tmp_path: Path) -> None:
     ]
     found = load_readings(paths, SENSOR)
     assert np.unique(found.data["run"]).tolist() == [f"{seed}/flight" for seed in (1, 2, 3, 4, 5, 6)]
-    assert found.messages == ("The run 'flight' is in 6 files and counts as 6 runs.",)
+    assert noticed(found) == ("The run 'flight' is in 6 files and counts as 6 runs.",)
     # Each has its own first reading, which none comes before.
     assert np.flatnonzero(np.isnan(found.data["previous_reading_cm"])).tolist() == [0, 300, 600, 900, 1200, 1500]
     together = load_readings(paths, SENSOR, run_column="run")
@@ -140,11 +145,25 @@ def test_rows_stay_in_the_order_and_resolution_of_the_file(tmp_path: Path) -> No
     content = data(reading_cm=lambda c: c["reading_cm"] + 0.3, sensor=lambda c: np.array(["left", "right"] * 150))
     rows = np.concatenate([np.arange(300)[::-1], np.arange(5)])
     found = load_readings([written(tmp_path, content.select(rows))], SENSOR)
-    assert found.messages == ("5 duplicate rows are dropped.",)
+    assert noticed(found) == ("5 duplicate rows are dropped.",)
     assert found.data["reading_cm"].tolist() == content["reading_cm"][::-1].tolist()
     previous = found.data["previous_reading_cm"][::-1]
     assert np.isnan(previous[:2]).all()
     assert previous[2:].tolist() == content["reading_cm"][:-2].tolist()
+
+
+def test_without_times_nothing_came_before(tmp_path: Path) -> None:
+    """Rows of a table without times may be the beams of a scanner, or sorted: equal neighbours are no repeats."""
+    rows = [f"{reading},{true}" for reading, true in zip(range(100, 140), range(101, 141), strict=True)]
+    path, names = tmp_path / "beams.csv", tmp_path / "map.yaml"
+    names.write_text("columns: {reading_cm: r, true_range_cm: z, sensor: {value: laser}}\n", encoding="utf-8")
+    path.write_text("r,z\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    found = load_readings([path], SENSOR, load_map([str(names)])).data
+    assert np.isnan(found["previous_reading_cm"]).all()
+    assert np.isnan(found["time_in_run_s"]).all()
+    assert "range_rate_cm_s" not in found
+    path.write_text("r,z,time_s\n" + "\n".join(f"{row},{k}" for k, row in enumerate(rows)), encoding="utf-8")
+    assert load_readings([path], SENSOR, load_map([str(names)])).data["previous_reading_cm"][1] == 100.0
 
 
 def test_a_files_step_is_found() -> None:

@@ -9,6 +9,7 @@ import os
 import resource
 import struct
 import threading
+import tracemalloc
 import zlib
 from collections.abc import Iterator, Sequence
 from io import FileIO
@@ -204,6 +205,23 @@ def test_the_index_of_a_long_file_is_not_kept_as_objects(tmp_path: Path) -> None
     assert len(summary.chunk_indexes) == 200
 
 
+def test_the_end_of_a_long_file_is_written_without_copies_of_its_index(tmp_path: Path) -> None:
+    """1 MB an hour and copy, which the allocator kept for the thread that writes them."""
+    recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
+    for count in range(1, 1001):
+        recorder.write("/health", count, {"text": "one"})
+        recorder.flush_if_due(count)
+    tracemalloc.start()
+    recorder.close()
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        summary = SeekingReader(file).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) == 1000
+    assert most_bytes < 50_000
+
+
 def test_utc_is_taken_once(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", ClockSetInFlight())
     recorder.write("/health", START_S, {"text": "one"})
@@ -371,6 +389,22 @@ def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: S
     recorder.close()
     assert len(list(Recording(tmp_path / "flight.mcap"))) == 99
     assert not recording_threads()
+
+
+def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
+    real = VirtualClock()
+    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
+    recorder = Recorder(file, VirtualClock(), waits=True)
+    assert stopped_disk.entered.wait(20)
+    recorder.write("/health", 1.0, {"text": "waits"})
+    recorder.flush_if_due(1.0)
+    assert real.now() == 0.0
+    real.sleep_until(1.5)
+    recorder.flush_if_due(2.0)
+    assert real.now() == pytest.approx(10.0, abs=0.2)
+    assert recorder.fault == "disk does not answer"
+    stopped_disk.go_on.set()
+    file.join(20)
 
 
 def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: Path, stopped_disk: StoppedDisk) -> None:

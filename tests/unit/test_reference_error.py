@@ -19,7 +19,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
-from msp_sim.model.slopes import log_prob, slopes
+from msp_sim.model.rows import log_prob, slopes
 from tests.support.known import known
 
 OWN_CM, NOISE_CM = 1.2, 2.0

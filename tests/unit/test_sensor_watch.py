@@ -222,6 +222,17 @@ def test_a_shift_is_asked_for_only_while_the_vehicle_moves_over_level_ground() -
     assert fly(watch_of(), lambda name, _: slope[name], 120.0, down=LEANS) == set(), "the others see a slope"
 
 
+def test_a_tuft_of_rough_ground_is_no_shift_while_the_others_happen_to_agree() -> None:
+    phase = dict(zip(NAMES, (0.0, 1.5, 3.0, 4.5), strict=True))
+
+    def rough(name: str, time_s: float) -> float:
+        if time_s < 120.0:
+            return 0.04 * math.sin(time_s / 20.0 + phase[name])
+        return 0.10 if name == "a" else 0.0
+
+    assert fly(watch_of(), rough, 180.0, down=LEANS) == set()
+
+
 def test_a_leaning_sensor_is_not_asked_for_missed_echoes() -> None:
     def misses(name: str, time_s: float) -> float | None:
         return None if name == "a" and time_s % 2.0 < 0.4 else 0.0

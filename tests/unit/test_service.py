@@ -1,6 +1,7 @@
 """The service around the bridge: systemd's watchdog, an end by a signal."""
 
 import io
+import json
 import os
 import signal
 import socket
@@ -45,5 +46,31 @@ def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypat
         receive()
     assert [messages[0], messages[-1]] == ["READY=1", "STOPPING=1"]
     assert set(messages[1:-1]) == {"WATCHDOG=1"}
-    # Ten times a second, a little less where a transfer is due at that moment, and only for as long as it works.
-    assert 22 <= len(messages[1:-1]) <= 26
+    # Five times a second, a little less where a transfer is due at that moment, and only for as long as it works.
+    assert 10 <= len(messages[1:-1]) <= 13
+
+
+def test_the_log_says_once_how_the_link_is_and_each_minute_that_it_still_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, log, link = Bench(airframe(), 300), io.StringIO(), Nowhere()
+
+    def idle_or_end() -> list[object]:
+        if bench.now() > 190.0:
+            os.kill(os.getpid(), signal.SIGTERM)
+        if bench.now() > 100.0:
+            monkeypatch.setattr(link, "connected", False)
+            monkeypatch.setattr(link, "last_error", "cable out")
+        bench.clock.sleep_until(bench.clock.now() + 0.05)
+        return []
+
+    monkeypatch.setattr(bench.bridge, "step", idle_or_end)
+    with stop_signals() as stopped:
+        serve(bench.bridge, bench.clock, Log("json", log), link, stopped)
+    lines = [json.loads(each) for each in log.getvalue().splitlines()]
+    assert [(each["event"], each["level"], each.get("error")) for each in lines] == [
+        ("link", "info", None),
+        ("still flying", "info", None),
+        ("link", "warning", "cable out"),
+        ("still flying", "info", None),
+        ("still flying", "info", None),
+        ("stopped by signal", "info", None),
+    ]

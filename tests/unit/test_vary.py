@@ -12,7 +12,7 @@ from numpy.random import default_rng
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.flight.vary import Choice, Factor, LogUniform, Normal, RandomFaults, Uniform, places, with_value
+from msp_sim.flight.vary import Choice, Factor, LogUniform, RandomFaults, TruncatedNormal, Uniform, places, with_value
 
 CONTENT: dict[str, Any] = {
     "name": "short",
@@ -47,7 +47,7 @@ def test_values_follow_their_distributions() -> None:
     for drawn in (many(LogUniform(kind="log_uniform", low=1.0, high=4.0)), many(Factor(kind="factor", low=1, high=4))):
         assert 1.0 <= drawn.min() <= drawn.max() <= 4.0
         assert np.mean(drawn < 2.0) == pytest.approx(0.5, abs=0.04)
-    normal = many(Normal(kind="normal", mean=5.0, std=2.0, low=5.0))
+    normal = many(TruncatedNormal(kind="normal", mean=5.0, std=2.0, low=5.0))
     assert normal.min() >= 5.0
     assert normal.mean() == pytest.approx(5.0 + 2.0 * 0.7979, abs=0.1)
     words = many(Choice(kind="choice", of=("grass", "grass", "sand")))

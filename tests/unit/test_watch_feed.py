@@ -2,10 +2,12 @@
 
 import json
 import os
+import resource
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -57,6 +59,38 @@ def test_a_watcher_gets_the_airframe_and_then_what_is_published(feed: Feed) -> N
         assert received(watcher) == {"topic": "/range/a", "time_s": 2.0, "message": MESSAGE}
 
 
+def test_others_may_watch_where_the_folder_lets_them(feed: Feed) -> None:
+    assert feed.path.parent.stat().st_mode & 0o777 == 0o700
+    assert feed.path.stat().st_mode & 0o777 == 0o666
+
+
+def test_nobody_is_waited_for(feed: Feed) -> None:
+    """Each wait would be the bridge's; a thread, because an endless one would be the test's."""
+
+    def look() -> None:
+        for number in range(200):
+            feed.service(float(number))
+
+    with watching(feed):
+        looking = Thread(target=look, daemon=True)
+        looking.start()
+        looking.join(4.0)
+        assert not looking.is_alive()
+
+
+def test_a_computer_with_too_many_open_files_has_its_watcher_later(feed: Feed) -> None:
+    most, limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with connect([feed.path]) or pytest.fail("no socket"):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, limit))
+        try:
+            feed.service(0.0)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, limit))
+        assert not feed.is_watched
+        feed.service(1.0)
+        assert feed.is_watched
+
+
 def test_a_number_that_is_not_known_is_null_and_packets_stay_json(feed: Feed) -> None:
     """A browser cannot read NaN."""
     with watching(feed) as watcher:
@@ -95,7 +129,7 @@ def test_the_number_of_watchers_is_limited(feed: Feed) -> None:
 
 
 def test_marks_are_passed_on_in_plain_text_and_at_a_limited_rate(feed: Feed, marks: list[tuple[float, str]]) -> None:
-    with watching(feed) as watcher:
+    with watching(feed), watching(feed) as watcher:
         for number, text in enumerate(["over the box", "too soon", "\x1b[31mred " + 200 * "x"]):
             watcher.send(json.dumps({"mark": text}).encode())
             feed.service(1.0 + 0.3 * number)
@@ -125,6 +159,7 @@ def test_a_socket_that_was_left_behind_is_replaced_and_one_in_use_is_not(path: P
     first = Feed(path, dict, lambda time_s, text: None)
     with pytest.raises(FeedError, match="another bridge is watched there"):
         Feed(path, dict, lambda time_s, text: None)
+    first.service(0.0)  # The other bridge came, and went.
     with watching(first) as watcher:
         assert received(watcher)["topic"] == "/airframe"
     first.close()

@@ -15,7 +15,7 @@ import pytest
 
 from msp_range.yaml_file import ConfigError
 from msp_sim import workers as module
-from msp_sim.workers import Outcome, Workers, workers
+from msp_sim.workers import ItemOutcome, Workers, workers
 
 ROOT = Path(__file__).parents[2]
 
@@ -48,10 +48,10 @@ def matrix_product(seed: int, size: int) -> bytes:
 def test_results_come_in_order_and_a_bad_item_is_named() -> None:
     found = list(Workers().map(square, [1, 3, 4, 2], 10, what="numbers"))
     assert found == [
-        Outcome(0, 11, None),
-        Outcome(1, None, "three.yaml: expected another number"),
-        Outcome(2, None, "ZeroDivisionError: four"),
-        Outcome(3, 14, None),
+        ItemOutcome(0, 11, None),
+        ItemOutcome(1, None, "three.yaml: expected another number"),
+        ItemOutcome(2, None, "ZeroDivisionError: four"),
+        ItemOutcome(3, 14, None),
     ]
 
 

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
+from msp_lab.characterise.beam_findings import BreakawayAngle
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
-from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
+from msp_lab.characterise.findings import CalibrationFindings, Findings
 from msp_lab.characterise.mixture import FittedMixture, fit_mixture, with_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import TOPICS, answer_questions

@@ -24,7 +24,8 @@ from msp_lab.characterise.estimates import (
     mean_of_points,
     standard_error,
 )
-from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, IntervalEstimate, Knot
+from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import PiecewiseLinear, curve_through
 
@@ -124,7 +125,7 @@ def calibrate(
 
 
 def _set_up_offset(
-    used: Sequence[PointReadings], data: _Points, knots: Sequence[Knot], set_up_std_cm: float | None
+    used: Sequence[PointReadings], data: _Points, knots: Sequence[MeasuredKnot], set_up_std_cm: float | None
 ) -> IntervalEstimate | None:
     if set_up_std_cm is None or len(used) < MIN_SET_UPS:
         return None
@@ -164,7 +165,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     return IntervalEstimate.about(value, half, "cm", residual.size, "points"), noise_floor
 
 
-def _choose(data: _Points) -> tuple[Form, tuple[Knot, ...], str, tuple[HeldOut, ...]]:
+def _choose(data: _Points) -> tuple[Form, tuple[MeasuredKnot, ...], str, tuple[HeldOut, ...]]:
     """The form that predicts left-out ranges significantly better than the simpler ones."""
     ranges = np.unique(data.range_cm)
     if ranges.size < MIN_RANGES:
@@ -244,14 +245,15 @@ def _extended(x: _Array, places: _Array, values: _Array) -> _Array:
     return PiecewiseLinear(tuple(places.tolist()), tuple(values.tolist()))(x)
 
 
-def _knots(data: _Points, pieces: int) -> tuple[Knot, ...]:
+def _knots(data: _Points, pieces: int) -> tuple[MeasuredKnot, ...]:
     found = _fit_knots(data, pieces)
     if found is None:
         return ()
-    return tuple(Knot(round(x, 2), round(y, 3)) for x, y in zip(*(each.tolist() for each in found), strict=True))
+    pairs = zip(*(each.tolist() for each in found), strict=True)
+    return tuple(MeasuredKnot(round(x, 2), round(y, 3)) for x, y in pairs)
 
 
-def _refused(knots: Sequence[Knot]) -> str:
+def _refused(knots: Sequence[MeasuredKnot]) -> str:
     """Why a sensor model cannot have these knots; "" where it can."""
     try:
         curve_through(knots)

@@ -15,7 +15,7 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
-from msp_lab.characterise.findings import IntervalEstimate
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_sim.intervals import CONFIDENCE, Z, wilson
 
 _LIKELIHOOD_DROP = Z**2 / 2

@@ -12,16 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import xlogy
 
+from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.estimates import Z, share, student
-from msp_lab.characterise.findings import (
-    AnglePoint,
-    BreakawayAngle,
-    FieldOfView,
-    IntervalEstimate,
-    Oblique,
-    SonarFit,
-    SonarRow,
-)
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.acoustics.slant import slant_range

@@ -2,100 +2,18 @@
 
 The analyses make these; nothing here computes or draws. Every interval is a 95 % one unless its field says otherwise,
 errors are reading minus truth (a positive one reads too far), and None is 'not known from these data'. `as_json` turns
-all of it into plain JSON.
+all of it into plain JSON. What was found at single points, of the beam and of what was varied has files of its own:
+`point_findings.py`, `beam_findings.py`, `question_findings.py`.
 """
 
 import json
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from msp_lab.characterise.beam_findings import FieldOfView, SonarFit
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.question_findings import CompensationRow, HotBox, Question
 from msp_lab.readings.intake import SourceFile
-
-
-@dataclass(frozen=True)
-class IntervalEstimate:
-    """A number with its 95 % interval.
-
-    Attributes
-    ----------
-    value
-        The estimate.
-    low, high
-        Ends of the interval; None where the data give none on that side.
-    unit
-        Of all three; "" for a share or a ratio.
-    n
-        How many independent things it rests on, which `of` names.
-    of
-        What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target).
-    """
-
-    value: float
-    low: float | None
-    high: float | None
-    unit: str
-    n: int
-    of: str = "readings"
-
-    @classmethod
-    def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
-        """A number with an interval that reaches as far to both sides."""
-        return cls(value, value - half, value + half, unit, n, of)
-
-
-@dataclass(frozen=True)
-class PointResult:
-    """One set-up of the bench and its readings.
-
-    Attributes
-    ----------
-    condition
-        Experiment of the campaign, as the CSV form's column `condition` names it.
-    sensor, run
-        As in the data.
-    level
-        Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied.
-    true_range_cm
-        Of the reference.
-    incidence_deg, air_temperature_c, target_temperature_c
-        Means over the point; None where unknown.
-    readings
-        All rows; the next six add up to it.
-    hits
-        Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`).
-    short, long
-        Readings before and after the gate: of something else.
-    no_echo, saturated, no_answer
-        Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading.
-    error, spread
-        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
-        contain the scatter of readings, not the error of the placement. None without hits.
-    compensated_error
-        The mean error compensated for the air's temperature; None without an air temperature.
-    worst_error_cm
-        Largest error of a reading that is no code, signed.
-    """
-
-    condition: str
-    sensor: str
-    run: str
-    level: str
-    true_range_cm: float
-    incidence_deg: float | None
-    air_temperature_c: float | None
-    target_temperature_c: float | None
-    readings: int
-    hits: int
-    short: int
-    long: int
-    no_echo: int
-    saturated: int
-    no_answer: int
-    error: IntervalEstimate | None
-    spread: IntervalEstimate | None
-    compensated_error: IntervalEstimate | None
-    worst_error_cm: float | None
-
 
 Form = Literal["none", "offset and scale", "piecewise linear"]
 """Forms of a calibration, from the simplest."""
@@ -133,7 +51,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class Knot:
+class MeasuredKnot:
     """True range and the mean reading there [cm], in air of the sensor's calibration temperature."""
 
     true_cm: float
@@ -193,7 +111,7 @@ class CalibrationFindings:
     """
 
     form: Form
-    knots: tuple[Knot, ...]
+    knots: tuple[MeasuredKnot, ...]
     reason: str
     bias: IntervalEstimate
     offset: IntervalEstimate | None
@@ -303,258 +221,6 @@ class Mixture:
     conditional: str
     notes: tuple[str, ...] = ()
     set_ups: tuple[PlacementError, ...] = ()
-
-
-@dataclass(frozen=True)
-class AnglePoint:
-    """Readings at one range and one signed angle.
-
-    Attributes
-    ----------
-    reliable
-        Share of the readings that are of the wall, with its interval.
-    is_reliable
-        By the criterion of `FieldOfView`.
-    reading
-        Mean of those readings [cm]; None without any.
-    slant_cm, nearest_cm
-        Its value by the two hypotheses, after the calibration.
-    """
-
-    range_cm: float
-    incidence_deg: float
-    readings: int
-    reliable: IntervalEstimate
-    is_reliable: bool
-    reading: IntervalEstimate | None
-    slant_cm: float
-    nearest_cm: float
-
-
-@dataclass(frozen=True)
-class BreakawayAngle:
-    """Largest angle with a reliable range, to either side and as one half angle.
-
-    Attributes
-    ----------
-    negative, positive
-        Each side's last reliable angle, as a positive number [deg]; the breakaway lies between it and the next one that
-        was tried. The interval goes from the last angle before a likely step in the share of readings of the wall to
-        the first one behind (profile of the binomial likelihood); its upper end is None where that was not tried.
-    half_angle
-        The smaller side's, which the model file gets.
-    """
-
-    range_cm: float
-    negative: IntervalEstimate | None
-    positive: IntervalEstimate | None
-    half_angle: IntervalEstimate
-
-
-@dataclass(frozen=True)
-class Oblique:
-    """Whether a tilted sensor reads along its axis or to the nearest point.
-
-    Attributes
-    ----------
-    verdict
-        For `oblique_reading`.
-        The nearer of the two where its interval leaves no doubt which that is.
-    share_of_slant
-        Slope of (reading - perpendicular) over (slant - perpendicular): 1 is the slant range, 0 the nearest point.
-    """
-
-    verdict: Literal["slant", "nearest", "unknown"]
-    share_of_slant: IntervalEstimate | None
-    slant_rms_cm: float | None
-    nearest_rms_cm: float | None
-    reason: str
-
-
-@dataclass(frozen=True)
-class FieldOfView:
-    """Breakaway angles."""
-
-    criterion: str
-    points: tuple[AnglePoint, ...]
-    angles: tuple[BreakawayAngle, ...]
-    oblique: Oblique
-
-
-@dataclass(frozen=True)
-class SonarRow:
-    """A measured half angle, the fitted equation's, and the one that the other rows predict [deg]; None: no echo."""
-
-    range_cm: float
-    measured_deg: float
-    fitted_deg: float | None
-    left_out_deg: float | None
-
-
-@dataclass(frozen=True)
-class SonarFit:
-    """The sonar equation through the breakaway angles.
-
-    Attributes
-    ----------
-    beyond
-        (range [cm], half angle [deg]) at longer ranges, as the bridge will use it.
-    within_a_step
-        Every fitted angle is within the motor's step of the measured one.
-    note
-        How many parameters for how many points.
-    """
-
-    source_level_db: float
-    piston_diameter_m: float
-    gain_db_per_m: float
-    rows: tuple[SonarRow, ...]
-    beyond: tuple[tuple[float, float], ...]
-    within_a_step: bool
-    note: str
-
-
-AirBefore = Literal["uniform", "gradient", "confined"]
-"""How the air before a sensor in a box may be: like the box's all the way, changing all the way, or only near."""
-
-
-@dataclass(frozen=True)
-class HotBoxRow:
-    """Error at a range with the air hot or cold at the sensor, against three ideas of where that air is [cm].
-
-    `shift` is the mean error minus the one at room temperature where that was measured. `uniform_cm` is expected with
-    the box's air all the way, `gradient_cm` with a linear fall to room temperature at the target, `confined_cm` with
-    that air over `HotBox.depth` only.
-    """
-
-    range_cm: float
-    shift: IntervalEstimate
-    uniform_cm: float
-    gradient_cm: float
-    confined_cm: float
-
-
-@dataclass(frozen=True)
-class HotBox:
-    """A box of hot or cold air about the sensor.
-
-    Attributes
-    ----------
-    box_c, room_c
-        Air temperatures in the box and beyond.
-    depth
-        Length of the box's air that explains the shifts [cm].
-    per_cent, uniform_per_cent
-        Error in per cent of range as measured (slope) and as expected of that air all the way.
-    best
-        Which idea is nearest: "uniform", "gradient", "confined", or "none" where no shift is seen.
-    """
-
-    level: str
-    box_c: float
-    room_c: float
-    room_is_assumed: bool
-    depth: IntervalEstimate
-    per_cent: IntervalEstimate
-    uniform_per_cent: float
-    rows: tuple[HotBoxRow, ...]
-    best: AirBefore | Literal["none"]
-    answer: str
-
-
-@dataclass(frozen=True)
-class CompensationRow:
-    """Mean error at a range without and with temperature compensation [cm].
-
-    Attributes
-    ----------
-    thermometer_c
-        Air temperature that the compensation used; None: no thermometer, and no compensated error.
-    implied_c
-        The one air temperature that would bring the mean error to 0 with this calibration temperature.
-    note
-        What to know of this row; "": nothing.
-    """
-
-    range_cm: float
-    uncompensated: IntervalEstimate
-    compensated: IntervalEstimate | None
-    thermometer_c: float | None
-    implied_c: IntervalEstimate
-    note: str
-
-
-Metric = Literal["bias", "spread", "missed", "outliers"]
-Verdict = Literal["matters", "does not matter", "cannot tell"]
-
-
-@dataclass(frozen=True)
-class FactorEffect:
-    """What a factor does to one property of the readings.
-
-    Attributes
-    ----------
-    metric
-        "bias" (mean error of the hits, cm), "spread" (ratio of standard deviations), "missed" and "outliers" (odds
-        ratios).
-    estimate
-        Size; no effect is 0 for the bias and 1 for a ratio. 95 % interval, not corrected for the number of questions.
-    p_value, p_adjusted
-        Of no effect, and after Holm over all effects that were asked for.
-    bound
-        What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound.
-    verdict
-        "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": its 90 %
-        interval (two one-sided tests) lies within the bound. Else "cannot tell".
-    smallest_detectable
-        Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
-        thousandfold, or it is not known.
-    """
-
-    metric: Metric
-    estimate: IntervalEstimate | None
-    p_value: float | None
-    p_adjusted: float | None
-    bound: float
-    verdict: Verdict
-    smallest_detectable: float | None
-
-
-@dataclass(frozen=True)
-class Question:
-    """Does it matter?
-
-    Attributes
-    ----------
-    name
-        material, temperature, vibration, crosstalk_simultaneous, crosstalk_sequential, external_interference.
-    level, reference
-        What is compared with what: "concrete" with "plywood", "60 Hz" with "0 Hz".
-    sensor
-        Whose readings; "" for all.
-    pairs
-        Points of equal range that were compared; the unit of the bias.
-    effects
-        bias, spread, missed, outliers, in this order.
-    verdict
-        "matters" if one effect does, "does not matter" if none does, else "cannot tell".
-    answer
-        In a sentence.
-    points, reference_points
-        What was compared.
-    """
-
-    name: str
-    question: str
-    level: str
-    reference: str
-    sensor: str
-    pairs: int
-    effects: tuple[FactorEffect, ...]
-    verdict: Verdict
-    answer: str
-    points: tuple[PointResult, ...] = ()
-    reference_points: tuple[PointResult, ...] = ()
 
 
 @dataclass(frozen=True)

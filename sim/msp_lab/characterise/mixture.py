@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.characterise.correlation import HitCorrelation
-from msp_lab.characterise.findings import IntervalEstimate, Mixture, MixtureParameter, PlacementError
+from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
@@ -111,7 +112,7 @@ def fit_mixture(
             f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
             "reference was off by"
         )
-    fitted, raised = with_floors(result.parameters)
+    fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
     bound = {*result.at_bound, *raised}
     notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
     notes += [

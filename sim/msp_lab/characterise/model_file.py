@@ -13,7 +13,8 @@ import yaml
 from pydantic import ValidationError
 
 from msp_lab.characterise.analysis import Changes, provenance
-from msp_lab.characterise.findings import Findings, IntervalEstimate
+from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.reading_model.fit_result import MIN_WEIGHT
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread
-from msp_lab.characterise.findings import IntervalEstimate, PointResult
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.readings.resolution import step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel

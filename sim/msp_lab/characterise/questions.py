@@ -18,7 +18,8 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from msp_lab.characterise.estimates import Z, detectable, holm, student
-from msp_lab.characterise.findings import FactorEffect, IntervalEstimate, Metric, PointResult, Question, Verdict
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.question_findings import FactorEffect, Metric, Question, Verdict
 
 LEVEL = 0.05
 """Family-wise false-positive rate over all questions (Holm)."""

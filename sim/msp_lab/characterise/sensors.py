@@ -59,7 +59,7 @@ class Characterisation:
 
 
 @dataclass(frozen=True)
-class Characterised:
+class SensorResult:
     """A model, what it was made from, and what was found."""
 
     model: SensorModel
@@ -70,7 +70,7 @@ class Characterised:
 
 def characterised(
     how: Characterisation, sensors: Sequence[str], progress: Callable[[str], None] = lambda what: None
-) -> Characterised:
+) -> SensorResult:
     """Make a model from the readings of these sensors (none: all).
 
     Raises
@@ -90,7 +90,7 @@ def characterised(
         set_up_std_cm=how.set_up_std_cm,
         progress=progress,
     )
-    return Characterised(changed(start, findings, changes), findings, changes, loaded.data)
+    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from msp_lab.characterise.estimates import CONFIDENCE, Z, standard_error, student
-from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, IntervalEstimate, PointResult
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
+from msp_lab.characterise.question_findings import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.correction.calibration import Calibration
 

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
-from msp_lab.characterise.findings import CompensationRow, Findings
+from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, range_error
 from msp_lab.characterise.page.picture_data import Drawn, Entry, Maker, PictureData
 from msp_lab.characterise.page.text import interval, number
+from msp_lab.characterise.question_findings import CompensationRow
 from msp_lab.comparison.report import MATERIALS, REPORT, implied_temperature_c
 from msp_sim.page.page import PageTable
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.design.questions import Answer, Question
+from msp_lab.design.questions import Answer, OpenQuestion
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, candidates_of
 from msp_lab.gap.extended_model import extended
+from msp_lab.gap.intake import Comparison
 from msp_lab.gap.named_file import read_named
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.steps import Steps
-from msp_lab.gap.workflow import Comparison
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
 
@@ -32,9 +32,9 @@ FITTED_ROWS = 6_000
 readings, which `cautious` takes off. More: slower."""
 STARTS = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """Strengths at which a fit may start, as shares of what the parameter may be; the likeliest is taken."""
-LARGEST_DOUBT = 0.3
-"""A strength is planned with one standard error smaller than fitted, at most by this share: where the readings say
-nothing about it, its error says nothing about it either. Larger: longer sessions that keep their promise more often."""
+LARGEST_DOUBT = 0.5
+"""A strength is planned with one standard error smaller than fitted, at most by this share: where a number of the model
+does as well, its error is larger than itself. Larger: longer sessions that keep their promise more often."""
 SHOWN_NATS = 2.0
 """If the readings prefer an effect to none by less, its fitted strength means nothing, and that which matters is taken
 (`MATTERS_NATS`). Two nats are those of two standard errors."""
@@ -113,6 +113,11 @@ class OldReadings:
         return float(np.hypot.reduce([0.0, *found]))
 
     @property
+    def runs(self) -> int:
+        """How many runs they are of."""
+        return int(np.unique(np.asarray(self.columns["run"])).size)
+
+    @property
     def columns(self) -> Mapping[str, Any]:
         """All columns, the readings among them."""
         return self.comparison.data
@@ -134,7 +139,7 @@ class OldReadings:
 
 
 def fit_answers(
-    old: OldReadings, question: Question, report: Progress = lambda what, share: None
+    old: OldReadings, question: OpenQuestion, report: Progress = lambda what, share: None
 ) -> list[FittedAnswer]:
     """Each answer of a question, fitted to the old readings with all else that was found."""
     own = {(each.name, each.of) for each in question.answers}
@@ -160,11 +165,21 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     if not starts:
         term = Term(answer.effect, answer.effect.neutral_values(), answer.of)
         return as_answer([*without.effects, term], without.base, None)
-    heights = [float(old.prepared.log_prob(without.base, [*without.effects, each]).sum()) for each in starts]
-    fit = refit(old.prepared, [*without.effects, starts[int(np.argmax(heights))]], without.base)
-    if fit.log_likelihood - without.log_likelihood < SHOWN_NATS:
-        return as_answer([*without.effects, fit.effects[-1]], without.base, None)
-    return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
+    fit = _best_fit(old, without.effects, starts, without.base)
+    if fit.log_likelihood - without.log_likelihood >= SHOWN_NATS:
+        return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
+    # The model's own numbers do as well. Then it may be the effect that has changed them: without it they are as given.
+    given = np.zeros_like(without.base)
+    instead = _best_fit(old, without.effects, starts, given)
+    unexplained = float(old.prepared.log_prob(given, without.effects).sum())
+    if instead.log_likelihood - max(without.log_likelihood - SHOWN_NATS, unexplained + SHOWN_NATS) >= 0.0:
+        return as_answer([*instead.effects[:-1], _cautious(instead, alone=True)], instead.base, instead)
+    return as_answer([*without.effects, fit.effects[-1]], without.base, None)
+
+
+def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: _Array) -> JointFit:
+    heights = [float(old.prepared.log_prob(base, [*others, each]).sum()) for each in starts]
+    return refit(old.prepared, [*others, starts[int(np.argmax(heights))]], base)
 
 
 def _starts(parameter: Parameter) -> _Array:
@@ -179,13 +194,15 @@ def strength_of(effect: Effect) -> Parameter:
     return next(each for each in effect.parameters if each.neutral is not None)
 
 
-def _cautious(fit: JointFit) -> Term:
-    """The last effect with its strength one standard error nearer to nothing."""
+def _cautious(fit: JointFit, alone: bool = False) -> Term:
+    """The last effect with its strength one standard error nearer to nothing; `alone`: other numbers are known."""
     term = fit.effects[-1]
     strength = strength_of(term.effect)
     neutral = strength.neutral or 0.0
     place = fit.names.index(f"{len(fit.effects) - 1}.{strength.name}")
-    error = float(np.sqrt(max(fit.covariance()[place, place], 0.0)))
+    covariance = fit.covariance()
+    variance = 1.0 / np.linalg.pinv(covariance)[place, place] if alone else covariance[place, place]
+    error = float(np.sqrt(max(variance, 0.0)))
     size = term.values[strength.name] - neutral
     less = min(error / max(abs(size), 1e-12), LARGEST_DOUBT)
     return replace(term, values={**term.values, strength.name: neutral + size * (1.0 - less)})

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from msp_lab.campaigns.campaign import Campaign
-from msp_lab.campaigns.plan import Point, make_plan, reading_interval_s, reading_s, setup_s
-from msp_lab.design.session import Columns, Session
+from msp_lab.campaigns.plan import SETUP_S, Point, make_plan, reading_interval_s, reading_s, setup_s
+from msp_lab.design.session import Columns, PlannedSession
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import check
 
@@ -28,10 +28,13 @@ LEVELS: Mapping[str, tuple[float, ...]] = {
     "range_rate_cm_s": (10.0, 50.0),
     "target_size_cm": (10.0, 30.0, 100.0),
     "external_level_db": (80.0, 95.0, 110.0),
+    "neighbour_lag_ms": (0.4, 100.0),
 }
 """Values that a bench can set. Ranges at which a wall is always detected; angles inside the beam; a cold room, a room
-and a hot box, or a climate chamber; `target_temperature_c` is how much warmer the far end is. Wider levels need fewer
-readings and more equipment."""
+and a hot box, or a climate chamber; `target_temperature_c` is how much warmer the far end is; two sensors ping together
+(0.4 ms apart, the time of a transfer) or in turn. Wider levels need fewer readings and more equipment."""
+FIRING = {0.4: "simultaneous", 100.0: "sequential"}
+"""How a campaign file says that a sensor's neighbour pinged so many milliseconds before it."""
 USUAL = {"true_range_cm": 200.0, "air_temperature_c": 20.0}
 """Values of what is not varied."""
 UNITS = {
@@ -44,6 +47,7 @@ UNITS = {
     "range_rate_cm_s": "cm/s",
     "target_size_cm": "cm",
     "external_level_db": "dB",
+    "neighbour_lag_ms": "ms after the other sensor's ping",
 }
 REFERENCE_CM = 0.2
 """Standard deviation of a placement's true range: a steel tape. Offsets below it need many placements."""
@@ -52,9 +56,16 @@ FARTHEST_SHARE = 0.6
 LEAST_READINGS = 20
 """Readings at a point, at least: setting it up takes longer than reading it."""
 
+INSTEAD = {
+    "throttle": "a bench has no rotors, and a vehicle that is tied down blows against the floor and its own stand as "
+    "it does not in flight; design a flight (--flight), which takes the throttle from 0.2 to 0.8",
+    "uptime_s": "switch the sensor off for half an hour, and log readings of a wall from the moment it is switched on",
+}
+"""What a bench cannot vary: why not, and what to do."""
+
 
 @dataclass(frozen=True)
-class Bench:
+class BenchSessions:
     """What all sessions at a bench have in common.
 
     Attributes
@@ -71,32 +82,30 @@ class Bench:
     sensor: SensorModel
     sensors: tuple[str, ...]
 
+    @property
+    def instead(self) -> Mapping[str, str]:
+        """What cannot be varied: why not, and what to do."""
+        return INSTEAD
+
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a bench can vary."""
         asked = set(columns)
         if "external_duty" in asked:
             asked.add("external_level_db")
+        if len(self.sensors) < 2:
+            asked.discard("neighbour_lag_ms")
         return tuple(name for name in LEVELS if name in asked)
 
     def can_record(self, columns: frozenset[str]) -> bool:
         """Whether the table of a campaign has these columns."""
-        here = {"sensor", "run", "target", "slant_range_cm", "previous_reading_cm"}
+        here = {"sensor", "run", "target", "slant_range_cm", "previous_reading_cm", "neighbour_range_cm"}
         of_source = {"external_duty", "external_distance_cm", "external_frequency_khz"}
         return columns <= {*LEVELS, *here, *of_source}
 
-    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
-        """A session that varies some columns, with so many readings at each point.
-
-        Parameters
-        ----------
-        varied
-            Columns.
-        ends_only
-            Only the first and the last of their levels.
-        readings
-            Of a sensor at a point.
-        record
-            Columns that have to be known, varied or not.
+    def session(
+        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int = 1
+    ) -> PlannedSession:
+        """As `SessionPlace.session`: at each point so many readings, and the target is placed there so often.
 
         Raises
         ------
@@ -104,15 +113,19 @@ class Bench:
             No campaign can be made of it: the sensor has no driver.
         """
         levels = {name: self._levels(name, ends_only) for name in varied}
-        content = self._campaign(levels, max(readings, LEAST_READINGS), record)
+        content = self._campaign(levels, max(readings, LEAST_READINGS), record, visits)
         campaign = check("campaign", Campaign, content, {"folder": self.model.parent})
         points = make_plan(campaign)
         seconds = sum(reading_s(campaign, point) for point in points)
         before = [None, *(point.setup for point in points[:-1])]
-        seconds += sum(setup_s(old, point.setup) for old, point in zip(before, points, strict=True))
+        setups_s = [setup_s(old, point.setup) for old, point in zip(before, points, strict=True)]
+        # A point that follows itself is placed anew too.
+        seconds += sum(each or SETUP_S["range_cm"] for each in setups_s)
         words = {name: f"{', '.join(f'{each:g}' for each in levels[name])} {UNITS[name]}" for name in varied}
         contexts = _contexts(campaign, points)
-        return Session("bench", words, contexts, campaign.readings, seconds / 60.0, content, offset_cm=REFERENCE_CM)
+        return PlannedSession(
+            "bench", words, contexts, campaign.readings, visits, seconds / 60.0, content, offset_cm=REFERENCE_CM
+        )
 
     def _levels(self, name: str, ends_only: bool) -> tuple[float, ...]:
         levels = LEVELS[name]
@@ -121,7 +134,7 @@ class Bench:
         return (levels[0], levels[-1]) if ends_only else levels
 
     def _campaign(
-        self, levels: Mapping[str, tuple[float, ...]], readings: int, record: frozenset[str]
+        self, levels: Mapping[str, tuple[float, ...]], readings: int, record: frozenset[str], visits: int
     ) -> dict[str, Any]:
         def of(name: str) -> tuple[float, ...]:
             return levels.get(name, (USUAL.get(name, 0.0),))
@@ -138,6 +151,8 @@ class Bench:
         if "target_size_cm" in levels or "target_size_cm" in record:
             sizes = levels.get("target_size_cm", (100.0,))
             condition["targets"] = [{"material": "plywood", "size_cm": [each, each]} for each in sizes]
+        if "neighbour_lag_ms" in levels:
+            condition["firing"] = [FIRING[each] for each in levels["neighbour_lag_ms"]]
         if "external_level_db" in levels:
             condition["external"] = {
                 "levels_db": list(levels["external_level_db"]),
@@ -161,6 +176,10 @@ class Bench:
             ends = [near, far] if "true_range_cm" in levels else [near, 2.0 * USUAL["true_range_cm"] - near]
             condition["ranges_cm"] = ends
             condition["moving"] = {"to_cm": sum(ends) / 2.0, "rates_cm_s": list(levels["range_rate_cm_s"])}
+        if visits > 1:
+            condition["setup"] += " Place the target anew before each point, also where the range stays."
+        # What is slow to change, the air, stays until all visits are done.
+        conditions = [condition | {"air": [one]} for one in air for _ in range(visits)] if visits > 1 else [condition]
         sensors = [
             {"name": name, "address": 0x70 + number, "model": str(self.model)}
             for number, name in enumerate(self.sensors)
@@ -171,7 +190,7 @@ class Bench:
             "reference": {"method": "steel tape from sensor to target", "uncertainty_cm": REFERENCE_CM},
             "sensors": sensors,
             "readings": readings,
-            "conditions": [condition],
+            "conditions": conditions,
         }
 
 
@@ -182,12 +201,17 @@ def _contexts(campaign: Campaign, points: Sequence[Point]) -> Columns:
         columns = point.columns
         spacing_s = reading_interval_s(campaign, point.setup.sensors, point.firing)
         rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
-        for name in point.setup.sensors:
+        together = point.firing == "simultaneous"
+        for number, name in enumerate(point.setup.sensors):
             time_s = np.arange(point.readings) * spacing_s
             part = {key: np.full(point.readings, value) for key, value in columns.items()}
             part |= {"time_s": time_s, "sensor": np.full(point.readings, name)}
             part["run"] = np.full(point.readings, point.name)
             part["true_range_cm"] = point.setup.range_cm + rate_cm_s * time_s
+            if len(point.setup.sensors) > 1:
+                first, last = LEVELS["neighbour_lag_ms"]
+                part["neighbour_lag_ms"] = np.full(point.readings, first if together and number else last)
+                part["neighbour_range_cm"] = part["true_range_cm"]
             parts.append(part)
     names = dict.fromkeys(name for part in parts for name in part)
     return {name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names}

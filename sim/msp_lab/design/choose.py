@@ -4,7 +4,7 @@ A question's fitted answers and the sessions that a lab or a pilot can do enter;
 in the order of the time for setting them up, until setting up alone takes longer than the best one in all.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, permutations, product
@@ -14,7 +14,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from msp_lab.design.answers import FittedAnswer, with_strength
-from msp_lab.design.questions import Question
+from msp_lab.design.questions import OpenQuestion
 from msp_lab.design.separation import (
     DRAWN_ROWS,
     Separation,
@@ -23,7 +23,7 @@ from msp_lab.design.separation import (
     separation,
     threshold_nats,
 )
-from msp_lab.design.session import Session
+from msp_lab.design.session import PlannedSession
 from msp_lab.gap import rules
 from msp_lab.gap.problem import Progress
 from msp_sim.model.model import Model
@@ -36,18 +36,32 @@ depend on it."""
 MARGIN = 1.1
 """A session gets so many times the readings that are needed: the nats per reading are known to about a tenth."""
 MOST_READINGS = 2 * rules.TRAINING_ROWS
-"""Readings of a session at most: the gap workflow fits no more."""
+"""Readings of a session at most: over an hour of reading or flying. The gap workflow compares alternatives on half of
+so many. More: longer sessions are tried, for effects that may be absent."""
+VISITS = (1, 2, 4)
+"""How often each placement of the target, or each group of flights, is repeated: what differs between runs becomes
+certain with their number only. More: longer sessions are tried, and more pairs decided."""
 CHECKED_ROWS = 12_000
 """Readings that are drawn to check the session that was chosen: 13.6 nats in 2,000 are then known to a sixth.
 More: slower."""
 HARD = 2.0
 """Pairs with less than so many times the nats that they need are checked. Higher: slower."""
-LONGER = 1.25
-"""Steps in which a session is made longer until it is long enough."""
+LONGER = 1.05
+"""Steps in which a session is made longer until it is long enough. Smaller: slower, and sessions shorter by that."""
 
 
-class Place(Protocol):
-    """Where sessions are held: a bench, or a vehicle."""
+class SessionPlace(Protocol):
+    """Where sessions are held: a bench, or a vehicle.
+
+    Attributes
+    ----------
+    instead
+        Columns that cannot be varied there: why not, and what to do.
+    """
+
+    @property
+    def instead(self) -> Mapping[str, str]:
+        """As it says above."""
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that can be varied."""
@@ -55,8 +69,29 @@ class Place(Protocol):
     def can_record(self, columns: frozenset[str]) -> bool:
         """Whether these columns can be known."""
 
-    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
-        """A session that varies some columns."""
+    def session(
+        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int
+    ) -> PlannedSession:
+        """A session that varies some columns.
+
+        Parameters
+        ----------
+        varied
+            Columns.
+        ends_only
+            Only the first and the last of their levels.
+        readings
+            Of a sensor, at a point of the bench or in a flight.
+        record
+            Columns that have to be known, varied or not.
+        visits
+            How often each point, or each flight, is repeated.
+
+        Raises
+        ------
+        ConfigError
+            It cannot be held there.
+        """
 
 
 @dataclass(frozen=True)
@@ -68,7 +103,7 @@ class Same:
     one, other
         Their places.
     nats
-        Expected nats between them on the training half of the largest session.
+        Expected nats between them in the largest session.
     """
 
     one: int
@@ -104,12 +139,12 @@ class Design:
     wanted
         The power that was asked for.
     make
-        Makes the session with another number of readings at each point.
+        Makes the session with another number of readings at each point, and of visits.
     """
 
-    question: Question
+    question: OpenQuestion
     answers: tuple[FittedAnswer, ...]
-    session: Session | None
+    session: PlannedSession | None
     separations: tuple[Separation, ...] = ()
     same: tuple[Same, ...] = ()
     classes: tuple[frozenset[int], ...] = ()
@@ -130,7 +165,7 @@ class Design:
         """The design with so many times the readings."""
         assert self.session is not None
         assert self.make is not None
-        session = self.make(ceil(times * self.session.per_point))
+        session = self.make(ceil(times * self.session.per_point), self.session.visits)
         return replace(self, session=session, power=_power(session, self.separations, self.answers))
 
     def class_of(self, place: int) -> frozenset[int]:
@@ -139,13 +174,14 @@ class Design:
 
 
 def cheapest(
-    question: Question,
+    question: OpenQuestion,
     answers: Sequence[FittedAnswer],
     given: Model,
-    places: Sequence[Place],
+    places: Sequence[SessionPlace],
     max_minutes: float,
     power: float,
     run_offset_cm: float,
+    old_runs: int,
     rng: np.random.Generator,
     report: Progress,
 ) -> Design:
@@ -165,6 +201,8 @@ def cheapest(
         Probability that the right answer is named, whichever it is.
     run_offset_cm
         Standard deviation of offsets between runs that the old readings have.
+    old_runs
+        Runs of the old readings that go in with the new ones.
     rng
         Draws readings.
     report
@@ -172,10 +210,13 @@ def cheapest(
     """
     usable = [each for each in places if each.can_record(question.columns) and each.factors(question.columns)]
     if not usable:
-        columns = ", ".join(sorted(question.columns))
-        return Design(question, tuple(answers), None, why=f"no session can vary and record {columns}")
+        return Design(question, tuple(answers), None, why=_why_not(question.columns, places))
     record = question.columns
-    richest = [each.session(each.factors(record)[:MOST_VARIED], False, TRIED_READINGS, record) for each in usable]
+    # What is largest at the ends of its range is seen best without the middle.
+    richest = [
+        each.session(each.factors(record)[:MOST_VARIED], ends_only, TRIED_READINGS, record, VISITS[0])
+        for each, ends_only in product(usable, (False, True))
+    ]
     answers = tuple(with_strength(each, given, richest[0].sampled(DRAWN_ROWS), rng) for each in answers)
     pairs = [
         (one, other) for one, other in permutations(range(len(answers)), 2) if answers[one].answer.name is not None
@@ -184,17 +225,17 @@ def cheapest(
     def needed(truth: int, alternative: int) -> float:
         return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[alternative]))
 
-    def separations(session: Session, of: Iterable[tuple[int, int]], rows: int = DRAWN_ROWS) -> list[Separation]:
+    def separations(session: PlannedSession, of: Iterable[tuple[int, int]], rows: int = DRAWN_ROWS) -> list[Separation]:
         contexts = session.sampled(rows)
         offset_cm = float(np.hypot(session.offset_cm, run_offset_cm))
-        return [separation(given, (answers[a], answers[b]), (a, b), contexts, offset_cm, rng) for a, b in of]
+        return [separation(given, (answers[a], answers[b]), (a, b), contexts, offset_cm, rng, old_runs) for a, b in of]
 
     report(f"what could tell {question.label} apart", 0.1)
     reach = dict.fromkeys(pairs, 0.0)
     for most in richest:
         for each in separations(most, pairs):
             pair = each.truth, each.alternative
-            reach[pair] = max(reach[pair], each.nats(MOST_READINGS, most.runs))
+            reach[pair] = max(reach[pair], each.nats(MOST_READINGS, VISITS[-1] * most.runs))
     same: list[Same] = []
     for one, other in combinations(range(len(answers)), 2):
         short = [nats for pair, nats in reach.items() if {*pair} == {one, other} and nats < needed(*pair)]
@@ -212,6 +253,7 @@ def cheapest(
             if best is not None and best.session is not None and shortest.minutes >= best.session.minutes:
                 break
             if shortest.minutes > max_minutes and best is None and number:
+                why = f"no session of {max_minutes:.0f} minutes tells them apart; allow longer ones with --max-minutes"
                 break
             report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
             if number not in known:
@@ -234,22 +276,31 @@ def cheapest(
         same.append(Same(min(hardest), max(hardest), reach[hardest]))
 
 
-Make: TypeAlias = Callable[[int], Session]
-"""A session with so many readings at each point."""
+def _why_not(columns: frozenset[str], places: Sequence[SessionPlace]) -> str:
+    """Why no session can be held, and what a person can do instead."""
+    reasons = [f"{name}: {each.instead[name]}" for each in places for name in sorted(columns) if name in each.instead]
+    why = f"no session here can vary and record {', '.join(sorted(columns))}"
+    return ". ".join([why, *dict.fromkeys(reasons)])
 
 
-def _trials(record: frozenset[str], places: Sequence[Place]) -> Iterator[tuple[Make, Session]]:
+Make: TypeAlias = Callable[[int, int], PlannedSession]
+"""A session with so many readings at each point, and so many visits."""
+
+
+def _trials(record: frozenset[str], places: Sequence[SessionPlace]) -> Iterator[tuple[Make, PlannedSession]]:
     """Every session that varies some of the columns, in its shortest form."""
     for place in places:
         factors = place.factors(record)
         for count in range(1, min(len(factors), MOST_VARIED) + 1):
             for varied, ends_only in product(combinations(factors, count), (True, False)):
                 make = partial(_session, place, varied, ends_only, record)
-                yield make, make(1)
+                yield make, make(1, VISITS[0])
 
 
-def _session(place: Place, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int) -> Session:
-    return place.session(varied, ends_only, readings, record)
+def _session(
+    place: SessionPlace, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int, visits: int
+) -> PlannedSession:
+    return place.session(varied, ends_only, readings, record, visits)
 
 
 def _classes(answers: int, same: Sequence[Same]) -> tuple[frozenset[int], ...]:
@@ -261,24 +312,46 @@ def _classes(answers: int, same: Sequence[Same]) -> tuple[frozenset[int], ...]:
 
 
 def _long_enough(
-    make: Make, shortest: Session, found: Sequence[Separation], needed: Callable[[int, int], float]
-) -> Session | None:
-    """The session with as many readings as every pair needs; None: no number is enough."""
-    longer = 1.0
-    while any(
-        each.nats(int(shortest.readings * longer), shortest.runs) < needed(each.truth, each.alternative)
-        for each in found
+    make: Make,
+    shortest: PlannedSession,
+    found: Sequence[Separation],
+    needed: Callable[[int, int], float],
+) -> PlannedSession | None:
+    """The quickest session with as many readings and visits as every pair needs; None: no number is enough."""
+    best: PlannedSession | None = None
+    for visits in VISITS:
+        session = shortest if visits == shortest.visits else make(shortest.per_point, visits)
+        while session.readings <= MOST_READINGS and (best is None or session.minutes < best.minutes):
+            readings = _readings_needed(session, found, needed)
+            if readings <= session.readings:
+                best = session
+            if readings <= session.readings or readings > MOST_READINGS:
+                break
+            # What a flight or a point takes in any case does not grow with the readings asked for, so that once is not
+            # always enough.
+            longer = make(ceil(session.per_point * readings / session.readings), visits)
+            if longer.readings <= session.readings:
+                break
+            session = longer
+    return best
+
+
+def _readings_needed(
+    session: PlannedSession, found: Sequence[Separation], needed: Callable[[int, int], float]
+) -> float:
+    """Readings with which every pair has enough nats in as many runs; above `MOST_READINGS` where none are enough."""
+    readings = float(session.readings)
+    while readings <= MOST_READINGS and any(
+        each.nats(int(readings), session.runs) < needed(each.truth, each.alternative) for each in found
     ):
-        longer *= LONGER
-        if shortest.readings * longer > MOST_READINGS:
-            return None
-    return make(ceil(longer * shortest.per_point))
+        readings *= LONGER
+    return readings
 
 
 def _checked(
     design: Design,
     needed: Callable[[int, int], float],
-    separations: Callable[[Session, Iterable[tuple[int, int]], int], list[Separation]],
+    separations: Callable[[PlannedSession, Iterable[tuple[int, int]], int], list[Separation]],
 ) -> Design:
     """The design with its hardest pairs computed anew from more readings, and as long as these need.
 
@@ -299,7 +372,7 @@ def _checked(
     return replace(design, session=longer, separations=tuple(found), power=_power(longer, found, design.answers))
 
 
-def _power(session: Session, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:
+def _power(session: PlannedSession, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:
     """Of the hardest pair."""
     return min(
         power_of(

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.design.answers import OldReadings, fit_answers
-from msp_lab.design.bench import Bench
-from msp_lab.design.choose import Design, Place, cheapest
+from msp_lab.design.bench import BenchSessions
+from msp_lab.design.choose import Design, SessionPlace, cheapest
 from msp_lab.design.flight import Pilot
 from msp_lab.design.proof import Proof, prove, with_old
-from msp_lab.design.questions import Question, open_questions
-from msp_lab.gap.findings import GapFindings, read_findings
+from msp_lab.design.questions import OpenQuestion, open_questions
+from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings_file import read_findings
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.steps import Steps
 from msp_range.clock import Clock
@@ -98,11 +99,11 @@ def plan_sessions(folder: Path, options: Options, clock: Clock, report: Progress
     return findings, plans
 
 
-def _places(old: OldReadings, question: Question, options: Options) -> list[Place]:
-    places: list[Place] = []
+def _places(old: OldReadings, question: OpenQuestion, options: Options) -> list[SessionPlace]:
+    places: list[SessionPlace] = []
     if options.bench is not False and old.model.sensor.driver != "none":
         file = config_path(old.comparison.settings.model, "sensors").resolve()
-        places.append(Bench(file, old.model.sensor, _sensors(old, question)))
+        places.append(BenchSessions(file, old.model.sensor, _sensors(old, question)))
     if not options.bench:
         file = config_path(options.airframe, "").resolve()
         places.append(Pilot(file, load_airframe(file)))
@@ -111,14 +112,18 @@ def _places(old: OldReadings, question: Question, options: Options) -> list[Plac
     return places
 
 
-def _sensors(old: OldReadings, question: Question) -> tuple[str, ...]:
-    """The sensors of the old readings where an answer is about one of them, else the first."""
+def _sensors(old: OldReadings, question: OpenQuestion) -> tuple[str, ...]:
+    """The sensors of the old readings where an answer is about one of them, two for neighbours, else the first."""
     names = [str(each) for each in np.unique(np.asarray(old.columns["sensor"]))] if "sensor" in old.columns else []
     names = [each for each in names if re.fullmatch(NAME, each)] or ["sensor_1"]
-    return tuple(names if "sensor" in question.columns else names[:1])
+    if "neighbour_lag_ms" in question.columns and len(names) < 2:
+        names.append("neighbour")
+    return tuple(names if "sensor" in question.columns else names[: 2 if "neighbour_lag_ms" in question.columns else 1])
 
 
-def _plan(old: OldReadings, question: Question, places: Sequence[Place], options: Options, report: Progress) -> Plan:
+def _plan(
+    old: OldReadings, question: OpenQuestion, places: Sequence[SessionPlace], options: Options, report: Progress
+) -> Plan:
     rng = np.random.default_rng([options.seed, 0])
     answers = fit_answers(old, question)
     design = cheapest(
@@ -129,6 +134,7 @@ def _plan(old: OldReadings, question: Question, places: Sequence[Place], options
         options.max_minutes,
         options.power,
         old.run_offset_cm,
+        old.runs if with_old(old, answers, 0) else 0,
         rng,
         lambda what, share: report(what, 0.4 * share),
     )

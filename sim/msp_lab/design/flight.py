@@ -4,14 +4,15 @@ Columns to vary enter, a `Session` leaves. The contexts are those of the vehicle
 is a run.
 """
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from msp_lab.design.session import Columns, Session
+from msp_lab.design.session import Columns, PlannedSession
 from msp_range.config import Airframe
 from msp_range.yaml_file import check
 from msp_sim.flight.scenario import Scenario
@@ -35,7 +36,8 @@ SETUP_MIN = 3.0
 WEATHER_MIN = 30.0
 """Time to wait for another air temperature [min]; it counts as much as ten flights."""
 FLIGHTS = 6
-"""Flights of a session: three for naming, three for validation. Fewer: what differs between runs is not known."""
+"""Flights of a visit: the gap workflow splits runs into five parts, and six give each at least one. Fewer: what differs
+between runs is not known; more: longer sessions."""
 LONGEST_S = 600.0
 """A flight lasts at most so long [s]: a battery."""
 FACTORS = ("true_range_cm", "range_rate_cm_s", "throttle", "incidence_deg", "air_temperature_c")
@@ -43,12 +45,25 @@ FACTORS = ("true_range_cm", "range_rate_cm_s", "throttle", "incidence_deg", "air
 REFERENCE_CM = 1.0
 """Standard deviation of an error of the true range that all readings of a flight share: another range finder. Larger:
 what differs between flights counts less, and sessions become longer."""
-TRUTH = (*FACTORS, "time_s", "sensor", "run", "slant_range_cm", "uptime_s", "target")
+TRUTH = (*FACTORS, "time_s", "sensor", "slant_range_cm", "uptime_s", "target")
 """Columns of a simulated ping."""
 RECORDED = frozenset(
     {*FACTORS, "sensor", "run", "target", "slant_range_cm", "previous_reading_cm", "uptime_s", "time_in_run_s"}
 )
 """Columns of a simulated flight. Of a real one the reference and the autopilot's log have to give them."""
+
+INSTEAD = {
+    "vibration_hz": "rotors shake the vehicle at frequencies that nobody sets, and stronger with more throttle, which "
+    "looks the same; hold the sensor on a shaker with the rotors off (--bench), or fly with a hard and with a soft "
+    "mount, one recording each, and compare the two",
+    "neighbour_lag_ms": "the bridge lets the sensors ping in turn, always in the same order; let two sensors ping "
+    "together and in turn (--bench), or unplug the neighbour for a flight and compare the two recordings",
+    "humidity_pct": "no pilot sets it; use wet cloths in a closed room (--bench)",
+    "target_temperature_c": "the ground's temperature is not recorded; warm the far end (--bench)",
+    "target_size_cm": "the ground is wider than any beam; use boards of several sizes (--bench)",
+    "external_level_db": "no pilot sets it; place a transmitter (--bench)",
+}
+"""What a pilot cannot vary: why not, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +74,18 @@ class Pilot:
     ----------
     airframe_file, airframe
         The vehicle.
+    flown
+        Contexts of flights that were simulated, by what they do: flights of a session differ only in their air.
     """
 
     airframe_file: Path
     airframe: Airframe
+    flown: dict[str, Columns] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def instead(self) -> Mapping[str, str]:
+        """What cannot be varied: why not, and what to do."""
+        return INSTEAD
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a pilot can vary."""
@@ -72,19 +95,12 @@ class Pilot:
         """Whether the recording of a flight has these columns."""
         return columns <= RECORDED
 
-    def session(self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str]) -> Session:
-        """A session that varies some columns, with so many readings of a sensor in each flight.
+    def session(
+        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int = 1
+    ) -> PlannedSession:
+        """As `SessionPlace.session`: in each of `FLIGHTS` so many readings, flown so often.
 
-        Parameters
-        ----------
-        varied
-            Columns.
-        ends_only
-            Only the first and the last of their levels.
-        readings
-            Of a sensor in a flight.
-        record
-            Not used: a flight records what it can.
+        A flight records what it can, whatever `record` asks for.
         """
         del record
         sensors = self.airframe.sensors
@@ -95,18 +111,28 @@ class Pilot:
         air_c: tuple[float, ...] = TEMPERATURES_C if "air_temperature_c" in varied else (20.0,)
         air_c = (air_c[0], air_c[-1]) if ends_only and len(air_c) > 1 else air_c
         scenarios, parts = {}, []
-        for number in range(FLIGHTS):
+        flights = visits * FLIGHTS
+        for number in range(flights):
             name = f"decide_{number + 1}"
-            content = self._scenario(name, varied, ends_only, seconds, air_c[number * len(air_c) // FLIGHTS])
-            scenarios[name] = content
-            scenario = check(name, Scenario, content, {"folder": self.airframe_file.parent})
-            parts.append(_contexts(scenario, name, interval_s))
+            scenarios[name] = self._scenario(name, varied, ends_only, seconds, air_c[number * len(air_c) // flights])
+            parts.append(self._contexts(scenarios[name], interval_s))
         contexts = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         flown_s = sum(float(each["duration_s"]) for each in scenarios.values())
-        minutes = flown_s / 60.0 + FLIGHTS * SETUP_MIN + (len(air_c) - 1) * WEATHER_MIN
+        minutes = flown_s / 60.0 + flights * SETUP_MIN + (len(air_c) - 1) * WEATHER_MIN
         words, campaign = _words(varied, ends_only, air_c), self._campaign(scenarios)
         per_flight = round(seconds / (interval_s * len(sensors)))
-        return Session("flight", words, contexts, per_flight, minutes, campaign, scenarios, REFERENCE_CM)
+        return PlannedSession("flight", words, contexts, per_flight, visits, minutes, campaign, scenarios, REFERENCE_CM)
+
+    def _contexts(self, content: dict[str, Any], interval_s: float) -> Columns:
+        """The contexts of a flight, in its air and with its name as run."""
+        does = json.dumps([content["flight"], content["duration_s"]])
+        if does not in self.flown:
+            scenario = check(content["name"], Scenario, content, {"folder": self.airframe_file.parent})
+            self.flown[does] = _simulated(scenario, interval_s)
+        pings = self.flown[does]
+        size = np.size(pings["time_s"])
+        air_c = np.full(size, float(content["air"]["ground_c"]))
+        return {**pings, "air_temperature_c": air_c, "run": np.full(size, content["name"])}
 
     def _scenario(
         self, name: str, varied: Sequence[str], ends_only: bool, seconds: float, air_c: float
@@ -118,10 +144,14 @@ class Pilot:
             *([GENTLE_S] if "range_rate_cm_s" in varied else []),
             *([BRISK_S] if "throttle" in varied else []),
         ]
-        share_s = seconds / (len(heights) * (1 + len(periods_s)))
+        # What is strongest at the ends of its range is seen best without hovering between them.
+        hovers = not (ends_only and periods_s)
+        share_s = seconds / (len(heights) * (hovers + len(periods_s)))
         segments: list[dict[str, Any]] = []
         for height_m in heights:
-            segments += [climb | {"to_m": height_m}, {"kind": "hold", "duration_s": round(share_s, 1)}]
+            segments.append(climb | {"to_m": height_m})
+            if hovers:
+                segments.append({"kind": "hold", "duration_s": round(share_s, 1)})
             for period_s in periods_s:
                 cycles = max(round(share_s / period_s), 1)
                 segments.append({"kind": "sinusoid", "swing_m": SWING_M, "period_s": period_s, "cycles": cycles})
@@ -176,7 +206,7 @@ def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> di
     return {name: words[name] for name in varied}
 
 
-def _contexts(scenario: Scenario, run: str, interval_s: float) -> Columns:
+def _simulated(scenario: Scenario, interval_s: float) -> Columns:
     """The truth of each ping of a flight."""
     world = scenario.world()
     vehicle = scenario.vehicle(world, np.random.default_rng(1))
@@ -194,7 +224,7 @@ def _contexts(scenario: Scenario, run: str, interval_s: float) -> Columns:
         which = number % len(beams)
         pose = vehicle.pose(time_s)
         ping = world.ping(pose, beams[which])
-        row = ping._asdict() | {"time_s": time_s, "throttle": pose.throttle, "uptime_s": time_s, "run": run}
+        row = ping._asdict() | {"time_s": time_s, "throttle": pose.throttle, "uptime_s": time_s}
         row["sensor"] = scenario.airframe.sensors[which].name
         if ping.has_echo:
             for key in TRUTH:

@@ -13,12 +13,11 @@ from scipy.stats import beta
 
 from msp_lab.design.answers import FittedAnswer, OldReadings
 from msp_lab.design.choose import Design
-from msp_lab.design.session import Columns, Session
-from msp_lab.gap import rules, workflow
+from msp_lab.design.session import Columns, PlannedSession
+from msp_lab.gap import naming, rules
 from msp_lab.gap.findings import FoundEffect, GapFindings
-from msp_lab.gap.intake import Readings
+from msp_lab.gap.intake import Comparison, Readings
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.workflow import Comparison
 from msp_range.recording.columns import WORD_COLUMNS
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.derived import sample_in_order
@@ -59,12 +58,13 @@ def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -
     """Whether the old readings can go in with the new ones.
 
     Not where they lack a column that an effect needs, since readings without it are left out; and not where they are so
-    many that the workflow would fit only some of the new ones.
+    many that the workflow would compare alternatives on only some of the new ones.
     """
     effects = [each.answer.effect for each in answers if each.answer.effect is not None]
     required = {column for each in effects for column in each.requires}
     rows = int(old.columns["reading_cm"].size)
-    return required <= {*old.columns} and rows + new_rows <= 2 * rules.TRAINING_ROWS
+    most = rules.TRAINING_ROWS if len(effects) > 1 else 2 * rules.TRAINING_ROWS
+    return required <= {*old.columns} and rows + new_rows <= most
 
 
 def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: int, report: Progress) -> Proof:
@@ -95,7 +95,7 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
         new = held(session, design.answers[truth].model, rng)
         data = merged(old.columns, new) if joined else new
         comparison = Comparison.of(Readings(MeasuredData(data), ()), old.model, old.comparison.settings)
-        findings, _ = workflow.name(comparison, _EMPTY, lambda what, share: None)
+        findings, _ = naming.name(comparison, _EMPTY, lambda what, share: None)
         if is_right(findings.effects, design, truth):
             right += 1
         else:
@@ -107,7 +107,7 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
 _EMPTY = GapFindings(None, rows=0, runs=0)
 
 
-def held(session: Session, model: Model, rng: np.random.Generator) -> Columns:
+def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Columns:
     """A session with readings drawn from a model; the table's true ranges err by an offset of each run."""
     contexts = dict(session.contexts)
     _, unit = np.unique(contexts["run"], return_inverse=True)

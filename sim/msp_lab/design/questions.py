@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from msp_lab.gap.findings import NUMBERS, FoundEffect, GapFindings, UnknownEffect
+from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
+from msp_lab.gap.findings_file import NUMBERS
 from msp_lab.gap.labels import effect_label
 from msp_lab.gap.model_file import MODEL
 from msp_range.yaml_file import ConfigError
@@ -50,7 +51,7 @@ NONE = Answer(None)
 
 
 @dataclass(frozen=True)
-class Question:
+class OpenQuestion:
     """What the readings could not decide.
 
     Attributes
@@ -85,7 +86,7 @@ class Question:
         return frozenset(column for each in self.answers if each.effect for column in each.effect.columns)
 
 
-def questions_of(findings: GapFindings) -> tuple[Question, ...]:
+def questions_of(findings: GapFindings) -> tuple[OpenQuestion, ...]:
     """What a gap run left open, what is nearest to a name first.
 
     Parameters
@@ -93,7 +94,7 @@ def questions_of(findings: GapFindings) -> tuple[Question, ...]:
     findings
         Of a run up to the step `name` or later.
     """
-    found: dict[frozenset[Answer], Question] = {}
+    found: dict[frozenset[Answer], OpenQuestion] = {}
     # What nothing points to is asked only where nothing else is.
     for question in [*_all(findings)] or _not_testable(findings):
         known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
@@ -102,7 +103,7 @@ def questions_of(findings: GapFindings) -> tuple[Question, ...]:
     return tuple(found.values())
 
 
-def open_questions(findings: GapFindings, folder: Path) -> tuple[Question, ...]:
+def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, ...]:
     """`questions_of` the findings of a folder.
 
     Raises
@@ -121,36 +122,38 @@ def open_questions(findings: GapFindings, folder: Path) -> tuple[Question, ...]:
     return questions
 
 
-def _all(findings: GapFindings) -> Iterator[Question]:
+def _all(findings: GapFindings) -> Iterator[OpenQuestion]:
     for effect in findings.effects:
         if effect.verdict != "named":
             yield _of_effect(effect)
     for cause in findings.causes:
         state = "hardly varied" if cause.recorded else "is not recorded"
-        yield Question("absorbed", (Answer(cause.effect), NONE), f"{cause.number} changed, and {cause.column} {state}")
+        yield OpenQuestion(
+            "absorbed", (Answer(cause.effect), NONE), f"{cause.number} changed, and {cause.column} {state}"
+        )
     for unknown in findings.unknown:
         yield from _of_unknown(unknown)
 
 
-def _not_testable(findings: GapFindings) -> Iterator[Question]:
+def _not_testable(findings: GapFindings) -> Iterator[OpenQuestion]:
     for each in findings.not_testable if findings.verdict in OPEN_VERDICTS else ():
         if each.name in CATALOGUE and CATALOGUE[each.name].per is None:
             missing = " and ".join(each.columns)
             are = "are" if len(each.columns) > 1 else "is"
-            yield Question("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
+            yield OpenQuestion("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
 
 
-def _of_effect(effect: FoundEffect) -> Question:
+def _of_effect(effect: FoundEffect) -> OpenQuestion:
     answers = [Answer(effect.name, effect.of), *(Answer(each.name, each.of) for each in effect.alternatives)]
     if effect.verdict == "suggested":
         why = effect.doubt or "held-out runs do not confirm it"
-        return Question("suggested", (*dict.fromkeys(answers), NONE), why)
+        return OpenQuestion("suggested", (*dict.fromkeys(answers), NONE), why)
     losses = ", ".join(f"{each.name} {each.loss_nats:.1f}" for each in effect.alternatives)
-    return Question("indistinguishable", tuple(dict.fromkeys(answers)), f"nats behind {effect.name}: {losses}")
+    return OpenQuestion("indistinguishable", tuple(dict.fromkeys(answers)), f"nats behind {effect.name}: {losses}")
 
 
-def _of_unknown(unknown: UnknownEffect) -> Iterator[Question]:
+def _of_unknown(unknown: UnknownEffect) -> Iterator[OpenQuestion]:
     over = " and ".join(unknown.variables)
     for name, column in unknown.likely_causes:
         why = f"a curve of {unknown.channel} over {over} has no name, and {column} is not recorded"
-        yield Question("not testable", (Answer(name), NONE), why)
+        yield OpenQuestion("not testable", (Answer(name), NONE), why)

@@ -6,12 +6,14 @@ count (T-optimality, Atkinson and Fedorov 1975).
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from functools import cache
+from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
 
 from msp_lab.design.answers import FittedAnswer
 from msp_lab.design.session import Columns
@@ -30,9 +32,10 @@ readings are then known to 7. More: slower."""
 FIND_NATS = 8.0
 """What an effect has to gain to be named where it may also be absent: what the largest of some 70 candidates gains by
 random variation is 6, and the shapes that are searched cost 1 or 2. Higher: longer sessions."""
-TRAINING_SHARE = 0.5
-"""Share of a session that counts. It was set when the gap workflow named effects on half of the runs. It uses all
-of them now, so that a session is rather too long than too short; 1 would leave no margin for validation."""
+
+DEPENDENT_P = 0.1
+"""Offsets of runs are expected to show if their mean statistic has a smaller p-value. `gap` asks for 0.001, and the
+statistic scatters about its mean. Higher: more sessions are planned with the run as the unit, which need more runs."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,11 @@ class Separation:
         Variance of what runs differ by anyway, over that of a single reading.
     correlation
         Of neighbouring readings' errors.
+    run_scatter
+        Variance of the runs' mean lead of the right answer without offsets, over that of a single reading's; None: the
+        wrong answer is that there is no effect, which `gap` decides by the offsets' own likelihood.
+    other_runs
+        Runs of the old readings, if they go in.
     """
 
     truth: int
@@ -57,15 +65,36 @@ class Separation:
     between_nats: float
     offsets: float
     correlation: float
+    run_scatter: float | None = None
+    other_runs: int = 0
 
     def nats(self, readings: int, runs: int) -> float:
-        """Expected nats between the two on the training half of a session.
+        """Expected nats between the two in a session; the gap workflow selects effects on all of its readings.
 
-        Correlated readings count as fewer; runs that have offsets of their own count as ``1 / (1 + n offsets)``.
+        Correlated readings count as fewer; runs that have offsets of their own count as ``1 / (1 + n offsets)``. Where
+        these show, `gap` takes the run as the unit of evidence: it integrates the offsets out and compares alternatives
+        by the scatter of what is left of their lead over runs (Vuong 1989), as `msp_lab.gap.evidence.lead_nats` does.
+        Alternatives are compared on every k-th reading beyond `rules.TRAINING_ROWS`.
         """
-        independent = TRAINING_SHARE * readings * (1.0 - self.correlation) / (1.0 + self.correlation)
-        in_run = 2.0 * independent / max(runs, 1)
-        return independent * (self.within_nats + self.between_nats / (1.0 + in_run * self.offsets))
+        if self.run_scatter is not None:
+            readings //= max(ceil(readings / rules.TRAINING_ROWS), 1)
+        independent = readings * (1.0 - self.correlation) / (1.0 + self.correlation)
+        in_run = independent / max(runs, 1)
+        nats = independent * (self.within_nats + self.between_nats / (1.0 + in_run * self.offsets))
+        between = (runs - 1) * (1.0 + in_run * self.offsets)
+        if self.run_scatter is None or float(chi2.sf(between, max(runs - 1, 1))) > DEPENDENT_P:
+            return nats
+        return nats / (1.0 + in_run * self.run_scatter) * _worth_by_run(runs + self.other_runs)
+
+
+@cache
+def _worth_by_run(runs: int) -> float:
+    """What a nat is worth if its error is known from so many runs only: Student's t in place of a normal number."""
+    if runs < 3:
+        return 0.0
+    tail = float(norm.sf(sqrt(2.0 * rules.ALTERNATIVE_NATS)))
+    threshold = 0.5 * float(student.isf(tail, runs - 2)) ** 2
+    return needed_nats(0.95, rules.ALTERNATIVE_NATS) / needed_nats(0.95, threshold)
 
 
 def separation(
@@ -75,6 +104,7 @@ def separation(
     contexts: Columns,
     offset_cm: float,
     rng: np.random.Generator,
+    other_runs: int = 0,
 ) -> Separation:
     """How far the second answer is from the first one, which is true.
 
@@ -90,6 +120,8 @@ def separation(
         Standard deviation of what runs differ by: placements of the target, and offsets that were found.
     rng
         Draws the readings.
+    other_runs
+        Runs of the old readings, if they go in.
     """
     truth, alternative = answers
     columns: dict[str, Any] = dict(contexts)
@@ -114,7 +146,13 @@ def separation(
     between = of_shifts * float((np.bincount(unit, shift) ** 2 / counts).sum()) / max(whole, 1e-12)
     offsets = offset_cm**2 / float(np.mean(sigma_cm**2))
     correlation = given.sensor.reading_model.correlation
-    return Separation(*places, nats - between, between, offsets, correlation)
+    scatter = None
+    if alternative.answer.name is not None:
+        gain = right.here.log_p - wrong.here.log_p
+        of_run = np.bincount(unit, gain) / counts
+        random = float(np.mean(np.var(gain) / counts))
+        scatter = max(float(np.var(of_run)) - random, 0.0) / max(float(np.var(gain)), 1e-12)
+    return Separation(*places, nats - between, between, offsets, correlation, scatter, other_runs)
 
 
 def needed_nats(power: float, threshold_nats: float) -> float:

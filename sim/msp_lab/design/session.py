@@ -12,7 +12,7 @@ Kind: TypeAlias = Literal["bench", "flight"]
 
 
 @dataclass(frozen=True)
-class Session:
+class PlannedSession:
     """A session of a kind, as long as it is.
 
     Attributes
@@ -25,6 +25,8 @@ class Session:
         Of its readings, (n,), `run` among them.
     per_point
         Readings of a sensor at a point, or in a flight.
+    visits
+        How often each point is set up anew, or each group of flights flown.
     minutes
         Of setting up and of reading or flying.
     campaign
@@ -39,6 +41,7 @@ class Session:
     varied: Mapping[str, str]
     contexts: Columns
     per_point: int
+    visits: int
     minutes: float
     campaign: Mapping[str, Any]
     scenarios: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from pathlib import Path
 from msp_lab.filter_study.nine import CAUSAL
 from msp_lab.filter_study.scenarios import NAMES, SAMPLES
 from msp_lab.filter_study.statistics import STATISTICS
-from msp_range.recording.csv_rows import csv_rows, short_list
+from msp_range.recording.csv_form import csv_rows, short_list
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 

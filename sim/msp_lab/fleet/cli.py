@@ -72,10 +72,10 @@ def fleet(
             dataset, model, fdr=fdr, pattern=vehicle, seed=seed, date=date_of(SystemClock().utc()), where=where
         )
     files = write_files(findings, out)
-    _print(findings, files)
+    _print(findings, where.died, files)
 
 
-def _print(findings: "FleetFindings", files: list[Path]) -> None:
+def _print(findings: "FleetFindings", died: int, files: list[Path]) -> None:
     from msp_lab.fleet.words import left_out_line, line_of
 
     console = PlainConsole(width=WIDTH)
@@ -93,6 +93,8 @@ def _print(findings: "FleetFindings", files: list[Path]) -> None:
             )
     if findings.left_out:
         console.print(left_out_line(findings), highlight=False)
+    if died:
+        console.print(f"{died} worker processes died; their sensors were examined again.", highlight=False)
     console.print(
         f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
         f"{findings.sessions} sessions; in {files[0].parent}: {', '.join(each.name for each in files)}",

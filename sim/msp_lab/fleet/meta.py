@@ -10,6 +10,7 @@ the others (a one-step reweighted estimate: Rousseeuw & Leroy 1987, Robust Regre
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,9 +62,10 @@ class Pooled:
     @property
     def log_p(self) -> float:
         """Logarithm of the p-value of a mean of 0, by Student's t of one less than the ordinary vehicles."""
-        freedom = max(int(self.ordinary.sum()) - 1, 1)
+        size = abs(self.mean) / self.error
         # What the vehicles' own errors say is known; only a spread between them has to be estimated from so few.
-        return float(np.log(2.0) + _log_tail(abs(self.mean) / self.error, freedom if self.tau > 0.0 else np.inf))
+        tail = student.logsf(size, int(self.ordinary.sum()) - 1) if self.tau > 0.0 else norm.logsf(size)
+        return float(np.log(2.0) + tail)
 
 
 def paule_mandel(values: _Array, errors: _Array, square: float | None = None) -> tuple[float, float, float]:
@@ -84,17 +86,28 @@ def paule_mandel(values: _Array, errors: _Array, square: float | None = None) ->
     >>> print(f"{mean:.3f} {error:.3f} {tau**2:.3f}")
     2.000 2.000 7.000
     """
-    tau2 = 0.0
+    everyone = np.ones((1, values.size), dtype=bool)
+    mean, error, tau = _random_effects(values, errors, everyone, values.size - 1 if square is None else square)
+    return float(mean[0]), float(error[0]), float(tau[0])
+
+
+def _random_effects(
+    values: _Array, errors: _Array, inside: NDArray[np.bool_], square: float
+) -> tuple[_Array, _Array, _Array]:
+    """`paule_mandel` of several sets of the estimates, of equal size: inside is (sets, estimates)."""
+    tau2 = np.zeros(inside.shape[0])
     for _ in range(ROUNDS):
-        weight = 1.0 / (errors**2 + tau2)
-        mean = float(weight @ values / weight.sum())
-        squares = (values - mean) ** 2
-        excess = float(weight @ squares) - (values.size - 1 if square is None else square)
-        if excess <= 1e-9 * values.size:
+        weight = inside / (errors**2 + tau2[:, None])
+        total = weight.sum(axis=1)
+        mean = weight @ values / total
+        squares = (values - mean[:, None]) ** 2
+        excess = (weight * squares).sum(axis=1) - square
+        is_open = excess > 1e-9 * values.size
+        if not is_open.any():
             break
         # Newton's step; the sum of squares falls with tau^2 and is convex, so that it never goes too far.
-        tau2 += excess / float(weight**2 @ squares)
-    return mean, float(weight.sum() ** -0.5), float(np.sqrt(tau2))
+        tau2 += np.where(is_open, excess / (weight**2 * squares).sum(axis=1), 0.0)
+    return mean, total**-0.5, np.sqrt(tau2)
 
 
 def pooled(values: _Array, errors: _Array) -> Pooled:
@@ -108,7 +121,7 @@ def pooled(values: _Array, errors: _Array) -> Pooled:
     middle, spread = _median_fit(values, errors)
     ordinary = np.abs(values - middle) <= ORDINARY_DEVIATIONS * np.sqrt(errors**2 + spread**2)
     for _ in range(TURNS):
-        deviation = _deviations(values, errors, ordinary)
+        deviation, _ = _deviations(values, errors, ordinary)
         now = np.abs(deviation) <= ORDINARY_DEVIATIONS
         if now.sum() < MIN_ORDINARY or (now == ordinary).all():
             break
@@ -135,32 +148,43 @@ def left_out(values: _Array, errors: _Array, fleet: Pooled, always_differ: bool 
     -------
     tuple
         Deviation in standard deviations of a prediction, and the logarithm of its two-sided p-value, both (units,).
-        The prediction's variance is the vehicle's own, that between vehicles at its upper limit, and that of the mean;
-        where vehicles differ, the second is known from few of them only, for which Student's t stands (Higgins,
-        Thompson & Spiegelhalter 2009).
+        The prediction's variance is the vehicle's own, that between vehicles at its upper limit, and that of the mean.
+        The last two are known from few vehicles only, for which Student's t stands (Higgins, Thompson & Spiegelhalter
+        2009), with as many degrees of freedom as their share of the variance makes (Satterthwaite 1946, Biometrics
+        Bull. 2:110).
     """
-    deviation = _deviations(values, errors, fleet.ordinary)
-    others = fleet.ordinary.sum() - fleet.ordinary
-    freedom = np.maximum(others - 2, 1) if always_differ or fleet.tau > 0.0 else np.full(values.size, np.inf)
-    log_p = [np.log(2.0) + _log_tail(abs(each), free) for each, free in zip(deviation, freedom.tolist(), strict=True)]
-    return deviation, np.minimum(log_p, 0.0)
+    deviation, predicted = _deviations(values, errors, fleet.ordinary)
+    freedom = np.maximum(fleet.ordinary.sum() - fleet.ordinary - 2.0, 1.0)
+    if not always_differ:
+        # Only the part that is not the vehicle's own error, which is known, is estimated from the others.
+        freedom = freedom * (1.0 + errors**2 / predicted) ** 2
+    return deviation, np.minimum(np.log(2.0) + student.logsf(np.abs(deviation), freedom), 0.0)
 
 
-def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> _Array:
-    """Each vehicle's deviation from the ordinary ones other than itself, in standard deviations of a prediction."""
+def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> tuple[_Array, _Array]:
+    """Each vehicle against the ordinary ones other than itself.
+
+    Returns
+    -------
+    tuple
+        The deviation in standard deviations of a prediction, and the prediction's variance without the vehicle's own.
+    """
+    inside = np.tile(ordinary, (values.size, 1))
+    np.fill_diagonal(inside, False)
     mean, error, tau = (np.empty(values.size) for _ in range(3))
-    mean[:], error[:], tau[:] = _predicting(values[ordinary], errors[ordinary])
-    for k in np.flatnonzero(ordinary):
-        others = ordinary.copy()
-        others[k] = False
-        mean[k], error[k], tau[k] = _predicting(values[others], errors[others])
-    deviation: _Array = (values - mean) / np.sqrt(errors**2 + tau**2 + error**2)
-    return deviation
+    for some in (ordinary, ~ordinary):
+        if some.any():
+            square = _upper_square(int(inside[some][0].sum()) - 1)
+            mean[some], error[some], tau[some] = _random_effects(values, errors, inside[some], square)
+    predicted: _Array = tau**2 + error**2
+    deviation: _Array = (values - mean) / np.sqrt(errors**2 + predicted)
+    return deviation, predicted
 
 
-def _predicting(values: _Array, errors: _Array) -> tuple[float, float, float]:
-    """Mean, its error, and the upper limit of tau at `SPREAD_CONFIDENCE`."""
-    return paule_mandel(values, errors, float(chi2.isf(SPREAD_CONFIDENCE, values.size - 1)))
+@lru_cache
+def _upper_square(freedom: int) -> float:
+    """Sum of squares at which tau is at its upper limit at `SPREAD_CONFIDENCE`."""
+    return float(chi2.isf(SPREAD_CONFIDENCE, freedom))
 
 
 def shrunk(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:
@@ -200,7 +224,3 @@ def _weighted_median(values: _Array, weights: _Array) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - 0.5 * weights[order]
     return float(np.interp(0.5 * weights.sum(), below, values[order]))
-
-
-def _log_tail(size: float, freedom: float) -> float:
-    return float(norm.logsf(size) if np.isinf(freedom) else student.logsf(size, freedom))

@@ -16,17 +16,18 @@ from typing import Any
 import numpy as np
 
 from msp_lab.fleet.findings import Kind
+from msp_lab.fleet.fits import Unit
 from msp_lab.fleet.statistics import Change, Number, changes_of, numbers_of
-from msp_lab.fleet.terms import FleetTerm, effect_of
-from msp_lab.fleet.unit import Comparison, Unit, UnitScores, compare, examine
+from msp_lab.fleet.terms import FleetTerm, candidate_of, effect_of
+from msp_lab.fleet.unit import RefittedTerm, UnitScores, compare, examine
 from msp_lab.gap import rules
 from msp_lab.gap.problem import Progress
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
-from msp_sim.workers import Outcome
+from msp_sim.workers import ItemOutcome
 
 Key = tuple[str, str | None]
-Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[Outcome[Any]]]
+Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[ItemOutcome[Any]]]
 """Calls a function with the model and each item of a list; other processes may do it."""
 
 MAX_FINDINGS = 40
@@ -40,7 +41,7 @@ SHARED_TRIED = 6
 
 
 @dataclass(frozen=True)
-class Finding:
+class FleetFinding:
     """Something that was found.
 
     Attributes
@@ -89,7 +90,7 @@ class Search:
     fdr: float
     run: Map
     report: Progress
-    found: list[Finding] = field(default_factory=list)
+    found: list[FleetFinding] = field(default_factory=list)
     tests: int = 0
 
     def __post_init__(self) -> None:
@@ -153,7 +154,7 @@ class Search:
         term = gains.common(k, everyone)
         log_p = next(each for each, number in best if number.term.key == term.key)
         kind: Kind = "calibration" if calibration else "shared"
-        self._take(Finding(kind, term, tuple(everyone), (log_p,), gains.near(k, total)))
+        self._take(FleetFinding(kind, term, tuple(everyone), (log_p,), gains.near(k, total)))
         return True
 
     def _of_units(self, numbers: Sequence[Number], changes: Sequence[tuple[FleetTerm, int, Change]]) -> bool:
@@ -206,7 +207,7 @@ class Search:
         shared = {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
         best = min(flagged[worst].own, key=lambda each: each[0], default=None)
         if best is not None and best[1].term.key in shared:
-            self._take(Finding("odd", best[1].term, (worst,), (best[0],)))
+            self._take(FleetFinding("odd", best[1].term, (worst,), (best[0],)))
             return True
         tried: dict[Key, FleetTerm] = {}
         for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
@@ -240,7 +241,7 @@ class Search:
         term = gains.common(k, group)
         members = tuple(units[i] for i in group)
         smallest = tuple(flagged[unit].log_p for unit in members)
-        self._take(Finding("odd", term, members, smallest, gains.near(k, total)))
+        self._take(FleetFinding("odd", term, members, smallest, gains.near(k, total)))
         self._prune(members)
         return True
 
@@ -258,7 +259,7 @@ class Search:
             return False
         same = next((k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term), None)
         if same is None:
-            self._take(Finding("odd", term, (unit,), (log_p,)))
+            self._take(FleetFinding("odd", term, (unit,), (log_p,)))
         else:
             old = self.found[same]
             self.found[same] = replace(old, units=(*old.units, unit), log_p=(*old.log_p, log_p))
@@ -274,14 +275,14 @@ class Search:
             lost = nats - 0.5 * (each.size / each.error) ** 2
             if place == unit and other != term and lost <= rules.ALTERNATIVE_NATS:
                 near.append((other, lost))
-        self.found.append(Finding(change.kind, term, (unit,), (change.log_p,), tuple(near), change))
+        self.found.append(FleetFinding(change.kind, term, (unit,), (change.log_p,), tuple(near), change))
         self.before_change[unit] = self.scores[unit]
         sessions = self.scores[unit].sessions
         # A drift is a change in the middle, as far as it could pass for another effect.
         later = sessions[change.first if change.kind == "change" else len(sessions) // 2 :]
         self._fit({unit: replace(term, sessions=later, start=change.size)})
 
-    def _take(self, finding: Finding) -> None:
+    def _take(self, finding: FleetFinding) -> None:
         self.found.append(finding)
         if not finding.term.is_base:
             self._fit({unit: finding.term for unit in finding.units if not self.fits(unit, finding.term)})
@@ -319,25 +320,30 @@ class Search:
         for k, each in zip(places, self.examined(places, self.terms), strict=True):
             self.scores[k] = each
 
-    def examined(self, places: Sequence[int], terms: Sequence[tuple[FleetTerm, ...]]) -> list[UnitScores]:
-        """Scores of some units with these terms of all units."""
-        return values_of(self.run(examine, [(self.units[k], terms[k]) for k in places]))
+    def examined(
+        self, places: Sequence[int], terms: Sequence[tuple[FleetTerm, ...]], with_others: bool = True
+    ) -> list[UnitScores]:
+        """Scores of some units with these terms of all units, and of all other effects."""
+        return values_of(self.run(examine, [(self.units[k], terms[k], with_others) for k in places]))
 
     def _gains(self, units: Sequence[int], tried: Sequence[FleetTerm]) -> "_Gains":
         """What each effect gains in each unit, as many independent readings would."""
-        fits: list[list[Comparison]] = values_of(
+        fits: list[list[RefittedTerm]] = values_of(
             self.run(compare, [(self.units[k], self.terms[k], tried) for k in units])
         )
         nats = np.array([[each.gain_nats for each in row] for row in fits])
         for i, unit in enumerate(units):
             scores = self.scores[unit]
             for j, term in enumerate(tried):
+                if candidate_of(term).linear:
+                    # No single reading gains much, and the scores at a share of 0 vary because of the effect itself.
+                    continue
                 same = [float(f) for f, each in zip(scores.factor, scores.terms, strict=True) if each.key == term.key]
                 nats[i, j] /= max(min(same, default=1.0), 1.0)
         return _Gains(tuple(tried), fits, nats)
 
 
-def values_of(outcomes: Iterable[Outcome[Any]]) -> list[Any]:
+def values_of(outcomes: Iterable[ItemOutcome[Any]]) -> list[Any]:
     """The results; RecordingError where there is none, since the files could be read before."""
     found = []
     for each in outcomes:
@@ -368,7 +374,7 @@ class _Gains:
     """Effects refitted in several units, and what they gain, (units, effects)."""
 
     terms: tuple[FleetTerm, ...]
-    fits: list[list[Comparison]]
+    fits: list[list[RefittedTerm]]
     nats: Any
 
     def near(self, k: int, total: Any) -> tuple[tuple[FleetTerm, float], ...]:

@@ -86,7 +86,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Series:
+class NumberOverSessions:
     """One number of several units, by session: of each unit the sums of scores, their information and variance."""
 
     term: FleetTerm
@@ -97,7 +97,7 @@ class Series:
     variance: tuple[_Array, ...]
 
 
-def series_of(scores: Sequence[UnitScores], fitted: bool = False) -> list[Series]:
+def series_of(scores: Sequence[UnitScores], fitted: bool = False) -> list[NumberOverSessions]:
     """Every number with the units that say something of it; or only those that are fitted."""
     places: dict[FleetTerm, list[tuple[int, int]]] = {}
     for k, each in enumerate(scores):
@@ -106,7 +106,7 @@ def series_of(scores: Sequence[UnitScores], fitted: bool = False) -> list[Series
             if total[j] > 0.0 and (each.fitted[j] or not fitted):
                 places.setdefault(replace(term, start=0.0), []).append((k, j))
     return [
-        Series(
+        NumberOverSessions(
             term,
             tuple(k for k, _ in where),
             np.array([scores[k].value[j] for k, j in where]),
@@ -143,7 +143,7 @@ def _one_sided(term: FleetTerm) -> bool:
     return not term.is_base and candidate_of(term).one_sided
 
 
-def _number(series: Series) -> Number:
+def _number(series: NumberOverSessions) -> Number:
     omega2 = between_sessions(series)
     total = np.array([each.sum() for each in series.information])
     value = series.value + np.array([each.sum() for each in series.score]) / total
@@ -159,7 +159,7 @@ def _number(series: Series) -> Number:
     return Number(series.term, units, value, error, float(np.sqrt(omega2)), fleet, deviation, log_p)
 
 
-def between_sessions(series: Series) -> float:
+def between_sessions(series: NumberOverSessions) -> float:
     """Variance of a number between sessions of one unit, common to the fleet."""
     groups = [
         (s - i * s.sum() / i.sum(), i, v)

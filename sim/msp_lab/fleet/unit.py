@@ -7,71 +7,39 @@ At the joint fit of base and terms each number j has the efficient score u of ea
 the other fitted numbers explain of it (as in `gap.screen`). A session's sum U_r over its expected information I_r is by
 how much its own best value differs from the fitted one: one step of Fisher's scoring. So a session's estimate is
 ``value + U_r / I_r``, and sums over sessions give the vehicle's.
+
+With a share b of something mixed in, a reading has the probability p (1 + b t), with t the score at b = 0. Its score is
+taken at a small share c instead, ``u = t / (1 + c t)``, which is bounded. The mean of u grows linearly with b: from
+what it is without the effect, by E[u t] per share, which stands for I. So U_r / I_r is unbiased, and its variance is
+that of u over I squared.
 """
 
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.fleet.fits import Unit, fit_of, readings_of, with_term
+from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import score_of
-from msp_lab.gap.intake import read_readings
 from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.problem import Problem, with_candidate
-from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import numbered
+from msp_lab.gap.refit import inverse, refit, sums_by
 from msp_lab.gap.screen import replicate
-from msp_lab.gap.workflow import with_least_weights
-from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
 
-MIN_READINGS = 200
-"""A sensor with fewer readings is left out, with the reason. Its base has seven numbers, of which three are odds of a
-few per cent. Fewer: numbers that rest on single readings."""
 REPLICATE_ROWS = 24_000
 """Expected information is from so many simulated readings at most. A session of a tenth of them is known to a few per
 cent, as far as hits are concerned. More: slower."""
-FIRST_STEPS = 30.0
-"""A fit of a number of which nothing is known starts so many of its numeric steps from its neutral value: 0.03 of its
-unit. Smaller: the first slope of a share is rounding."""
-MAX_SHARE_LEFT_OUT = 0.5
-"""A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
-unit is wrong. Higher: fits to what is left of them."""
-
-
-@dataclass(frozen=True)
-class Unit:
-    """A sensor of a vehicle, and where its readings are.
-
-    Attributes
-    ----------
-    dataset
-        Folder of the dataset.
-    vehicle, sensor
-        Names.
-    sessions
-        Its runs, in their order.
-    seed
-        Random seed.
-    """
-
-    dataset: Path
-    vehicle: str
-    sensor: str
-    sessions: tuple[str, ...]
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """For a person."""
-        return f"{self.vehicle} {self.sensor}"
+SMALL_SHARE = 0.01
+"""Scores of shares are those at this share. At 0 single readings of a probability of 1e-6 hide all others: repeated
+readings of 5 to 8 % that gain 100 to 220 nats in a refit were 1 to 3 standard errors. In 3,000 readings 10 standard
+errors are shares of 1 to 8 %. Lower: few improbable readings decide; higher: those that are only less usual do."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +59,8 @@ class UnitScores:
     fitted
         Whether a number is fitted, as those of the base are, (C,).
     score, information, variance
-        (R, C): sums of efficient scores, what is expected of their squares, and the larger one of that and the squares
-        themselves: a sum that rests on few improbable readings varies by more than is expected.
+        (R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
+        or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected.
     untestable
         Effects that lack a column, with the columns.
     messages
@@ -119,7 +87,24 @@ class UnitScores:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SimulatedScores:
+    """Efficient scores of C numbers at m simulated readings.
+
+    Attributes
+    ----------
+    weight
+        Of each reading, (m, 1): its probability without the effects over that with which it was drawn.
+    scores, bounded
+        (m, C): the scores, and the same with those of shares at `SMALL_SHARE`.
+    """
+
+    weight: _Array
+    scores: _Array
+    bounded: _Array
+
+
+@dataclass(frozen=True)
+class RefittedTerm:
     """A term refitted next to what a sensor has: what it gains [nat], and its values."""
 
     term: FleetTerm
@@ -127,26 +112,29 @@ class Comparison:
     values: tuple[tuple[str, float], ...]
 
 
-class UnusableError(UserError):
-    """A sensor's readings cannot be compared; the message says why."""
+def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitScores:
+    """Scores of a unit's numbers.
 
-
-def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm]]) -> UnitScores:
-    """Scores of all numbers of a unit next to its terms.
+    Parameters
+    ----------
+    model
+        Sensor model.
+    task
+        The unit, its terms, and whether all other effects are asked next to them.
 
     Raises
     ------
-    RecordingError
-        A file is damaged, or its readings cannot be compared.
-    UnusableError
-        There are too few readings.
+    UserError
+        As `readings_of`.
     """
-    unit, terms = task
-    problem, messages = _problem(model, unit)
-    fit = _fit(problem, terms)
+    unit, terms, with_others = task
+    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
+    problem = known.problem
     own = {(*each.key, each.number) for each in terms if not each.sessions}
     candidates = [
-        each for each in problem.candidates if each.effect.per != "run" and (*each.key, each.parameter.name) not in own
+        each
+        for each in problem.candidates
+        if with_others and each.effect.per != "run" and (*each.key, each.parameter.name) not in own
     ]
     columns = (
         *(FleetTerm(name, "value") for name in BASE_NUMBERS),
@@ -166,35 +154,48 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm]]) -> UnitScores:
     drawn = replicate(
         problem.model, fit.base, fit.effects, problem.some_contexts, rng, rows, spacing_s=problem.some.spacing_s
     )
-    expected, measured = scores(drawn), scores(problem.some)
+    rare = RareReadings(drawn, fit, candidates, rng)
+    expected, measured = scores(rare.prepared), scores(problem.some)
     of_numbers, values = list(range(len(BASE_NUMBERS))), list(fit.base[: len(BASE_NUMBERS)])
     for k, term in enumerate(terms):
         of_numbers.append(fit.names.index(f"{k}.{term.number}"))
         values.append(fit.effects[k].values[term.number])
     fitted = len(fit.names)
+    weight = rare.weights(expected[:, fitted:])[:, None]
     places = np.array([*of_numbers, *range(fitted, fitted + len(candidates))])
     free = np.flatnonzero(~fit.held)
-    turned = _efficient(expected.T @ expected / len(drawn), places, free)
+    linear = np.array([each.linear for each in candidates], dtype=bool)
+    is_linear = np.append(np.zeros(len(of_numbers), dtype=bool), linear)
+    bounded, bounded_here = _bounded(expected, fitted, linear), _bounded(measured, fitted, linear)
+    turned = _explained(weight * expected / len(drawn), expected, bounded, places, free)
     sessions = [each for each in unit.sessions if each in set(problem.some_contexts["run"].tolist())]
     session_of = {name: k for k, name in enumerate(sessions)}
     here = np.array([session_of[each] for each in problem.some_contexts["run"].tolist()])
     there = np.array([session_of[each] for each in drawn.scene["run"].tolist()])
     readings = np.bincount(here, minlength=len(sessions))
-    efficient = measured @ turned.T
-    score = _sums(here, efficient, len(sessions))
-    squares = (expected @ turned.T) ** 2
-    many = np.maximum(np.bincount(there, minlength=len(sessions)), 1)[:, None]
-    information = _sums(there, squares, len(sessions)) / many * readings[:, None]
+    score, information, variance = sums_over_sessions(
+        SimulatedScores(
+            weight,
+            expected[:, places] - expected[:, free] @ turned.T,
+            bounded[:, places] - expected[:, free] @ turned.T,
+        ),
+        there,
+        bounded_here[:, places] - measured[:, free] @ turned.T,
+        here,
+        is_linear,
+        len(sessions),
+    )
     # What the other numbers explain nearly all of says nothing.
-    own_information = (expected[:, places] ** 2).mean(axis=0) * len(problem.some)
+    own_information = (weight * bounded[:, places] * expected[:, places]).mean(axis=0) * len(problem.some)
     total = information.sum(axis=0)
     clear = (own_information > 0.0) & (total > rules.COLLINEAR * own_information)
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
     clear[: len(BASE_NUMBERS)] &= ~fit.held[: len(BASE_NUMBERS)]
-    information = np.where(clear, information, 0.0)
-    variance = np.maximum(_sums(here, efficient**2, len(sessions)), information)
+    information = np.where(clear, np.maximum(information, 0.0), 0.0)
+    variance = np.where(information > 0.0, variance, 0.0)
+    score = np.where(information > 0.0, score, 0.0)
     value = np.array([*values, *np.zeros(len(candidates))])
-    scale = problem.scale
+    scale = known.scale
     return UnitScores(
         columns,
         tuple(sessions),
@@ -205,69 +206,77 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm]]) -> UnitScores:
         information * scale,
         variance * scale,
         problem.untestable,
-        messages,
+        known.messages,
     )
 
 
-def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[Comparison]:
+def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
     """Refits of a unit with its terms and one more, each of the last ones in its turn."""
     unit, terms, tried = task
-    problem, _ = _problem(model, unit)
-    fit = _fit(problem, terms)
+    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
     found = []
     for term in tried:
-        best = _with(problem, fit, term)
-        gained = (best.log_likelihood - fit.log_likelihood) * problem.scale - candidate_of(term).cost_nats
-        found.append(Comparison(term, float(gained), tuple(best.effects[-1].values.items())))
+        best = with_term(known.problem, fit, term)
+        gained = (best.log_likelihood - fit.log_likelihood) * known.scale - candidate_of(term).cost_nats
+        found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found
 
 
-def _problem(model: Model, unit: Unit) -> tuple[Problem, tuple[str, ...]]:
-    model, _ = with_least_weights(model)
-    readings = read_readings([unit.dataset], model, sensors=(unit.sensor,), runs=unit.sessions)
-    count = len(readings.data)
-    if count < MIN_READINGS:
-        raise UnusableError(f"{count} readings with a true range, and at least {MIN_READINGS} are needed")
-    columns = dict(readings.data.columns)
-    reading_cm = columns.pop("reading_cm")
-    possible = np.isfinite(model.log_prob(reading_cm, columns))
-    if possible.mean() < 1.0 - MAX_SHARE_LEFT_OUT:
-        raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
-    rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode())])
-    return Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng), readings.messages
+def sums_over_sessions(
+    simulated: SimulatedScores,
+    there: NDArray[np.intp],
+    measured: _Array,
+    here: NDArray[np.intp],
+    is_share: NDArray[np.bool_],
+    sessions: int,
+) -> tuple[_Array, _Array, _Array]:
+    """Score, information and variance as in `UnitScores`, (sessions, C) each.
+
+    Parameters
+    ----------
+    simulated, there
+        Readings without any of the C effects, and the session of each, (m,).
+    measured, here
+        Bounded scores of the measured readings, (n, C), and the session of each, (n,).
+    is_share
+        Which of the C numbers are shares of something mixed in, (C,).
+    sessions
+        How many there are.
+    """
+    weight, scores, bounded = simulated.weight, simulated.scores, simulated.bounded
+    readings = np.bincount(here, minlength=sessions)[:, None]
+    drawn = np.maximum(np.bincount(there, minlength=sessions), 1)[:, None]
+    # Simulated readings stand for so many measured ones.
+    times = readings / drawn
+    information = times * sums_by(there, weight * bounded * scores, sessions)
+    # The mean of a bounded score, with the score itself, whose mean is 0, as a control variate.
+    part = (weight * bounded * scores).sum(axis=0) / np.maximum((weight * scores**2).sum(axis=0), 1e-12)
+    left = np.where(is_share, weight * (bounded - part * scores), 0.0)
+    mean = sums_by(there, left, sessions) / drawn
+    own = measured - mean[here]
+    squares = times * sums_by(there, weight * (bounded - mean[there]) ** 2, sessions)
+    variance = np.maximum(sums_by(here, own**2, sessions), squares)
+    # That of the mean, which is taken off of each reading.
+    variance += times**2 * sums_by(there, (left - mean[there]) ** 2 * is_share, sessions)
+    return sums_by(here, own, sessions), information, variance
 
 
-def _fit(problem: Problem, terms: Sequence[FleetTerm]) -> JointFit:
-    """The joint fit of base and terms, which are added one after another."""
-    fit = fit_base(problem.some)
-    for term in terms:
-        fit = _with(problem, fit, term)
-    return fit
+def _bounded(scores: _Array, fitted: int, linear: NDArray[np.bool_]) -> _Array:
+    """The same with the scores of shares at a share of `SMALL_SHARE`: none is larger than its inverse."""
+    found = scores.copy()
+    of_shares = fitted + np.flatnonzero(linear)
+    found[:, of_shares] /= 1.0 + SMALL_SHARE * scores[:, of_shares]
+    return found
 
 
-def _with(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
-    """The joint fit with one more term, from where it is expected."""
-    candidate = candidate_of(term)
-    parameter = candidate.parameter
-    small = FIRST_STEPS * parameter.step
-    starts = [term.start] if abs(term.start) > parameter.step else [small, -small]
-    starts = [start for start in starts if start > 0.0 or not candidate.one_sided] or [small]
-    at = [float(np.clip(candidate.neutral + start, parameter.low, parameter.high)) for start in starts]
-    return max((with_candidate(problem, fit, candidate, each) for each in at), key=lambda each: each.log_likelihood)
-
-
-def _efficient(information: _Array, places: NDArray[np.intp], free: NDArray[np.intp]) -> _Array:
-    """(C, numbers): from the scores of all numbers, the score of each of C less what the other free ones explain."""
-    turned = np.zeros((places.size, information.shape[0]))
-    turned[np.arange(places.size), places] = 1.0
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
-    scaled = information / np.outer(scale, scale)
+def _explained(
+    weighted: _Array, scores: _Array, bounded: _Array, places: NDArray[np.intp], free: NDArray[np.intp]
+) -> _Array:
+    """(C, free numbers): what the scores of the other free numbers explain of each of C."""
+    found = np.zeros((places.size, free.size))
+    information = weighted[:, free].T @ scores[:, free]
+    cross = bounded[:, places].T @ weighted[:, free]
     for k, place in enumerate(places.tolist()):
-        others = free[free != place]
-        inner = np.linalg.pinv(scaled[np.ix_(others, others)], rcond=1e-8, hermitian=True)
-        turned[k, others] = -(scaled[place, others] @ inner) * scale[place] / scale[others]
-    return turned
-
-
-def _sums(unit: NDArray[np.intp], values: _Array, count: int) -> _Array:
-    return np.stack([np.bincount(unit, column, count) for column in values.T], axis=1)
+        others = np.flatnonzero(free != place)
+        found[k, others] = cross[k, others] @ inverse(information[np.ix_(others, others)])
+    return found

@@ -4,9 +4,10 @@ A dataset enters, a `Unit` for each sensor of each vehicle leaves. Nothing but t
 """
 
 import re
+from hashlib import sha256
 from pathlib import Path, PurePath
 
-from msp_lab.fleet.unit import Unit
+from msp_lab.fleet.fits import Unit
 from msp_lab.readings.dataset import is_dataset, origin, sensors_by_run
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
@@ -52,8 +53,9 @@ def units_of(dataset: Path, pattern: str | None, seed: int) -> list[Unit]:
     for run, sensors in sensors_by_run(dataset).items():
         for sensor in sensors:
             sessions.setdefault((vehicle_of[run], sensor), []).append(run)
+    version = _version(dataset)
     return [
-        Unit(dataset, vehicle, sensor, tuple(sorted(sessions[vehicle, sensor], key=natural)), seed)
+        Unit(dataset, vehicle, sensor, tuple(sorted(sessions[vehicle, sensor], key=natural)), seed, version)
         for vehicle, sensor in sorted(sessions, key=lambda each: (natural(each[0]), natural(each[1])))
     ]
 
@@ -68,6 +70,12 @@ def natural(name: str) -> list[tuple[int, int | str]]:
     """
     parts = re.findall(r"\d+|\D+", name)
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
+
+
+def _version(dataset: Path) -> str:
+    """Another one whenever a file of the dataset is."""
+    about = [(str(path), path.stat()) for path in sorted(dataset.rglob("*"))]
+    return sha256(repr([(name, each.st_size, each.st_mtime_ns) for name, each in about]).encode()).hexdigest()
 
 
 def _vehicle(run: str, file: str, pattern: str | None) -> str:

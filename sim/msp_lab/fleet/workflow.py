@@ -13,7 +13,7 @@ import numpy as np
 import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.meta import shrunk
-from msp_lab.fleet.search import Finding, Search
+from msp_lab.fleet.search import FleetFinding, Search
 from msp_lab.fleet.statistics import Number, numbers_of, series_of
 from msp_lab.fleet.terms import FleetTerm, effect_of
 from msp_lab.fleet.unit import UnitScores, examine
@@ -22,7 +22,7 @@ from msp_lab.fleet.words import plain_of, sentence_of
 from msp_lab.gap.problem import Progress
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model, load_model
-from msp_sim.workers import Outcome, Workers
+from msp_sim.workers import ItemOutcome, Workers
 
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
@@ -66,11 +66,11 @@ def find_in_fleet(
     compared = load_model(model)
     every = units_of(dataset, pattern, seed)
 
-    def run(function: Callable[[Model, Any], Any], items: Sequence[Any]) -> Iterator[Outcome[Any]]:
+    def run(function: Callable[[Model, Any], Any], items: Sequence[Any]) -> Iterator[ItemOutcome[Any]]:
         return where.map(function, items, compared, what="sensors")
 
     units, scores, left_out = [], [], []
-    for unit, each in zip(every, run(examine, [(unit, ()) for unit in every]), strict=True):
+    for unit, each in zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True):
         if each.value is not None:
             units.append(unit)
             scores.append(each.value)
@@ -97,7 +97,7 @@ def find_in_fleet(
         sensors=len(units),
         sessions=sum(len(each.sessions) for each in search.scores),
         readings=sum(int(each.readings.sum()) for each in search.scores),
-        effects=tuple(effects) or (_effect(search, Finding("calibration", FleetTerm("offset", "value"), (), ())),),
+        effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), (), ())),),
         found=len(effects),
         left_out=tuple(left_out),
         fdr=fdr,
@@ -116,7 +116,7 @@ def _untestable(scores: Sequence[UnitScores]) -> tuple[tuple[str, tuple[str, ...
     return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
 
 
-def _effect(search: Search, finding: Finding) -> FleetEffect:
+def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
     effect = effect_of(finding.term.effect)
     parameter = next(each for each in effect.parameters if each.name == finding.term.number)
     alternatives = tuple((term.effect, lost) for term, lost in finding.alternatives)
@@ -168,7 +168,7 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
         scores = search.scores
     else:
         lacking = [k for k in range(len(search.units)) if not search.fits(k, term)]
-        added = search.examined(lacking, [(*own, term) for own in search.terms])
+        added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
         again = dict(zip(lacking, added, strict=True))
         scores = [again.get(k, each) for k, each in enumerate(search.scores)]
     same = replace(term, start=0.0)
@@ -176,7 +176,7 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
 
 
 def _changed(
-    search: Search, finding: Finding, unit_label: str, alternatives: tuple[tuple[str, float], ...]
+    search: Search, finding: FleetFinding, unit_label: str, alternatives: tuple[tuple[str, float], ...]
 ) -> FleetEffect:
     change, unit = finding.change, finding.units[0]
     assert change is not None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from msp_lab.gap.measures import HeldOutReadings
 from msp_sim.model.history import History
@@ -51,7 +51,7 @@ class Autocorrelation:
 def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Autocorrelation:
     """Correlation of each residual with that of the same sensor and run some readings before."""
     n = len(readings)
-    residual = np.clip(norm.ppf(places(model, readings, rng)), -FARTHEST, FARTHEST)
+    residual = np.clip(ndtri(places(model, readings, rng)), -FARTHEST, FARTHEST)
     residual -= residual.mean()
     variance = max(float(np.mean(residual**2)), 1e-12)
     before, _ = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))

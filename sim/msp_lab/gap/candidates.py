@@ -17,11 +17,10 @@ from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
 from msp_lab.readings.others import OTHERS
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Contribution, Effect, Parameter, Scene
+from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
-from msp_sim.model.rows import ModelRows
-from msp_sim.model.slopes import score_of_component, score_of_fault
+from msp_sim.model.rows import ModelRows, score_of_component, score_of_fault
 
 _Array = NDArray[np.float64]
 Key = tuple[str, str | None]
@@ -87,6 +86,11 @@ class CandidateEffect:
     def linear(self) -> bool:
         """It mixes something into the probability."""
         return bool({"component", "code"} & set(self.effect.channels))
+
+    @property
+    def is_rare(self) -> bool:
+        """It acts on single improbable readings: its score may promise more than it gains."""
+        return self.linear or self.odds is not None
 
     @property
     def is_base(self) -> bool:
@@ -192,12 +196,6 @@ def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
     return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
 
 
-def change_of(scene: Scene, active: Term) -> Contribution:
-    """What an effect changes; where its contexts make no sense, NaN without a warning."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        return active.effect.apply(scene, active.values)
-
-
 def score_of(
     candidate: CandidateEffect, rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes
 ) -> _Array:
@@ -208,7 +206,7 @@ def score_of(
     score = np.zeros(reading_cm.size)
     if known is False:
         return score
-    change = change_of(scene, active)
+    change = active.change(scene)
     step = active.values[parameter.name] - candidate.neutral
     for i, channel in enumerate(CHANNELS):
         moved = getattr(change, FIELDS[channel])

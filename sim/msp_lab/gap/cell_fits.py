@@ -15,8 +15,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
 from msp_lab.gap.prepared import CHANNELS
-from msp_sim.model.rows import ModelRows
-from msp_sim.model.slopes import slopes
+from msp_sim.model.rows import ModelRows, slopes
 
 _Array = NDArray[np.float64]
 

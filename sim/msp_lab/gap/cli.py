@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import typer
 
 from msp_range.extras import require
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.cli import Jobs, OwnEffects, Scheduler
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ Reference = Annotated[
     Path, typer.Option("--model", metavar="MODEL.yaml", help="sensor model to compare the readings with")
 ]
 Alpha = Annotated[float, typer.Option(min=0.0001, max=0.5, help="family-wise false-positive rate")]
-MaxEffects = Annotated[int, typer.Option(min=0, max=20, help="largest number of effects to add")]
+MaxEffects = Annotated[int, typer.Option(min=0, max=100, help="largest number of effects to add")]
 Seed = Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")]
 RunColumn = Annotated[str | None, typer.Option(help="column that names the runs (default: 'run', else each file)")]
 ColumnMaps = Annotated[
@@ -109,7 +109,8 @@ def _from_readings(last: Last) -> Callable[..., None]:
         from msp_lab.gap.findings import Settings
         from msp_lab.logs.cli import with_logs_imported
 
-        settings = Settings(str(model), alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
+        file = str(config_path(model, "sensors"))
+        settings = Settings(file, alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
         if each is not None:
             _run_separately(measured, settings, out, effects, each, truth, until, jobs, scheduler)
             return

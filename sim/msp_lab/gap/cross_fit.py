@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import BASE, Prepared, channel_slopes
+from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem
-from msp_lab.gap.refit import JointFit, free_numbers, refit, with_values
+from msp_lab.gap.refit import JointFit, free_numbers, inverse, refit, with_values
 from msp_lab.gap.splits import Splits
 
 _Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def recalibrated(parts: Sequence[CrossScore], runs: NDArray[np.bool_]) -> float:
     fitted = np.array([each.base for each in parts])
     whole = information.sum(axis=0)
     prior = np.where(np.diag(whole) > 0.0, prior, 0.0)
-    base = _inverse(whole + np.diag(prior)) @ (slope + np.einsum("kij,kj->ki", information, fitted)).sum(axis=0)
+    base = inverse(whole + np.diag(prior)) @ (slope + np.einsum("kij,kj->ki", information, fitted)).sum(axis=0)
     moved = base - fitted
     # Without what the priors take: an effect may move the base by more than they expect.
     gained = (slope * moved).sum() - 0.5 * np.einsum("ki,kij,kj->", moved, information, moved)
@@ -164,8 +164,7 @@ class SumsByRun:
         least = 1e-6 * np.diag(np.diag(everywhere))
         in_runs = self.information[:, own][:, :, own]
         variances = [
-            np.einsum("ij,rji->r", _inverse(each + least), in_runs)
-            for each in (everywhere, self._known(~left_out, own))
+            np.einsum("ij,rji->r", inverse(each + least), in_runs) for each in (everywhere, self._known(~left_out, own))
         ]
         known, without = variances
         share: _Array = np.where(without > 0.0, known / np.where(without > 0.0, without, 1.0), 1.0)
@@ -175,7 +174,7 @@ class SumsByRun:
         """Information of these runs about some of the free numbers, with all others free."""
         whole = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
         cross = whole[np.ix_(own, ~own)]
-        known: _Array = whole[np.ix_(own, own)] - cross @ _inverse(whole[np.ix_(~own, ~own)]) @ cross.T
+        known: _Array = whole[np.ix_(own, own)] - cross @ inverse(whole[np.ix_(~own, ~own)]) @ cross.T
         return known
 
     def step(self, runs: NDArray[np.bool_]) -> _Array:
@@ -187,13 +186,13 @@ class SumsByRun:
         for k, (_, parameter) in enumerate(free_numbers(self.fit.effects), len(BASE)):
             low[k], high[k] = parameter.low, parameter.high
         least, most = (bound[self.free] - self.fit.values[self.free] for bound in (low, high))
-        step: _Array = _inverse(information) @ slope
+        step: _Array = inverse(information) @ slope
         beyond = (step < least) | (step > most)
         step = np.clip(step, least, most)
         if beyond.any():
             slope = slope[~beyond] - information[np.ix_(~beyond, beyond)] @ step[beyond]
             step[~beyond] = np.clip(
-                _inverse(information[np.ix_(~beyond, ~beyond)]) @ slope, least[~beyond], most[~beyond]
+                inverse(information[np.ix_(~beyond, ~beyond)]) @ slope, least[~beyond], most[~beyond]
             )
         return step
 
@@ -249,7 +248,7 @@ class SumsByRun:
                 break
         # One step is no fit where the likelihood is far from a quadratic.
         fit = refit(fitted, effects, base, rules.PART_ROUNDS)
-        here = channel_slopes(left_out.at(fit.base, fit.effects), left_out.reading_cm)
+        here = left_out.slopes(fit.base, fit.effects)
         left_out_runs = parts.runs(split, part)
         log_p = np.zeros(self.unit.size)
         log_p[rows] = here.log_p
@@ -270,10 +269,3 @@ def _sums(scores: _Array, unit: NDArray[np.intp], runs: int) -> tuple[_Array, _A
     order = np.argsort(unit, kind="stable")
     of_runs = np.split(scores[order], np.cumsum(np.bincount(unit, minlength=runs))[:-1])
     return np.array([each.sum(axis=0) for each in of_runs]), np.array([each.T @ each for each in of_runs])
-
-
-def _inverse(information: _Array) -> _Array:
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
-    inverse: _Array = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-8, hermitian=True)
-    inverse /= np.outer(scale, scale)
-    return inverse

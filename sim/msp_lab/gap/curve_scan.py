@@ -7,17 +7,18 @@ column, and by every pair of columns: a curve's score is the channel's score tim
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
+from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, KnotWeights, Variables
 from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
-from msp_sim.effects.base import REFERENCE_STD
-from msp_sim.effects.curve import CurveChannel, Knots, Ripple, hats
+from msp_lab.gap.refit import JointFit, sums_by
+from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
+from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
 _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
@@ -135,24 +136,35 @@ def _knots(values: _Array, count: int) -> tuple[float, ...]:
     return tuple(round(float(each), digits) for each in middle)
 
 
+Asked: TypeAlias = tuple[Variables, tuple[tuple[Any, ...], ...]]
+"""Variables of a curve, and its knots over each."""
+
+
 @dataclass(frozen=True)
 class CurveWeights:
-    """Variables and knots of the curves that can be asked for, and the weights of the knots for each reading.
+    """Curves that can be asked for, and the weights of their knots for each reading.
 
-    Weights have single precision, as a scan takes as long as it takes to read them: sums of 20,000 are then off by less
-    than a thousandth of their standard error.
+    Attributes
+    ----------
+    curves
+        Variables and knots of each.
+    forms
+        Of each curve, its knots' weights at all knots of its columns, about their mean over the readings of which the
+        columns are known, (knots of its columns, its knots): that they are known is no dependence on them.
+    columns, pairs
+        Weights of all knots, over one column and over two.
     """
 
-    curves: tuple[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]], ...]
-    weights: tuple[NDArray[np.float32], ...]
+    curves: tuple[Asked, ...]
+    forms: tuple[_Array, ...]
+    columns: KnotsOfColumns
+    pairs: KnotsOfPairs
 
 
 def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None) -> CurveWeights:
     """Every column that varies, as a curve and as a step, and every pair of them; `unit` numbers the runs."""
     places = variables_of(contexts, unit)
-    asked: list[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]] = [
-        ((name,), (knots,)) for name, sizes in places.items() for knots in sizes
-    ]
+    asked: list[Asked] = [((name,), (knots,)) for name, sizes in places.items() for knots in sizes]
     for name in places:
         column = np.asarray(contexts[name])
         asked += [((name,), (pair,)) for pair in (steps_of(column) if column.dtype.kind == "f" else [])]
@@ -166,31 +178,34 @@ def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None)
     return weights_of(contexts, list(dict.fromkeys(asked)))
 
 
-def weights_of(
-    contexts: Mapping[str, Any], asked: Sequence[tuple[tuple[str, ...], tuple[tuple[Any, ...], ...]]]
-) -> CurveWeights:
+def weights_of(contexts: Mapping[str, Any], asked: Sequence[Asked]) -> CurveWeights:
     """Curves over these variables with these knots, and the weights of the knots for each reading."""
-    single: dict[tuple[str, tuple[Any, ...]], _Array] = {}
-    weights = []
-    for variables, knots in asked:
-        weight = np.ones((1, 1))
-        for name, its_knots in zip(variables, knots, strict=True):
-            if (name, its_knots) not in single:
-                column = np.asarray(contexts[name])
-                known = (column != "") if column.dtype.kind == "U" else np.isfinite(column)
-                single[name, its_knots] = hats(contexts, [name], [its_knots]) * known[:, None]
-            own = single[name, its_knots]
-            weight = (weight[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
-        # About their mean where the column is known: that it is known is no dependence on it.
-        known = weight.sum(axis=1) > 0.0
-        weights.append(np.where(known[:, None], weight - weight[known].mean(axis=0), 0.0).astype(np.float32))
-    return CurveWeights(tuple(asked), tuple(weights))
+    singles, in_pairs = (_columns(contexts, [each for each in asked if len(each[0]) == count]) for count in (1, 2))
+    one = np.ones((np.shape(contexts[TRUE_RANGE])[0], 1))
+    columns, pairs = KnotsOfColumns(singles), KnotsOfPairs.of(in_pairs, one.size)
+    readings = columns.sums(one) | pairs.sums(one)
+    forms = []
+    for names, knots in asked:
+        places = singles if len(names) == 1 else in_pairs
+        own = [places[name].curve(each) for name, each in zip(names, knots, strict=True)]
+        form = own[0] if len(own) == 1 else np.kron(*own)
+        mean = form.T @ readings[names][:, 0]
+        forms.append(form - mean / max(mean.sum(), 1e-300))
+    return CurveWeights(tuple(asked), tuple(forms), columns, pairs)
+
+
+def _columns(contexts: Mapping[str, Any], asked: Sequence[Asked]) -> dict[str, ColumnWeights]:
+    """The columns of these curves, with all their knots."""
+    knots: dict[str, list[tuple[Any, ...]]] = {}
+    for names, own in asked:
+        for name, each in zip(names, own, strict=True):
+            knots.setdefault(name, []).append(each)
+    return {name: ColumnWeights.of(np.asarray(contexts[name]), some) for name, some in knots.items()}
 
 
 def scan(
     asked: CurveWeights,
-    here: ChannelSlopes,
-    nuisance: _Array,
+    fit: JointFit,
     unit: NDArray[np.intp] | None,
     channels_asked: Sequence[CurveChannel] = CHANNELS,
 ) -> list[CandidateCurve]:
@@ -200,92 +215,147 @@ def scan(
     ----------
     asked
         Curves that can be asked for, on n readings.
-    here
-        Slopes of n readings by the channels at the fit.
-    nuisance
-        Scores of all that is fitted and not held at a bound, (n, numbers).
+    fit
+        Of n readings. What is fitted and not held at a bound is nuisance, with the information of its prior: of a class
+        of readings that never came only the prior is known, and its scores would stand for any channel's.
     unit
         Run of each reading, where the run is the unit of evidence.
     channels_asked
         Which of the five channels.
     """
-    own = nuisance[:, np.sqrt(np.mean(nuisance**2, axis=0)) > 1e-9]
-    own = own / np.sqrt((own**2).sum(axis=0))
-    inner = np.linalg.pinv(own.T @ own, rcond=1e-8, hermitian=True)
-    sums = own.sum(axis=0)
-    carries = here.carry is not None
-    units = None if unit is None else _ones(unit)
-    own_of_units = None if units is None else units @ own
+    here = fit.here
+    free = ~fit.held & (np.sqrt(np.mean(fit.scores**2, axis=0)) > 1e-9)
+    norm = np.sqrt((fit.scores[:, free] ** 2).sum(axis=0))
+    own, left_over = fit.scores[:, free] / norm, fit.at.gradient[free] / norm
+    inner = np.linalg.pinv(fit.information[np.ix_(free, free)] / np.outer(norm, norm), rcond=1e-8, hermitian=True)
     found = []
     for channel in channels_asked:
         slope = here.by[:, CHANNELS.index(channel)]
         if not np.any(slope):
             continue
         events = float(slope @ slope)
-        expected = slope**2
-        if channel in ODDS_CHANNELS:
-            share = here.shares[:, ODDS_CHANNELS.index(channel)]
-            expected = share * (1.0 - share) * events / float((share * (1.0 - share)).sum())
-        # What is rare varies as the fit says where it never came, and as it came where it came more often.
-        deviation = np.sqrt(0.5 * (slope**2 + expected)).astype(np.float32)
-        sloped = np.column_stack([slope, own * slope[:, None]]).astype(np.float32)
-        of_units = None if units is None else units.multiply(slope[None, :]).tocsr()
-        for (variables, knots), weight in zip(asked.curves, asked.weights, strict=True):
-            if weight.shape[1] > rules.MAX_KNOTS[channel] or events < rules.MIN_EVENTS_PER_KNOT * weight.shape[1]:
-                continue
-            if carries and channel in ("bias", "spread"):
-                score = np.column_stack([here.score(CHANNELS.index(channel), each) for each in weight.T])
-                total, cross = score.sum(axis=0), own.T @ score
-                squares, sums_of_units = score.T @ score, None if units is None else units @ score
-            else:
-                total, *cross = (sloped.T @ weight).astype(np.float64)
-                scattered = weight * deviation[:, None]
-                squares = (scattered.T @ scattered).astype(np.float64)
-                sums_of_units = None if of_units is None else of_units @ weight
-            carried = inner @ np.array(cross)
-            by_unit = None if sums_of_units is None else sums_of_units - own_of_units @ carried
-            statistic, degrees = _statistic(
-                total - carried.T @ sums, squares, squares - np.array(cross).T @ carried, by_unit
-            )
+        sizes = {k: form.shape[1] for k, form in enumerate(asked.forms)}
+        most = min(rules.MAX_KNOTS[channel], events / rules.MIN_EVENTS_PER_KNOT)
+        wanted = [k for k, size in sizes.items() if size <= most]
+        of_pairs = any(len(asked.curves[k][0]) > 1 for k in wanted)
+        weights = (asked.columns, asked.pairs) if of_pairs else (asked.columns,)
+        sums = _Sums.of(weights, here, channel, own, unit)
+        of_channel: dict[int, tuple[float, int]] = {}
+        for size in dict.fromkeys(sizes[k] for k in wanted):
+            these = [k for k in wanted if sizes[k] == size]
+            forms = [(asked.forms[k], asked.curves[k][0]) for k in these]
+            totals = np.array([form.T @ sums.totals[names] for form, names in forms])
+            squares = np.array([form.T @ sums.squares[names] @ form for form, names in forms])
+            cross = totals[:, :, 1:]
+            carried = cross @ inner
+            total = totals[:, :, 0] - carried @ left_over
+            taken = carried @ np.swapaxes(cross, 1, 2)
+            if sums.expected:
+                # Each projected by itself: what came leaves less than nothing of what was expected elsewhere.
+                shares = np.array([form.T @ sums.expected[names] for form, names in forms])
+                taken = 0.5 * (taken + shares[:, :, None] * shares[:, None, :])
+            efficient = squares - taken
+            by_unit = None
+            if unit is not None:
+                by_unit = np.array([sums.by_unit[names] @ form for form, names in forms])
+                by_unit -= sums_by(unit, own) @ np.swapaxes(carried, 1, 2)
+            of_channel |= zip(these, _statistics(total, squares, efficient, by_unit), strict=True)
+        for k in wanted:
+            statistic, degrees = of_channel[k]
             log_p = log_p_of(statistic, degrees) if degrees else 0.0
-            found.append(CandidateCurve(channel, variables, knots, 0.5 * statistic, degrees, log_p))
+            found.append(CandidateCurve(channel, *asked.curves[k], 0.5 * statistic, degrees, log_p))
     return sorted(found, key=lambda each: each.log_p + each.cost_nats)
 
 
-def _ones(unit: NDArray[np.intp]) -> csr_matrix:
-    """(units, n): which readings are of which."""
-    return csr_matrix((np.ones(unit.size), (unit, np.arange(unit.size))))
+@dataclass(frozen=True)
+class _Sums:
+    """Sums of a channel's scores at all knots, by the variables that they are over.
+
+    Attributes
+    ----------
+    totals
+        Of the scores, and of their products with what is fitted, (knots, 1 + numbers).
+    squares
+        Of their products two by two, as they vary where nothing is missing, (knots, knots).
+    by_unit
+        Of the scores over runs, (runs, knots); empty where readings are the unit of evidence.
+    expected
+        Of an odds' scores, of what the fit expects of their products with the odds' own number, over its deviation,
+        (knots,); empty for other channels.
+    """
+
+    totals: Mapping[Variables, _Array]
+    squares: Mapping[Variables, _Array]
+    by_unit: Mapping[Variables, _Array]
+    expected: Mapping[Variables, _Array]
+
+    @classmethod
+    def of(
+        cls,
+        weights: Sequence[KnotWeights],
+        here: ChannelSlopes,
+        channel: CurveChannel,
+        fitted: _Array,
+        unit: NDArray[np.intp] | None,
+    ) -> "_Sums":
+        """Of all readings."""
+        by_share: dict[Variables, _Array] = {}
+        own, carried = here.parts(CHANNELS.index(channel))
+        scores, varies = np.column_stack([own, fitted * own[:, None]]), own**2
+        if channel in ODDS_CHANNELS:
+            share = here.shares[:, ODDS_CHANNELS.index(channel)]
+            expected = share * (1.0 - share) * float(varies.sum()) / float((share * (1.0 - share)).sum())
+            # What is rare varies as the fit says where it never came, and as it came where it came more often.
+            varies = 0.5 * (varies + expected)
+            for each in weights:
+                by_share |= each.sums(expected[:, None] / np.sqrt(expected.sum()))
+        if carried is not None and here.carry is not None:
+            before, n = here.carry.before, own.size
+            of_before = carried[:, None] * np.column_stack([np.ones(n), fitted])
+            scores -= np.column_stack([np.bincount(before, each, n) for each in of_before.T])
+            varies += np.bincount(before, carried**2, n)
+        totals: dict[Variables, _Array] = {}
+        squares: dict[Variables, _Array] = {}
+        by_unit: dict[Variables, _Array] = {}
+        for each in weights:
+            totals |= each.sums(scores)
+            squares |= each.products(varies)
+            if carried is not None and here.carry is not None:
+                crossed = each.products(own * carried, here.carry.before)
+                squares |= {key: squares[key] - both - both.T for key, both in crossed.items()}
+            if unit is not None:
+                by_unit |= each.by_unit(scores[:, 0], unit)
+        return cls(totals, squares, by_unit, {key: each[:, 0] for key, each in by_share.items()})
 
 
-def _statistic(total: _Array, squares: _Array, efficient: _Array, by_unit: _Array | None) -> tuple[float, int]:
-    """A curve's chi-squared, and how many directions of it the nuisance leaves.
+def _statistics(total: _Array, squares: _Array, efficient: _Array, by_unit: _Array | None) -> list[tuple[float, int]]:
+    """Chi-squared of each curve, and how many directions of it the nuisance leaves.
 
     Parameters
     ----------
     total
-        Sums of the knots' scores, less their projection on the nuisance, (k,).
+        Sums of the knots' scores, less their projection on the nuisance, (curves, k).
     squares, efficient
-        Their variance before and after that projection, (k, k).
+        Their variance before and after that projection, (curves, k, k).
     by_unit
-        Their sums over runs, (units, k), where those are the unit.
+        Their sums over runs, (curves, units, k), where those are the unit.
     """
-    scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
-    values, vectors = np.linalg.eigh(efficient / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(np.diagonal(squares, axis1=1, axis2=2), 1e-300))
+    values, vectors = np.linalg.eigh(efficient / (scale[:, :, None] * scale[:, None, :]))
     clear = values > rules.CLEAR_DIRECTION
-    degrees = int(clear.sum())
-    if degrees == 0:
-        return 0.0, 0
-    turned = vectors[:, clear] / np.sqrt(values[clear])
-    z = turned.T @ (total / scale)
+    degrees = clear.sum(axis=1)
+    turned = np.where(clear, 1.0 / np.sqrt(np.where(clear, values, 1.0)), 0.0)[:, None, :] * vectors
+    z = np.einsum("cij,ci->cj", turned, total / scale)
     if by_unit is not None:
-        of_runs = (by_unit / scale) @ turned
-        of_runs = of_runs - of_runs.mean(axis=0)
-        units = of_runs.shape[0]
-        variance = (of_runs**2).sum(axis=0) * units / max(units - 1, 1)
+        of_runs = (by_unit / scale[:, None, :]) @ turned
+        of_runs = of_runs - of_runs.mean(axis=1, keepdims=True)
+        units = of_runs.shape[1]
+        variance = (of_runs**2).sum(axis=1) * units / max(units - 1, 1)
         # Pooled over the curve's directions: with few runs each alone is known too badly.
-        z = z / np.sqrt(np.maximum(np.maximum(variance, variance.mean()), 1.0))
-        z = z * np.sqrt(max(units - 1 - degrees, 1) / units)
-    return float(z @ z), degrees
+        pooled = variance.sum(axis=1) / np.maximum(degrees, 1)
+        z = z / np.sqrt(np.maximum(np.maximum(variance, pooled[:, None]), 1.0))
+        z = z * np.sqrt(np.maximum(units - 1 - degrees, 1) / units)[:, None]
+    return list(zip((z**2).sum(axis=1).tolist(), degrees.tolist(), strict=True))
 
 
 def log_p_of(statistic: float, degrees: int) -> float:

@@ -9,12 +9,12 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtri, fdtrc
 
 from msp_lab.gap import curve_scan, rules
-from msp_lab.gap.candidates import SelectedTerm, change_of
+from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
+from msp_lab.gap.evidence import share_between, wanders
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
@@ -31,7 +31,8 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     """
     problem.report("searching what no effect explains", 0.5)
     for _ in range(min(most, rules.MAX_CURVES)):
-        forms = free_curves(problem, state)
+        # As for effects, runs count in the evidence after a refit: of few runs a scan over them asks more than that.
+        forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.some_unit))
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
         if found is None and state.by_run:
@@ -56,6 +57,8 @@ def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve]
         if not _is_unlikely(form, asked):
             return None
         there = _with_curve(problem, state, _placed(problem, state, form))
+        if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, form):
+            continue
         statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
         if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
             return there
@@ -70,8 +73,7 @@ def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCu
     at = float(np.mean(column[np.isfinite(column)] <= np.mean(np.asarray(form.knots[0]))))
     near = curve_scan.steps_of(column, max(at - 1.0 / rules.STEPS, 0.0), min(at + 1.0 / rules.STEPS, 1.0))
     asked = curve_scan.weights_of(problem.some_contexts, [(form.variables, (each,)) for each in near])
-    fit, unit = state.fit, problem.some_unit if state.by_run else None
-    best = curve_scan.scan(asked, fit.here, fit.scores[:, ~fit.held], unit, (form.channel,))
+    best = curve_scan.scan(asked, state.fit, problem.some_unit if state.by_run else None, (form.channel,))
     return best[0] if best and best[0].log_p < form.log_p else form
 
 
@@ -79,14 +81,24 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
     """With a curve that differs from run to run, next to which readings are independent."""
     forms = free_curves(problem, state, ("bias", "spread"), by_run=False)
     for form in forms[: rules.CURVES_BETWEEN_RUNS]:
-        if form.degrees >= _places(problem, form) // rules.CURVE_RUNS_PER_DEGREE or not _is_unlikely(form, asked):
+        if _has_few_places(problem, form) or not _is_unlikely(form, asked):
             continue
         there = _with_curve(problem, state, form)
         gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) * problem.scale / form.degrees
         left = max(problem.runs - 2 - form.degrees, 1)
-        if problem.dependence(there.fit).independent and fisher.sf(gained, form.degrees, left) < rules.CURVE_P / asked:
+        if problem.dependence(there.fit).independent and fdtrc(form.degrees, left, gained) < rules.CURVE_P / asked:
             return replace(there, by_run=False)
     return None
+
+
+def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
+    """Whether a curve moves whole runs more than readings inside them."""
+    return share_between(state.fit, there.fit, problem.some_unit) > rules.CURVE_OF_RUNS_SHARE
+
+
+def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
+    """Whether the runs are at too few places of a curve to say anything of its form."""
+    return form.degrees >= _places(problem, form) // rules.CURVE_RUNS_PER_DEGREE
 
 
 def _places(problem: Problem, form: CandidateCurve) -> int:
@@ -117,7 +129,7 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
         return state
     numbers = sum(1 + len(each.candidate.shape) for each in named if each.candidate is not None)
     p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
-    least = 0.5 * float(chi2.isf(p_value, max(form.degrees - numbers, 1))) - 0.5 * max(len(named) - 1, 0)
+    least = 0.5 * float(chdtri(max(form.degrees - numbers, 1), p_value)) - 0.5 * max(len(named) - 1, 0)
     better = loss(problem, state.fit, there) > form.cost_nats + least
     return there if better else state
 
@@ -164,7 +176,7 @@ def merge_cancelling(problem: Problem, state: State) -> State:
 def _bias_cm(problem: Problem, term: SelectedTerm) -> NDArray[np.float64]:
     """What a term adds to the hits of each reading that is refitted [cm]."""
     scene = problem.some.scene
-    added_cm = change_of(scene, term.active).bias_cm
+    added_cm = term.active.change(scene).bias_cm
     bias_cm = np.nan_to_num(np.where(applies(scene, term.active), added_cm, 0.0))
     return np.broadcast_to(bias_cm, (len(problem.some),))
 

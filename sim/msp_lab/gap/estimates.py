@@ -9,17 +9,17 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from msp_lab.gap import experiment, rules
-from msp_lab.gap.candidates import Key, SelectedTerm
+from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
 from msp_lab.gap.labels import unit_of
-from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
-from msp_lab.gap.refit import JointFit, knot_weights
+from msp_lab.gap.refit import JointFit
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
 from msp_sim.effects import CATALOGUE
@@ -31,6 +31,9 @@ _Array = NDArray[np.float64]
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
 STEP_SHARE = 0.01
 """Two knots that are closer than this share of the column's span are a step, and are written as one."""
+AT_BOUND = 1e-3
+"""A number within this share of its parameter's range of a bound is at it. Fits end there to 1e-6; larger: numbers that
+are near a bound are only suggested."""
 RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
 """Periods of a ripple that are drawn, and points of its curve: it goes on like that."""
 
@@ -59,7 +62,7 @@ class FinalFit:
         """With errors by whole runs, of which there are few, or by readings."""
         covariance = fit.covariance(unit if by_run else None)
         runs = int(np.unique(unit).size)
-        width = float(student.isf(0.025, max(runs - 1, 1))) if by_run else 1.959964
+        width = -float(stdtrit(max(runs - 1, 1), 0.025)) if by_run else 1.959964
         return cls(readings, fit, covariance * width**2, width)
 
     @property
@@ -97,7 +100,8 @@ def found_terms(
         if term.candidate is not None:
             name, neutral = term.candidate.parameter.name, term.candidate.neutral
             low, high = values[name].low, values[name].high
-            if low is not None and high is not None and low <= neutral <= high:
+            is_small = low is not None and high is not None and low <= neutral <= high
+            if is_small or _is_of_all(term.candidate, values[name].value):
                 values[name] = _by_likelihood(term, active, final)
         base = active.effect.base
         if base is not None and not near:
@@ -121,6 +125,9 @@ def found_terms(
                 active.of,
                 doubt,
                 splits_agree=validated.agree[term.key],
+                in_model=any(
+                    (each.effect.name, each.of) == (active.effect.name, active.of) for each in problem.model.effects
+                ),
             )
         )
     return effects, unknown, calibration
@@ -129,16 +136,14 @@ def found_terms(
 def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedValue:
     """A strength with the interval in which the likelihood falls by no more than that of 95 %, all else held.
 
-    For a strength whose standard error says nothing: odds that are as good as 0 or 1 do not change with it any more.
+    For a strength whose standard error says nothing: odds that are as good as 0 or 1 do not change with it any more,
+    and a share of all readings is at its bound.
     """
     assert term.candidate is not None
     parameter, neutral = term.candidate.parameter, term.candidate.neutral
     value = active.values[parameter.name]
-    grid = np.unique(
-        np.clip(
-            neutral + (value - neutral) * np.append(np.geomspace(0.01, 10.0, 40), 0.0), parameter.low, parameter.high
-        )
-    )
+    parts = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 40), 1.0 - np.geomspace(1e-5, 0.1, 40)])
+    grid = np.unique(np.clip(neutral + (value - neutral) * parts, parameter.low, parameter.high))
     k = final.fit.effects.index(active)
     heights = []
     for each in grid:
@@ -149,14 +154,20 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
 
 
+def _is_of_all(candidate: CandidateEffect, share: float) -> bool:
+    """Whether it is a fault of the code that all readings have: a bound at which its share may well be."""
+    return "code" in candidate.effect.channels and share > candidate.parameter.high - AT_BOUND
+
+
 def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
     """Why an effect is only suggested; empty where it is a finding."""
     assert term.candidate is not None
     parameter = term.candidate.parameter
     found = values[parameter.name]
     neutral = term.candidate.neutral
-    near = 1e-3 * (parameter.high - parameter.low)
+    near = AT_BOUND * (parameter.high - parameter.low)
     at_bound = min(found.value - parameter.low, parameter.high - found.value) < near
+    at_bound = at_bound and not _is_of_all(term.candidate, found.value)
     if found.low is None or found.high is None or (at_bound and abs(found.value - neutral) > near):
         return f"{parameter.name} is at its bound, {found.value:.3g}"
     if found.low <= neutral <= found.high:
@@ -164,6 +175,10 @@ def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
     if parameter.physical_low is not None and found.value < parameter.physical_low:
         causes = " or ".join(term.active.effect.equivalent_causes)
         return f"{parameter.name} cannot be {found.value:.3g}: {causes or 'another cause'} would explain it"
+    for shape in term.active.effect.parameters if term.candidate.linear else ():
+        if shape.unit == "cm" and shape.high - values[shape.name].value < 1e-3 * (shape.high - shape.low):
+            # An echo that is nowhere in particular is no echo: its place or width explains what others leave.
+            return f"{shape.name} is at its bound, {values[shape.name].value:.3g} cm"
     return ""
 
 

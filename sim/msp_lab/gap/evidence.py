@@ -14,10 +14,11 @@ runs. So a gain counts for at least what its own scatter over whole runs says: t
 sums by run, relative to that of as many independent readings, again by Student's t.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
-from scipy.stats import t as student
+from scipy.special import chdtrc, ndtri, stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.refit import JointFit
@@ -29,19 +30,49 @@ RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 """Variances between runs at which the likelihood is computed, over the variance within them."""
 
 
-def offset_nats(fit: JointFit, unit: NDArray[np.intp], scale: float) -> float:
-    """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
+@dataclass(frozen=True)
+class _Offsets:
+    """Normal offsets of the runs, of the best deviation.
+
+    Attributes
+    ----------
+    nats
+        What they add to the log-likelihood if they are integrated out, at least 0 [nat].
+    slope_removed
+        Of each run with readings its mean slope, as far as an offset accounts for it, (runs,); 0 for the others.
+    """
+
+    nats: float
+    slope_removed: _Array
+
+
+def _offsets(fit: JointFit, unit: NDArray[np.intp], scale: float) -> _Offsets:
     slope = fit.here.by[:, 0]
     counts = np.bincount(unit).astype(float)
-    counts, sums = counts[counts > 0.0], np.bincount(unit, slope)[counts > 0.0]
-    between = sums**2 / counts
+    mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
+    between = counts * mean**2
     within = float((slope**2).sum() - between.sum())
     if within <= 0.0:
-        return 0.0
+        return _Offsets(0.0, np.zeros(counts.size))
     shrunk = 1.0 + scale * RATIO_GRID[:, None] * counts
     spread = within + (between / shrunk).sum(axis=1)
     gained = scale * slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
-    return 0.5 * float(gained.max(initial=0.0))
+    best = int(gained.argmax())
+    if gained[best] <= 0.0:
+        return _Offsets(0.0, np.zeros(counts.size))
+    return _Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
+
+
+def offset_nats(fit: JointFit, unit: NDArray[np.intp], scale: float) -> float:
+    """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
+    return _offsets(fit, unit, scale).nats
+
+
+def _log_p_beside_offsets(fit: JointFit, unit: NDArray[np.intp], offsets: _Offsets) -> _Array:
+    """Log-likelihood of each reading with its run's offset taken off, by a quadratic in that offset, (n,)."""
+    slope, removed = fit.here.by[:, 0], offsets.slope_removed[unit]
+    log_p: _Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
+    return log_p
 
 
 def share_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
@@ -63,29 +94,37 @@ def _residual(fit: JointFit) -> _Array:
 def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
     """By how much a slow wander inside runs makes the gain scatter more than that of independent readings, at least 1.
 
-    Each run is cut into `WANDER_BLOCKS` blocks of consecutive readings. Where the blocks' sums of the slopes scatter
-    about their run's mean beyond random variation, readings wander, and the gain counts by the scatter of its own block
-    sums.
+    Where readings wander, the gain counts by the scatter of its own sums over blocks of consecutive readings.
+    """
+    return _inflation(smaller, larger, blocks_of(unit)) if wanders(larger, unit) else 1.0
+
+
+def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
+    """Whether readings wander slowly inside runs.
+
+    Each run is cut into `WANDER_BLOCKS` blocks of consecutive readings, whose sums of the slopes then scatter about
+    their run's mean beyond random variation.
     """
     blocks = blocks_of(unit)
-    slope = larger.here.by[:, 0]
+    slope = fit.here.by[:, 0]
     counts = np.maximum(np.bincount(unit), 1)
     centred = slope - (np.bincount(unit, slope) / counts)[unit]
     size = np.bincount(blocks)
     sums = np.bincount(blocks, centred)[size > 0]
     freedom = sums.size - int(np.unique(unit).size)
     if freedom < 1:
-        return 1.0
+        return False
     variance = float((centred**2).mean()) or 1.0
     scatter = float((sums**2 / (size[size > 0] * variance)).sum())
-    if float(chi2.sf(scatter, freedom)) > rules.WANDER_P:
-        return 1.0
-    return _inflation(smaller, larger, blocks)
+    return float(chdtrc(freedom, scatter)) <= rules.WANDER_P
 
 
 def _inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
     """Variance of the gain's sums over units against that of as many independent readings, at least 1."""
-    gain = larger.here.log_p - smaller.here.log_p
+    return _inflation_of(larger.here.log_p - smaller.here.log_p, unit)
+
+
+def _inflation_of(gain: _Array, unit: NDArray[np.intp]) -> float:
     gain = gain - gain.mean()
     whole = float((gain**2).sum())
     return max(float((np.bincount(unit, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
@@ -95,8 +134,8 @@ def _by_scatter(nats: float, runs: int) -> float:
     """A gain whose error is known from so many runs, as that of one whose error is known."""
     if runs < 3 or nats <= 0.0:
         return 0.0
-    log_p = float(student.logsf(np.sqrt(2.0 * nats), runs - 2))
-    return 0.5 * float(norm.isf(np.exp(max(log_p, -700.0)))) ** 2
+    p_value = max(float(stdtr(runs - 2, -np.sqrt(2.0 * nats))), 1e-304)
+    return 0.5 * float(ndtri(p_value)) ** 2
 
 
 def blocks_of(unit: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -142,15 +181,18 @@ def evidence_nats(
 def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> float:
     """By how much one of two fits with as many numbers is ahead of the other [nat]; negative if it is behind.
 
-    Where the run is the unit, by the scatter of the difference over runs (Vuong 1989, Econometrica 57, 307). Their
-    gains over a third fit do not compare: offsets of runs may stand in for most of either, by a quadratic that is rough
-    where that fit is far off.
+    Where the run is the unit, the runs' offsets are integrated out of both, and the rest counts by the scatter of the
+    difference over runs (Vuong 1989, Econometrica 57, 307). An offset times what two names differ by on the average of
+    its run is most of that scatter: a thermometer and a scale on days from cold to warm, each with an offset.
     """
     plain = one.log_likelihood - other.log_likelihood
     if unit is None:
         return plain
+    of_one, of_other = (_offsets(fit, unit, 1.0) for fit in (one, other))
+    nats = plain + of_one.nats - of_other.nats
+    gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
     runs = int(np.unique(unit).size)
-    return float(np.copysign(_by_scatter(abs(plain) / _inflation(other, one, unit), runs), plain))
+    return float(np.copysign(_by_scatter(abs(nats) / _inflation_of(gain, unit), runs), nats))
 
 
 def _between(nats: float, runs: int) -> float:

@@ -4,7 +4,7 @@ A state enters, a better one leaves, and for each term its alternatives: candida
 refit of their own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,40 +79,45 @@ def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> St
 def exchange(
     problem: Problem, state: State, needed_nats: float
 ) -> tuple[State, dict[Key, tuple[AlternativeTerm, ...]]]:
-    """Try each term against all candidates: a better one takes its place, others that do as well are alternatives."""
-    alternatives: dict[Key, tuple[AlternativeTerm, ...]] = {}
-    for turn in range(rules.EXCHANGE_TURNS):
-        alternatives = {}
-        better: State | None = None
+    """Try each term against all candidates until none is better; what does as well is an alternative.
+
+    The same terms are not taken twice, so that it ends.
+    """
+    visited: set[frozenset[Key]] = set()
+    while True:
+        visited.add(state.keys)
+        alternatives: dict[Key, tuple[AlternativeTerm, ...]] = {}
         for k, term in enumerate(state.terms):
             if term.candidate is None:
                 continue
-            problem.report(f"looking for alternatives to {term.key[0]}", 0.6 + 0.1 * turn)
-            better, near = _in_its_place(problem, state, k, needed_nats)
+            problem.report(f"looking for alternatives to {term.key[0]}", 0.6)
+            better, near = _in_its_place(problem, state, k, needed_nats, visited)
             if better is not None:
                 problem.report(f"{better.terms[-1].key[0]} in place of {term.key[0]}", 0.65)
+                state = better
                 break
             alternatives[term.key] = near
-        if better is None:
-            break
-        state = better
-    return state, alternatives
+        else:
+            return state, alternatives
 
 
 def _in_its_place(
-    problem: Problem, state: State, k: int, needed_nats: float
+    problem: Problem, state: State, k: int, needed_nats: float, visited: Set[frozenset[Key]]
 ) -> tuple[State | None, tuple[AlternativeTerm, ...]]:
     """The state with a better candidate in place of the k-th term; None and its alternatives where there is none."""
     term = state.terms[k]
     less = without(problem, state, k)
     own = loss(problem, less.fit, state)
     within_nats, within_share = rules.EXCHANGE_WITHIN
-    seen = screened(problem, less)
+    # As in the search: readings propose, and runs count in the evidence after a refit.
+    seen = screened(problem, less, by_run=False)
     found = trials(problem, less, seen, max(within_nats, within_share * own), rules.EXCHANGE_KEEPS * needed_nats)
 
     same = [state.fit, *(each.fit for each in found if each.term.key == term.key)]
     own_fit = max(same, key=lambda each: each.log_likelihood)
-    others = [each for each in found if each.term.key != term.key]
+    # What counts for less than its likelihood, as repeats do where nothing moves, does not count for more here.
+    enough_nats = rules.EXCHANGE_KEEPS * needed_nats
+    others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
     last = len(less.terms)
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
     own /= problem.scale
@@ -127,15 +132,20 @@ def _in_its_place(
             # It explains something else: it is added, and takes nobody's place.
             return -np.inf
         nats += term.cost_nats - other.term.cost_nats
-        return nats + rules.BASE_PREFERENCE_NATS * (other.term.is_base - term.is_base)
+        return nats + rules.BASE_PREFERENCE_NATS * other.term.is_base
 
     leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]
-    if leads and max(leads) > rules.EXCHANGE_LEAD_NATS:
-        best = others[int(np.argmax(leads))]
+    if term.is_base:
+        related = [each for each, nats in zip(others, leads, strict=True) if np.isfinite(nats)]
+        unseen = [each for each in related if state.keys | {each.term.key} not in visited]
+        return _next_to_base(problem, state, unseen, needed_nats), ()
+    takes = [
+        -np.inf if less.keys | {each.term.key} in visited else nats for each, nats in zip(others, leads, strict=True)
+    ]
+    if takes and max(takes) > rules.EXCHANGE_LEAD_NATS:
+        best = others[int(np.argmax(takes))]
         better = less.having(best.fit, [*less.terms, best.term])
         return better.logging(f"{best.term.label} in place of {term.label}"), ()
-    if term.is_base:
-        return None, ()
     lost = [
         max(own - problem.evidence_nats(less.fit, each.fit, state.by_run) / problem.scale, -nats)
         for each, nats in zip(others, ahead, strict=True)
@@ -145,6 +155,24 @@ def _in_its_place(
         for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
         if nats <= rules.ALTERNATIVE_NATS and other.term.active.effect.name != term.active.effect.name
     )
+
+
+def _next_to_base(problem: Problem, state: State, others: Sequence[CandidateFit], needed_nats: float) -> State | None:
+    """The state with the first effect that gains enough next to a number of the base that says nearly the same.
+
+    Neither takes the other's place: alone, tails of the noise explain most of a slip and a slip most of the tails. The
+    screen next to one of them promises too little of the other, as both have to move.
+    """
+    for other in others:
+        candidate = other.term.candidate
+        if candidate is None or other.term.is_base:
+            continue
+        fit = problem.refit([*state.fit.effects, other.term.active], state.fit.base)
+        gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run) - candidate.cost_nats
+        if gained >= needed_nats:
+            added = state.having(fit, [*state.terms, SelectedTerm(fit.effects[-1], candidate)])
+            return added.logging(f"added {other.term.label} next to a number of the base")
+    return None
 
 
 def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[float]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import SelectedTerm, change_of
+from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem
@@ -86,7 +86,7 @@ def _templates(scene: Scene, each: Term, weights: _Array) -> _Array:
     templates = np.zeros((n, len(CHANNELS) + 1))
     if known is False:
         return templates
-    change = change_of(scene, each)
+    change = each.change(scene)
     for i, channel in enumerate(CHANNELS):
         moved = getattr(change, FIELDS[channel])
         if moved is not None:

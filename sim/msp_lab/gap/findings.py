@@ -4,21 +4,9 @@ The steps of the workflow fill these records in; the terminal, the report and ot
 computes or decides. A number that is not known is None.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
 from typing import Literal, TypeAlias
-
-from pydantic import TypeAdapter, ValidationError
-
-from msp_range.input_file import read_text
-from msp_range.yaml_file import ConfigError
-
-NUMBERS = "gap.json"
-LARGEST_BYTES = 64 * 2**20
-"""A larger file was not written by the gap workflow, whose files have 0.1 to 1 MB."""
 
 Verdict: TypeAlias = Literal["nothing missing", "absorbed", "explained", "improved", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
@@ -147,6 +135,8 @@ class FoundEffect:
         What was found, in words for a pilot.
     next_step
         What to do next.
+    in_model
+        Whether the given model has it too: the parameters are what comes on top.
     """
 
     name: str
@@ -161,6 +151,7 @@ class FoundEffect:
     plain: str = ""
     next_step: str = ""
     splits_agree: float | None = None
+    in_model: bool = False
 
 
 @dataclass(frozen=True)
@@ -418,74 +409,3 @@ class GapFindings:
     date: str = ""
     model_sha256: str = ""
     version: str = ""
-
-
-@cache
-def findings_form() -> TypeAdapter[GapFindings]:
-    """Reads and writes findings."""
-    return TypeAdapter(GapFindings)
-
-
-def as_json(findings: GapFindings) -> str:
-    """Findings as JSON, numbers to seven digits; what is not finite is null.
-
-    Examples
-    --------
-    >>> found = GapFindings("nothing missing", rows=2000, runs=10)
-    >>> from_json(as_json(found)) == found
-    True
-    """
-    content = json.loads(findings_form().dump_json(findings), parse_float=lambda number: float(f"{float(number):.7g}"))
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
-
-
-def from_json(text: str) -> GapFindings:
-    """`as_json` backwards.
-
-    Raises
-    ------
-    ValueError
-        It is no such JSON.
-    """
-    try:
-        return findings_form().validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"not written by msp-lab gap: {place + ': ' if place else ''}{first['msg']}") from None
-
-
-def write_findings(findings: GapFindings, folder: Path) -> Path:
-    """Write ``gap.json`` into a folder; an older one is replaced.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be written.
-    """
-    path = folder / NUMBERS
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(as_json(findings), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-    return path
-
-
-def read_findings(folder: Path) -> GapFindings:
-    """Read ``gap.json`` of a folder.
-
-    Raises
-    ------
-    ConfigError
-        There is none, or it is none.
-    """
-    path = folder / NUMBERS
-    try:
-        return from_json(read_text(path, LARGEST_BYTES))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; 'msp-lab compare' or 'msp-lab gap' makes it") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None

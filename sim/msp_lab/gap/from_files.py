@@ -5,7 +5,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
-from msp_lab.gap.findings import Settings, as_json
+from msp_lab.gap.findings import Settings
+from msp_lab.gap.findings_file import as_json
 from msp_lab.gap.steps import Steps
 from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
 from msp_range.clock import SystemClock

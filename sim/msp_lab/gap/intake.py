@@ -1,12 +1,12 @@
-"""What a model is compared with: the readings of the laboratory's one intake, put onto the model's grid.
+"""What a model is compared with: the readings of the laboratory's one intake, put onto the model's grid, and split.
 
 Files enter, the rows that can be compared leave, with what was noticed: rows without an answer or a true range are left
 out, readings finer than the model's grid are rounded onto it, and point masses that the model does not declare are set
-aside as calibration.
+aside as calibration. Runs are split before anything is looked at.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.findings import CalibrationFinding, ReadingsFile
+from msp_lab.gap.blank_cells import KnownRows
+from msp_lab.gap.cells import Partition, partitions, varying
+from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
+from msp_lab.gap.measures import HeldOutReadings, usable
+from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
+from msp_lab.readings.intake import PREVIOUS, load_readings, time_order, whole_cm
 from msp_lab.readings.resolution import step_of
 from msp_lab.readings.suspicious import suspicious
 from msp_range.reading_model.sensor_model import SATURATED_CM
@@ -25,6 +29,7 @@ from msp_sim.effects.base import REFERENCE, REFERENCE_STD
 from msp_sim.model.model import Model
 
 _Words = NDArray[np.str_]
+NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD})
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
 
@@ -98,8 +103,107 @@ def read_readings(
     data, codes = _without_codes(data, model)
     constant = _constant(data)
     messages = (*loaded.messages, *left_out, *copies, *suspicious(loaded.data))
-    messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"]))
+    messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"], data["time_s"]))
     return Readings(data, sources, (*calibration, *codes), messages, constant)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Readings and the model that they are compared with.
+
+    Attributes
+    ----------
+    model
+        The given model, without kinds of reading at a share of 0.
+    data
+        All columns of all readings, by name.
+    splits
+        Of the runs.
+    held_out
+        The held-out readings that are measured on; the model can give all of them.
+    partitions
+        Slices of those.
+    impossible
+        Share of the held-out readings that the model cannot give.
+    settings, readings
+        What was asked for, and the readings as they were read.
+    messages
+        What was noticed.
+    """
+
+    model: Model
+    data: Mapping[str, NDArray[Any]]
+    splits: Splits
+    held_out: HeldOutReadings
+    partitions: list[Partition]
+    impossible: float
+    settings: Settings
+    readings: Readings
+    messages: tuple[str, ...]
+
+    @classmethod
+    def of(cls, readings: Readings, model: Model, settings: Settings) -> "Comparison":
+        """Split the runs, and take the held-out readings to measure on.
+
+        Parameters
+        ----------
+        readings
+            From `read_readings`.
+        model
+            The given model.
+        settings
+            With the random seed.
+        """
+        model, messages = with_least_weights(model)
+        data = dict(readings.data.columns)
+        parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
+        rows = np.flatnonzero(parts.held_out)
+        rows = rows[:: max(1, -(-rows.size // rules.MAX_MEASURED))]
+        contexts = {name: column[rows] for name, column in data.items()}
+        held_out = HeldOutReadings(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
+        can = usable(model, held_out)
+        held_out = held_out.take(can)
+        names = [name for name in varying(held_out.contexts) if name not in NO_SLICES]
+        return cls(
+            model,
+            data,
+            parts,
+            held_out,
+            partitions(held_out.contexts, names),
+            float(1.0 - can.mean()),
+            settings,
+            readings,
+            (*readings.messages, *messages, *parts.messages),
+        )
+
+    def known_to(self, model: Model) -> "Comparison":
+        """The comparison on those held-out readings of which the columns are known that a model's effects need."""
+        contexts = self.held_out.contexts
+        rows = KnownRows.of(model, self.data).needed(model, contexts).rows
+        if rows.all():
+            return self
+        return replace(
+            self, held_out=self.held_out.take(rows), partitions=[each.take(rows) for each in self.partitions]
+        )
+
+
+def with_least_weights(model: Model) -> tuple[Model, list[str]]:
+    """The model with no kind of reading at a share of 0, and a message if that changed it."""
+    weights = model.sensor.reading_model.weights
+    shares = weights.model_dump()
+    missing = [name for name, share in shares.items() if share < rules.MIN_WEIGHT]
+    if not missing:
+        return model, []
+    raised = {name: max(share, rules.MIN_WEIGHT) for name, share in shares.items()}
+    total = sum(raised.values())
+    changed = weights.model_copy(update={name: share / total for name, share in raised.items()})
+    mixture = model.sensor.reading_model.model_copy(update={"weights": changed})
+    sensor = model.sensor.model_copy(update={"reading_model": mixture})
+    text = (
+        f"The model gives {' and '.join(missing)} readings a share of 0; {rules.MIN_WEIGHT:g} is used, since a reading "
+        "of probability 0 would decide the comparison alone."
+    )
+    return replace(model, sensor=sensor), [text]
 
 
 def _compared_rows(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
@@ -133,17 +237,17 @@ def _previous_on_grid(reading_cm: NDArray[np.float64], previous_cm: NDArray[np.f
 
     Where nearly all repeats are exact, all count (`rules.EXACT_REPEATS`).
     """
-    whole_cm = np.rint(previous_cm)
-    repeats = np.rint(reading_cm) == whole_cm
+    whole = whole_cm(previous_cm)
+    repeats = whole_cm(reading_cm) == whole
     differs = repeats & (np.abs(reading_cm - previous_cm) > SAME_CM)
     if differs.sum() <= (1.0 - rules.EXACT_REPEATS) * repeats.sum():
-        return whole_cm
-    return whole_cm + np.where(differs, np.where(previous_cm < reading_cm, -1.0, 1.0), 0.0)
+        return whole
+    return whole + np.where(differs, np.where(previous_cm < reading_cm, -1.0, 1.0), 0.0)
 
 
 def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:
     reading_cm = data["reading_cm"]
-    whole = np.rint(reading_cm)
+    whole = whole_cm(reading_cm)
     off = reading_cm != whole
     if not off.any():
         return data, _coarse(reading_cm, model)
@@ -230,12 +334,32 @@ def _about_contexts(constant: Sequence[tuple[str, str]]) -> list[str]:
     return found
 
 
-def _about_runs(run: _Words) -> list[str]:
+def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
     runs = np.unique(run).size
     if runs >= rules.MIN_RUNS:
         return []
     what = "1 run" if runs == 1 else f"{runs} runs"
+    order = np.lexsort((time_s, np.unique(run, return_inverse=True)[1]))
+    pauses = int(np.sum((np.diff(time_s[order]) > rules.PAUSE_S) & (run[order][1:] == run[order][:-1])))
+    hint = (
+        f" There are {pauses} pauses of over {rules.PAUSE_S:g} s: if flights lie between them, number them in a column"
+    )
     return [
         f"Found {what}: what is constant in a run but differs between runs (an offset of a session, a thermometer) "
         "is not identifiable; blocks of readings are used in place of runs."
+        + (f"{hint} and give it as --map run=COLUMN." if pauses else "")
     ]
+
+
+def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
+    """Runs, or where they are few, blocks of consecutive readings of them."""
+    names, unit, counts = np.unique(runs, return_inverse=True, return_counts=True)
+    if names.size >= rules.UNITS_FROM_RUNS:
+        return np.asarray(unit, dtype=np.intp)
+    length = max(int(np.ceil(runs.size / rules.UNIT_BLOCKS)), rules.MIN_BLOCK_READINGS)
+    place = np.zeros(runs.size, dtype=np.intp)
+    for i in range(names.size):
+        rows = np.flatnonzero(unit == i)
+        place[rows] = np.arange(rows.size) // length
+    _, blocks = np.unique(unit * (int(counts.max()) // length + 1) + place, return_inverse=True)
+    return np.asarray(blocks, dtype=np.intp)

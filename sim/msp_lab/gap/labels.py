@@ -126,10 +126,15 @@ def parameter_words(name: str, value: FittedValue) -> str:
     --------
     >>> parameter_words("offset_cm", FittedValue(1.512, 1.06, 1.95, "cm"))
     'offset_cm 1.51 cm (1.06 to 1.95)'
+    >>> parameter_words("share", FittedValue(1.0, 0.99965, 1.0, "1"))
+    'share 1 (0.99965 to 1)'
     """
     unit = "" if value.unit in ("1", "") else f" {value.unit}"
-    known = value.low is not None and value.high is not None
-    interval = f" ({value.low:.3g} to {value.high:.3g})" if known else " (at its bound)"
+    interval = ""
+    if value.low is not None and value.high is not None:
+        ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
+        low, high = next((each for each in ends if each[0] != each[1]), ends[-1])
+        interval = f" ({low} to {high})"
     return f"{name} {value.value:.3g}{unit}{interval}"
 
 

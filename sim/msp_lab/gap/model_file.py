@@ -73,22 +73,22 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str, f
 
 
 def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
-    """The entries of the added effects with intervals and evidence; those of the given model stay."""
+    """The entries of the added effects, which are the last ones, with intervals and evidence."""
     effects = {(each.name, each.of): each for each in findings.effects}
     curves = {(each.channel, each.variables, each.period): each for each in findings.unknown}
     found = []
-    for entry in entries:
-        effect = effects.get((entry["name"], entry.get("of")))
+    for entry in reversed(entries):
+        effect = effects.pop((entry["name"], entry.get("of")), None)
         knots = entry.get("knots", [None])[0]
         period = knots["period"] if isinstance(knots, dict) else None
-        curve = curves.get((entry.get("channel", ""), tuple(entry.get("variables", ())), period))
-        if effect is not None and "evidence" not in entry:
+        curve = curves.pop((entry.get("channel", ""), tuple(entry.get("variables", ())), period), None)
+        if effect is not None:
             values = {name: _value(name, value, effect) for name, value in entry.get("parameters", {}).items()}
             entry = {**entry, "parameters": values, "evidence": _of_effect(effect, findings)}
-        elif curve is not None and "evidence" not in entry:
+        elif curve is not None:
             entry = {**entry, "evidence": _of_curve(curve, findings)}
         found.append(entry)
-    return found
+    return found[::-1]
 
 
 def _value(name: str, value: float, effect: FoundEffect) -> Any:

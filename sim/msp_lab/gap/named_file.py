@@ -11,7 +11,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from msp_lab.gap.extended_model import entry_of, to_sensor
-from msp_lab.gap.findings import LARGEST_BYTES, GapFindings, findings_form
+from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings_file import LARGEST_BYTES, findings_form
 from msp_lab.gap.naming import ExtendedModels, ModelStep
 from msp_range.input_file import read_text
 from msp_range.reading_model.sensor_model import SensorModel

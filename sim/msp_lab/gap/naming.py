@@ -1,10 +1,10 @@
-"""From readings to the named model: the statistics of the gap workflow, step by step.
+"""What is missing from a model, by name: the step name of the gap workflow, and its statistics in their order.
 
 A model, readings with their contexts and splits of their runs enter; a `NamedModel` leaves. Terms are selected and
 fitted on all runs, and kept only if nearly all splits agree: each part scores better for them by a fit of the others.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -12,18 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
+from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
 from msp_lab.gap.extended_model import extended
-from msp_lab.gap.findings import CalibrationFinding, FoundEffect, NotTestable, UnknownEffect
+from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
+from msp_lab.gap.intake import Comparison
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, Progress, State
-from msp_lab.gap.refit import JointFit, refit
+from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import previous
 from msp_lab.gap.selection import Selection, select, settled
 from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
-from msp_lab.readings.intake import PREVIOUS
+from msp_lab.readings.intake import PREVIOUS, whole_cm
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -93,6 +95,50 @@ class NamedModel:
     messages: tuple[str, ...] = ()
 
 
+def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:
+    """Name what is missing, with alternatives; splits of the runs validate it."""
+    known = KnownRows.of(comparison.model, comparison.data)
+    named = _name_rows(comparison, known.rows, known.unasked, report)
+    needed = known.needed(named.models.final_fit, comparison.data)
+    if needed.rows.sum() > known.rows.sum():
+        # Columns that no effect needs may be blank, so that there are more readings.
+        unneeded = [*known.unasked, *(each for each in known.columns if each not in needed.columns)]
+        named = replace(_name_rows(comparison, needed.rows, unneeded, report), not_testable=named.not_testable)
+        needed = needed.needed(named.models.final_fit, comparison.data)
+    blank = [f"{each} is blank in most readings, so nothing is asked of it." for each in known.unasked]
+    findings = replace(
+        findings,
+        effects=named.effects,
+        unknown=named.unknown,
+        calibration=(*findings.calibration, *named.calibration),
+        not_testable=named.not_testable,
+        detectable=named.detectable,
+        p_value=named.p_value,
+        messages=(
+            *findings.messages,
+            *named.messages,
+            *filter(None, (needed.message, *blank)),
+            *(f"{term} was dropped: {why}." for term, why in named.dropped),
+        ),
+    )
+    return findings, named.models
+
+
+def _name_rows(comparison: Comparison, rows: NDArray[np.bool_], without: Sequence[str], report: Progress) -> NamedModel:
+    """What is missing, from some of the readings and without some of the columns."""
+    settings = comparison.settings
+    return name_effects(
+        comparison.model,
+        {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
+        comparison.data["reading_cm"][rows],
+        comparison.splits.take(rows),
+        np.random.default_rng([settings.seed, 2]),
+        alpha=settings.alpha,
+        max_terms=settings.max_effects,
+        report=lambda what, share: report(what, 0.2 + 0.6 * share),
+    )
+
+
 def name_effects(
     model: Model,
     contexts: Mapping[str, Any],
@@ -120,14 +166,15 @@ def name_effects(
     alpha
         Probability of any false name.
     max_terms
-        At most so many effects and curves.
+        At most so many effects and curves: a limit on the time, as each of them has to pass the same tests.
     report
         Reports what is being done, and which share of it is done.
     """
-    reading_cm = np.rint(np.asarray(reading_cm, dtype=np.float64))
-    columns = {PREVIOUS: previous(contexts, reading_cm), **contexts}
+    reading_cm = whole_cm(reading_cm)
+    if PREVIOUS not in contexts:
+        contexts = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)
-    problem = Problem.of(model, columns, reading_cm, splits.unit, rng, alpha, report)
+    problem = Problem.of(model, contexts, reading_cm, splits.unit, rng, alpha, report)
     selection = select(problem, max_terms)
     report("validating on splits of the runs", 0.85)
     selection, kept = _validated(problem, selection, splits)
@@ -199,16 +246,20 @@ def _named(problem: Problem, selection: Selection, kept: Validated, splits: Spli
         tuple(effects),
         tuple(unknown),
         tuple(calibration),
-        tuple(
-            NotTestable(effect, absent, f"{' and '.join(absent)} not recorded") for effect, absent in problem.untestable
-        ),
+        tuple(_not_testable(effect, absent) for effect, absent in problem.untestable),
         "run" if by_run else "reading",
         selection.first.p_value,
         detectable(problem, selection.first),
         gained,
         kept.dropped,
-        tuple(_messages(problem, selection.base.fit, by_run)),
+        tuple(_messages(problem, selection, by_run)),
     )
+
+
+def _not_testable(effect: str, absent: Sequence[str]) -> NotTestable:
+    """With the columns to record: the reading before each is known where the times are."""
+    columns = tuple("time_s" if each == PREVIOUS else each for each in absent)
+    return NotTestable(effect, columns, f"{' and '.join(columns)} not recorded")
 
 
 def _rows(readings: NDArray[np.intp], most: int) -> NDArray[np.intp]:
@@ -236,11 +287,13 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     return tuple(steps)
 
 
-def _messages(problem: Problem, base: JointFit, by_run: bool) -> list[str]:
-    if not by_run:
-        return []
-    measured = problem.dependence(base)
-    return [
-        f"Readings of a run depend on each other (correlation of neighbours {measured.lag_correlation:.2f}; for a "
-        f"constant they count as {measured.effective_readings:.0f} independent ones): the unit of evidence is the run."
-    ]
+def _messages(problem: Problem, selection: Selection, by_run: bool) -> Iterator[str]:
+    if selection.is_full:
+        yield "As many effects were found as may be added; more may be missing (--max-effects)."
+    if by_run:
+        measured = problem.dependence(selection.base.fit)
+        yield (
+            f"Readings of a run depend on each other (correlation of neighbours {measured.lag_correlation:.2f}; for a "
+            f"constant they count as {measured.effective_readings:.0f} independent ones): the unit of evidence is the "
+            "run."
+        )

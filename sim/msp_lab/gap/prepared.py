@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_range.reading_model.rows import FREE
-from msp_sim.effects.base import Scene
-from msp_sim.effects.curve import CurveChannel
+from msp_sim.effects.base import Parameter, Scene
+from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
 from msp_sim.model.history import MAX_CORRELATION, History
-from msp_sim.model.model import Model, Term, apply_terms, base_rows, history_of
-from msp_sim.model.rows import Carry, ModelRows
-from msp_sim.model.slopes import log_prob, slopes
+from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
+from msp_sim.model.rows import MIN_PROBABILITY, Carry, ModelRows, log_prob, slopes
 
 _Array = NDArray[np.float64]
 
@@ -82,6 +81,69 @@ class Prepared:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
+    def slopes(self, base: _Array, effects: Sequence[Term]) -> "ChannelSlopes":
+        """Derivatives of the log probabilities by the channels and by the base's other numbers."""
+        return channel_slopes(self.at(base, effects), self.reading_cm)
+
+    def slope_of(
+        self, k: int, parameter: Parameter, base: _Array, effects: Sequence[Term], here: "ChannelSlopes"
+    ) -> _Array:
+        """Derivative of each log probability by one number of the k-th effect, (n,); `here` are the slopes there.
+
+        Of a number along which the likelihood jumps it is 0, so that a fit holds it: with a slope that says nothing
+        each step of Newton would fail at any length, and with it that of all other numbers.
+        """
+        if parameter.jumps:
+            return np.zeros(len(self))
+        each = effects[k]
+        value = each.values[parameter.name]
+        step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
+        if value + step > parameter.high:
+            step = -step
+        there = replace(each, values={**each.values, parameter.name: value + step})
+        if each.effect.channels == ("component",):
+            return (self._with_component(each, there, here) - here.log_p) / step
+        if "code" in each.effect.channels or each.effect.name == "run_offsets":
+            return (self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]]) - here.log_p) / step
+        known = applies(self.scene, each)
+        if known is False:
+            return np.zeros(len(self))
+        if each.shape is not None:
+            # Linear in its values: the weights of this knot.
+            weights = knot_weights(self.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
+            return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
+        one, other = each.change(self.scene), there.change(self.scene)
+        slope = np.zeros(len(self))
+        for i, channel in enumerate(CHANNELS):
+            after = getattr(other, FIELDS[channel])
+            if after is not None:
+                template = np.where(known, after - getattr(one, FIELDS[channel]), 0.0) / step
+                slope += here.score(i, np.nan_to_num(template))
+        return slope
+
+    def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> _Array:
+        """Log probabilities with another component in place of one of those at `here`; the rest is not computed again.
+
+        All after the mixture is linear in the probability, so p (1 + sum of the odds) is a sum of the parts.
+        """
+        odds = 1.0 + sum(np.asarray(each.odds) for each in here.rows.added)
+        total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
+        for sign, term in ((-1.0, one), (1.0, other)):
+            rows = apply_terms(replace(here.rows, added=()), self.scene, (term,))
+            for each in rows.added:
+                own = rows.of_readings(self.reading_cm, ModelRows.last_added)[0]
+                odds, total = odds + sign * each.odds, total + sign * each.odds * own
+        return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
+
+
+def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
+    """Weights of a curve's knots, worked out once for a scene."""
+    key = shape[1:]
+    if key not in scene.kept:
+        scene.kept[key] = hats(scene, shape[1], shape[2])
+    weights: _Array = scene.kept[key]
+    return weights
+
 
 def shifted(rows: ModelRows, base: _Array) -> ModelRows:
     """Rows with the base's numbers changed, in the order of `BASE`."""
@@ -132,15 +194,22 @@ class ChannelSlopes:
         With correlated noise the error of the hit before moves with its own template T_j, so that a shift counts as
         T_i - k T_j and a wider spread moves the centre by the error carried over, times L_i - L_j.
         """
-        if self.carry is None or channel > 1:
-            return self.by[:, channel] * template
+        own, carried = self.parts(channel)
+        if carried is None or self.carry is None:
+            return own * template
         template = np.broadcast_to(template, self.log_p.shape)
+        return own * template - carried * template[self.carry.before]
+
+    def parts(self, channel: int) -> tuple[_Array, _Array | None]:
+        """What a channel's template counts, and that of the hit before, with a minus sign; None if it does not."""
+        if self.carry is None or channel > 1:
+            return self.by[:, channel], None
         if channel == 0:
-            return self.own_centre * (template - self.carry.factor * template[self.carry.before])
+            return self.own_centre, self.own_centre * self.carry.factor
         # Of the logarithm of the whole spread, of which the sensor's own is a part.
-        whole = self.rows.within_share * template
-        carried: _Array = self.own_centre * self.carry.shift_cm * (whole - whole[self.carry.before])
-        return self.by[:, 1] * template + carried
+        within = np.broadcast_to(self.rows.within_share, self.log_p.shape)
+        carried = self.own_centre * self.carry.shift_cm
+        return self.by[:, 1] + carried * within, carried * within[self.carry.before]
 
 
 def channel_slopes(rows: ModelRows, reading_cm: _Array) -> ChannelSlopes:
@@ -159,8 +228,29 @@ def channel_slopes(rows: ModelRows, reading_cm: _Array) -> ChannelSlopes:
     return ChannelSlopes(log_p, by, weights[:, 1:] / weights.sum(axis=1, keepdims=True), rows, own_centre, carry)
 
 
-def chunks(contexts: Mapping[str, Any], reading_cm: _Array) -> Iterator[tuple[slice, dict[str, Any], _Array]]:
-    """Parts of the readings that fit into a processor's cache."""
-    for start in range(0, reading_cm.size, CHUNK):
-        part = slice(start, min(start + CHUNK, reading_cm.size))
-        yield part, {name: np.asarray(column)[part] for name, column in contexts.items()}, reading_cm[part]
+@dataclass(frozen=True)
+class ReadingsAtFit:
+    """All readings at a fit, of which a part at a time fits into a processor's cache.
+
+    Attributes
+    ----------
+    model, base, effects
+        The fit.
+    contexts, reading_cm, spacing_s
+        As in `Prepared`.
+    """
+
+    model: Model
+    base: _Array
+    effects: Sequence[Term]
+    contexts: Mapping[str, Any]
+    reading_cm: _Array
+    spacing_s: float | None = None
+
+    def parts(self) -> Iterator[tuple[slice, Prepared, ChannelSlopes]]:
+        """Which readings, prepared, and their slopes."""
+        for start in range(0, self.reading_cm.size, CHUNK):
+            part = slice(start, start + CHUNK)
+            columns = {name: np.asarray(column)[part] for name, column in self.contexts.items()}
+            prepared = Prepared.of(self.model, columns, self.reading_cm[part], self.spacing_s)
+            yield part, prepared, prepared.slopes(self.base, self.effects)

@@ -7,7 +7,7 @@ State to State.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
+from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
 from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_sums, screen
@@ -54,6 +55,8 @@ class Problem:
         Source of the replicates and of the screen's null.
     report
         Reports progress.
+    kept
+        Fits of some of a state's terms: elimination, exchange and validation ask for the same ones.
     """
 
     model: Model
@@ -68,6 +71,7 @@ class Problem:
     alpha: float
     rng: np.random.Generator
     report: Progress
+    kept: dict[Any, JointFit] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -125,10 +129,17 @@ class Problem:
         """How many runs there are."""
         return int(np.unique(self.some_unit).size)
 
+    @property
+    def prior(self) -> _Array:
+        """Precision of the base's prior for each reading that is refitted, (8,)."""
+        return 1.0 / (rules.BASE_DEVIATION**2 * len(self.some))
+
     def information(self, fit: JointFit) -> _Array:
-        """Information per reading at a fit, from simulated readings."""
+        """Information per reading at a fit, from simulated readings and the base's prior."""
         drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.some.spacing_s)
-        return information_of(drawn, fit.base, fit.effects, self.candidates)
+        information = information_of(drawn, fit.base, fit.effects, self.candidates)
+        information[: len(BASE), : len(BASE)] += np.diag(self.prior)
+        return information
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
@@ -150,6 +161,28 @@ class Problem:
         with np.errstate(invalid="ignore"):
             moves = moved_cm >= self.some.rows.sigma_cm
         return self.scale * float((larger.here.log_p - smaller.here.log_p)[moves].sum())
+
+    def candidate_nats(self, smaller: JointFit, larger: JointFit, candidate: CandidateEffect, by_run: bool) -> float:
+        """Evidence for a candidate, the last effect of the larger fit [nat], without the cost of the search."""
+        gained = self.evidence_nats(smaller, larger, by_run)
+        if PREVIOUS in candidate.effect.requires:
+            gained = min(gained, self.gain_where_truth_moves(smaller, larger))
+        share = larger.effects[-1].values[candidate.parameter.name]
+        # What befalls most readings shows by those that it spares, and these are too few to say how they come.
+        if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
+            gained /= self._clumping(larger, candidate)
+        return gained
+
+    def _clumping(self, fit: JointFit, candidate: CandidateEffect) -> float:
+        """How far the readings come in clumps that the last effect of a fit explains."""
+        slope = fit.scores[:, fit.names.index(f"{len(fit.effects) - 1}.{candidate.parameter.name}")]
+        fault, alike = fit.effects[-1].change(self.some.scene).fault, None
+        if fault is not None:
+            received = fault.arrives(self.some.reading_cm)
+            if np.array_equal(fault.arrives(received), received):
+                alike = received
+        run = self.some_contexts["run"] if "run" in self.some_contexts else np.zeros(len(self.some))
+        return clumping(slope, np.unique(run, return_inverse=True)[1], alike)
 
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
@@ -229,17 +262,9 @@ def screened(problem: Problem, state: State, by_run: bool | None = None, sums: S
 
 def scores_at(problem: Problem, state: State) -> ScoreSums:
     """Sums of the scores of all readings by run, at a state."""
-    return score_sums(
-        problem.model,
-        state.fit.base,
-        state.fit.effects,
-        problem.candidates,
-        problem.contexts,
-        problem.reading_cm,
-        problem.unit,
-        state.information,
-        problem.some.spacing_s,
-    )
+    fit, spacing_s = state.fit, problem.some.spacing_s
+    readings = ReadingsAtFit(problem.model, fit.base, fit.effects, problem.contexts, problem.reading_cm, spacing_s)
+    return score_sums(readings, problem.candidates, problem.unit, state.information, problem.prior)
 
 
 def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
@@ -289,21 +314,32 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
             best[candidate.key] = j
     order = sorted(best.values(), key=lambda j: -seen.gain[j])
     found: list[CandidateFit] = []
+    top = 0.0
     for j in order[: rules.REFITS_PER_STEP]:
         candidate = problem.candidates[j]
-        # A screen may promise too much, and of what is large it promises too little.
-        top = min(max([0.0, *(each.gain_nats for each in found)]), seen.gain[order[0]])
         near = top - max(within_nats, rules.REFIT_WITHIN_SHARE * top)
         if seen.gain[j] < least_nats or (found and seen.gain[j] < near):
             break
         fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
-        if candidate.linear and fit.effects[-1].values[candidate.parameter.name] > rules.MAX_COMPONENT_SHARE:
+        if candidate.linear and _replaces_base(problem, fit, candidate):
             continue
-        gained = problem.evidence_nats(state.fit, fit, state.by_run)
-        if PREVIOUS in candidate.effect.requires:
-            gained = min(gained, problem.gain_where_truth_moves(state.fit, fit))
+        gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run)
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
+        # A screen may promise too much, and of what is large it promises too little, of one as of the other.
+        top = max(top, min(found[-1].gain_nats, float(seen.gain[j])))
     return sorted(found, key=lambda each: -each.gain_nats)
+
+
+def _replaces_base(problem: Problem, fit: JointFit, candidate: CandidateEffect) -> bool:
+    """Whether nearly all readings have the last effect of a fit, and it is none of what they are: a component has
+    replaced the base, or a fault leaves most hits as they are."""
+    if fit.effects[-1].values[candidate.parameter.name] <= rules.MAX_COMPONENT_SHARE:
+        return False
+    fault = fit.effects[-1].change(problem.some.scene).fault
+    if fault is None:
+        return True
+    hit_cm = np.rint(np.nan_to_num(problem.some.rows.centre_cm))
+    return float(np.mean(fault.arrives(hit_cm) != hit_cm)) < 0.5
 
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
@@ -358,6 +394,7 @@ def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:
         low, high = min(parameter.grid), max(parameter.grid)
         beyond = (high - low) / 2.0
         places = np.linspace(max(low - beyond, parameter.low), min(high + beyond, parameter.high), rules.SHAPE_STARTS)
+        places = np.array(parameter.grid) if parameter.jumps else places
         shapes += [
             tuple((name, float(f"{place:.4g}") if name == parameter.name else value) for name, value in candidate.shape)
             for place in places
@@ -378,8 +415,11 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     """
     active = [each.active for each in terms]
     bases = (state.fit.base, problem.base.base)
-    heights = [float(problem.some.log_prob(each, active).sum()) for each in bases]
-    return state.having(problem.refit(active, bases[int(np.argmax(heights))]), terms)
+    key = (state.fit.base.tobytes(), *((each.stream, each.shape, *each.values.values()) for each in active))
+    if key not in problem.kept:
+        heights = [float(problem.some.log_prob(each, active).sum()) for each in bases]
+        problem.kept[key] = problem.refit(active, bases[int(np.argmax(heights))])
+    return state.having(problem.kept[key], terms)
 
 
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
@@ -392,5 +432,4 @@ def free_curves(
 ) -> list[CandidateCurve]:
     """Curves that explain what is left, the least likely by random variation first."""
     unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
-    fit = state.fit
-    return curve_scan.scan(problem.curves, fit.here, fit.scores[:, ~fit.held], unit, channels)
+    return curve_scan.scan(problem.curves, state.fit, unit, channels)

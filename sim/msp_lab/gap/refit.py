@@ -4,20 +4,19 @@ Prepared readings and effects enter; values, their information and the log-likel
 with the outer product of the scores, damped so that none makes the fit worse.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import change_of
-from msp_lab.gap.prepared import BASE, CHANNELS, ChannelSlopes, Prepared, channel_slopes
-from msp_sim.effects.base import Parameter, Scene
-from msp_sim.effects.curve import FIELDS, Knots, hats
+from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared
+from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
-from msp_sim.model.model import Term, applies
-from msp_sim.model.slopes import log_prob
+from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
 ROUNDS = 12
@@ -46,14 +45,10 @@ class JointFit:
         Sum over the readings, less what the priors take [nat].
     names, values
         Of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect.
-    information
-        Of them, from the scores and the priors.
-    scores
-        (n, numbers): each reading's derivatives, for errors by runs.
-    held
-        Numbers that are at a bound, or of which the readings say nothing.
     here
         Slopes by channel at the fit.
+    slopes
+        Computes the slopes by the numbers at the fit: most fits are compared by their likelihood alone.
     """
 
     base: _Array
@@ -61,27 +56,62 @@ class JointFit:
     log_likelihood: float
     names: tuple[str, ...]
     values: _Array
-    information: _Array
-    scores: _Array
-    held: NDArray[np.bool_]
     here: ChannelSlopes
+    slopes: Callable[[], "NumberSlopes"]
+
+    @cached_property
+    def at(self) -> "NumberSlopes":
+        """Slopes by the numbers at the fit."""
+        return self.slopes()
+
+    @property
+    def scores(self) -> _Array:
+        """Each reading's derivatives by the numbers, (n, numbers), for errors by runs."""
+        return self.at.scores
+
+    @property
+    def information(self) -> _Array:
+        """Of the numbers, from the scores and the priors."""
+        return self.at.information
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Numbers that are at a bound, or of which the readings say nothing."""
+        return self.at.held
 
     def covariance(self, unit: NDArray[np.intp] | None = None) -> _Array:
         """Of the numbers; with units, of sums over whole units (sandwich)."""
         free = ~self.held
         covariance = np.zeros_like(self.information)
-        inverse = np.linalg.pinv(self.information[np.ix_(free, free)], hermitian=True)
+        of_free = np.linalg.pinv(self.information[np.ix_(free, free)], hermitian=True)
         if unit is not None:
             sums = sums_by(unit, self.scores[:, free])
             units = max(sums.shape[0], 2)
-            inverse = inverse @ (sums.T @ sums * units / (units - 1)) @ inverse
-        covariance[np.ix_(free, free)] = inverse
+            of_free = of_free @ (sums.T @ sums * units / (units - 1)) @ of_free
+        covariance[np.ix_(free, free)] = of_free
         return covariance
 
 
-def sums_by(unit: NDArray[np.intp], scores: _Array) -> _Array:
-    """Sums of the scores over units, shape (units, numbers)."""
-    count = int(unit.max()) + 1 if unit.size else 0
+class NumberSlopes(NamedTuple):
+    """Derivatives by all numbers of a fit: of each reading, their sum with the priors', information, what is held."""
+
+    scores: _Array
+    gradient: _Array
+    information: _Array
+    held: NDArray[np.bool_]
+
+
+def inverse(information: _Array) -> _Array:
+    """Inverse of an information matrix, its numbers first scaled alike; 0 for what the readings say nothing of."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    scales = np.outer(scale, scale)
+    found: _Array = np.linalg.pinv(information / scales, rcond=1e-8, hermitian=True) / scales
+    return found
+
+
+def sums_by(unit: NDArray[np.intp], scores: _Array, units: int | None = None) -> _Array:
+    """Sums of the scores over units, shape (units, numbers); there are as many units as are numbered, unless given."""
+    count = units or (int(unit.max()) + 1 if unit.size else 0)
     return np.stack([np.bincount(unit, column, count) for column in scores.T], axis=1)
 
 
@@ -180,22 +210,23 @@ def refit(
         return with_values(effects, numbers, at[nb:])
 
     def total(at: _Array) -> tuple[float, ChannelSlopes]:
-        here = channel_slopes(prepared.at(at[:nb], placed(at)), prepared.reading_cm)
+        here = prepared.slopes(at[:nb], placed(at))
         return float(here.log_p.sum()) - 0.5 * float(precision @ at**2), here
 
-    def slopes(at: _Array, here: ChannelSlopes) -> tuple[_Array, _Array, _Array, NDArray[np.bool_]]:
-        """Scores, gradient, information, and the numbers that cannot move."""
-        scores = _scores(prepared, at[:nb], placed(at), numbers, here)
+    def slopes(at: _Array, here: ChannelSlopes) -> NumberSlopes:
+        terms = placed(at)
+        columns = [prepared.slope_of(k, p, at[:nb], terms, here) for k, p in numbers]
+        scores = np.column_stack([here.by, *columns])
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)
         held = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
         held |= (np.diag(information) < 1e-9) | (low == high)
-        return scores, gradient, information, held
+        return NumberSlopes(scores, gradient, information, held)
 
     best, here = total(theta)
-    scores, gradient, information, held = slopes(theta, here)
     damping = 1e-3
     for _ in range(rounds):
+        _, gradient, information, held = slopes(theta, here)
         free = ~held
         if not free.any():
             break
@@ -211,13 +242,10 @@ def refit(
                 damping = max(damping / 10.0, 1e-6)
                 break
             damping = max(damping * 10.0, 1e-2)
-        if gained == 0.0:
-            break
-        scores, gradient, information, held = slopes(theta, here)
         if gained < ENOUGH_NATS:
             break
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
-    return JointFit(theta[:nb], placed(theta), best, names, theta, information, scores, held, here)
+    return JointFit(theta[:nb], placed(theta), best, names, theta, here, partial(slopes, theta, here))
 
 
 def _off_neutral(each: Term) -> Term:
@@ -227,53 +255,3 @@ def _off_neutral(each: Term) -> Term:
         if parameter.neutral is not None and values[parameter.name] == parameter.neutral and each.shape is None:
             values[parameter.name] = parameter.neutral + parameter.step
     return replace(each, values=values)
-
-
-def _scores(
-    prepared: Prepared,
-    base: _Array,
-    effects: Sequence[Term],
-    numbers: Sequence[tuple[int, Parameter]],
-    here: ChannelSlopes,
-) -> _Array:
-    columns = [_slope(prepared, base, effects, k, p, here) for k, p in numbers]
-    return np.column_stack([here.by, *columns]) if columns else here.by
-
-
-def _slope(
-    prepared: Prepared, base: _Array, effects: Sequence[Term], k: int, parameter: Parameter, here: ChannelSlopes
-) -> _Array:
-    """Derivative by one number of the k-th effect."""
-    each = effects[k]
-    value = each.values[parameter.name]
-    step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
-    if value + step > parameter.high:
-        step = -step
-    there = replace(each, values={**each.values, parameter.name: value + step})
-    if {"component", "code"} & set(each.effect.channels) or each.effect.name == "run_offsets":
-        moved = log_prob(prepared.at(base, [*effects[:k], there, *effects[k + 1 :]]), prepared.reading_cm)
-        return (moved - here.log_p) / step
-    known = applies(prepared.scene, each)
-    if known is False:
-        return np.zeros(len(prepared))
-    if each.shape is not None:
-        # Linear in its values: the weights of this knot.
-        weights = knot_weights(prepared.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
-        return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
-    one, other = change_of(prepared.scene, each), change_of(prepared.scene, there)
-    slope = np.zeros(len(prepared))
-    for i, channel in enumerate(CHANNELS):
-        after = getattr(other, FIELDS[channel])
-        if after is not None:
-            template = np.where(known, after - getattr(one, FIELDS[channel]), 0.0) / step
-            slope += here.score(i, np.nan_to_num(template))
-    return slope
-
-
-def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
-    """Weights of a curve's knots, worked out once for a scene."""
-    key = shape[1:]
-    if key not in scene.kept:
-        scene.kept[key] = hats(scene, shape[1], shape[2])
-    weights: _Array = scene.kept[key]
-    return weights

@@ -84,6 +84,9 @@ COARSE_SHARE = 0.99
 """Readings are on a coarser grid if this share of them is a multiple of its step. The rest are codes and outliers that
 pass a filter. Lower: a few readings look like a grid."""
 
+PAUSE_S = 30.0
+"""Where there are few runs, times that are farther apart are said to be pauses, which may be between flights [s].
+Lower: a pause in which a log was flushed is said to be one."""
 MIN_COPIED = 20
 """Two runs of at least so many equal readings and true ranges are copies of one. Independent noise of one centimetre
 repeats 20 readings in fewer than one case of 1e9. Fewer: short runs at one place are dropped as copies."""
@@ -178,6 +181,10 @@ differ. Lower: components are named for a few readings at one place."""
 COLLINEAR = 1e-3
 """A candidate of which the base and the accepted terms leave a smaller share of its information is not tested. Its
 number would rest on rounding. Lower: names that are the base's own."""
+PROFILED_Z = 1.0
+"""A candidate whose score is so many standard errors from nothing is asked what it gains. Nothing is refitted for less
+than 1.8 (`EXCHANGE_KEEPS` of what a name needs), and the largest of 60 candidates is below 1 in one table of 1e10.
+Lower: slower, and the same names."""
 SCREEN_DRAWS = 2_000
 """So many draws give the critical value of the largest z. Its 95 % point is then known to 0.03. More: slower."""
 REPLICATE_ROWS = 6_000
@@ -229,6 +236,18 @@ Higher: slower."""
 SCREEN_KEEPS = 0.6
 """A candidate is refitted if the screen promises this share of the gain that it needs. As the last, for weak effects.
 Higher: weak effects are lost."""
+CLUMP_BLOCKS = 8
+"""Readings that a component explains are looked for in clumps of neighbours as long as a run can be cut so that there
+are so many blocks. The variance of eight sums is known to a factor of 1.5. Fewer: longer clumps are seen; more: an
+object that stood there for an eighth of the time counts as many."""
+CLUMP_Z = 3.0
+"""Clumps count if sums over blocks scatter by so many standard errors more than those of independent readings. Of ten
+lengths of blocks the largest is above 3 in one case of 70. Lower: right names lose evidence; higher: an object that
+came a few times is named as one that is always there."""
+CLUMP_MAX_SHARE = 0.6
+"""Clumps are looked for in what a smaller share of the readings has. A table that is rounded to inches throughout has a
+share of 1, at which slopes rest on readings that never came. Lower: an object in the beam of half of the readings is
+taken for a part of the sensor; higher: whole tables of something count for too little."""
 SHAPE_STARTS = 25
 """A refit starts at the best of so many values of a shape's parameter. Ripples and places have many local maxima.
 Fewer: shapes end in the wrong one."""
@@ -280,6 +299,10 @@ MAX_CURVES = 3
 """At most so many curves are added in one go. What needs more has another cause. More: slower."""
 CURVES_BETWEEN_RUNS = 4
 """Where runs differ, so many curves are tried that could explain it. As `CURVES_REFITTED`. More: slower."""
+CURVE_OF_RUNS_SHARE = 0.5
+"""A curve with more of the variance of its shift between runs is one of runs, and has to be known from as many of them.
+One that is known from readings inside runs has less there. Higher: sessions become curves; lower: curves over what
+varies in both are lost where runs are few."""
 CURVE_RUNS_PER_DEGREE = 3
 """A curve that explains differences between runs needs runs at so many places for each degree of freedom. Any curve
 goes through fewer: 29 runs at eight ranges took one of eight knots. Lower: sessions become curves."""
@@ -301,9 +324,6 @@ opposite signs become a curve."""
 
 # Exchange, alternatives, elimination.
 
-EXCHANGE_TURNS = 3
-"""All terms are tried against all others so many times. A second turn for what the first one changed, and one to
-end; 1 and 6 gave the same names on the first six blind tables of seed 7. More: slower."""
 EXCHANGE_WITHIN = (8.0, 0.25)
 """Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
 `ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
@@ -314,8 +334,9 @@ EXCHANGE_LEAD_NATS = 0.3
 """A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
 second best name stays."""
 BASE_PREFERENCE_NATS = 3.0
-"""An effect has to gain so much more than a number of the base in its place. What calibration explains is not missing.
-Lower: offsets of the model and tails of its noise are named effects."""
+"""An effect has to gain so much more than a number of the base in its place; one that does not is asked next to that
+number. What calibration explains is not missing. Lower: offsets of the model and tails of its noise are named effects.
+"""
 RELATED = 0.2
 """Two effects whose scores correlate by less explain different things, and none takes the place of the other. In place
 of tails of the noise (0.01) air temperature was named for runs that wander. Higher: a better name for the same is not

@@ -5,8 +5,7 @@ A fit of all readings enters; the effect `run_offsets` leaves, which no single r
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtrc, fdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.evidence import blocks_of
@@ -43,7 +42,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
         whole_cm2, known_cm2 = float(np.median(rows.sigma_cm**2)), float(np.median(rows.between_cm2))
         of_mean_cm2 = whole_cm2 * problem.runs / len(problem.some)
         times = (share * whole_cm2 + of_mean_cm2) / (known_cm2 + of_mean_cm2)
-        if float(chi2.sf(times * (problem.runs - 1), problem.runs - 1)) > rules.RUN_OFFSETS_P:
+        if float(chdtrc(problem.runs - 1, times * (problem.runs - 1))) > rules.RUN_OFFSETS_P:
             return 0.0
         return float(np.sqrt(share * whole_cm2 - known_cm2))
     whole = float(fit.base[1])
@@ -67,7 +66,7 @@ def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
     between = float((np.bincount(unit, slope - slope.mean()) ** 2 / np.maximum(of_run, 1)).sum()) / (runs - 1)
     about_run = slope - (np.bincount(unit, slope) / np.maximum(of_run, 1))[unit]
     inside = float((np.bincount(block, about_run) ** 2 / of_block).sum()) / (blocks - runs)
-    return float(fisher.sf(between / max(inside, 1e-300), runs - 1, blocks - runs))
+    return float(fdtrc(runs - 1, blocks - runs, between / max(inside, 1e-300)))
 
 
 def validated_run_offsets(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_sim.model.history import History
@@ -78,7 +78,7 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
     sums = np.bincount(run, value)
     statistic = float((sums[present] ** 2 / (counts[present] * variance)).sum())
     runs = int(present.sum())
-    p_between = float(chi2.sf(statistic, max(runs - 1, 1)))
+    p_between = float(chdtrc(max(runs - 1, 1), statistic))
     centred = value - (sums / np.maximum(counts, 1.0))[run]
     same = run[1:] == run[:-1]
     pairs = max(int(same.sum()), 1)

@@ -43,6 +43,8 @@ class Selection:
         What a term has to gain.
     run_offset_cm
         Standard deviation of offsets between runs that the model lacks [cm].
+    is_full
+        The search ended since as many terms were found as may be.
     """
 
     base: State
@@ -51,6 +53,7 @@ class Selection:
     alternatives: dict[Key, tuple[AlternativeTerm, ...]]
     needed_nats: float
     run_offset_cm: float = 0.0
+    is_full: bool = False
 
 
 def select(problem: Problem, max_terms: int) -> Selection:
@@ -69,7 +72,8 @@ def select(problem: Problem, max_terms: int) -> Selection:
             break
         state = reinformed(problem, state)
         seen = screened(problem, state, by_run=False)
-    return settled(problem, Selection(base, state, first, {}, needed_nats))
+    is_full = 0 < max_terms <= len(state.terms)
+    return settled(problem, Selection(base, state, first, {}, needed_nats, is_full=is_full))
 
 
 def settled(problem: Problem, selection: Selection) -> Selection:

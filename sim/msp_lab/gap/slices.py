@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import inflation_of_units, unit_sums
@@ -99,7 +99,7 @@ def _p_of_likelihood(fit: CellFits, k: int, slices: int) -> float:
     """p-value of one of many slices by the likelihood that its free fit gains; not below the bootstrap's smallest."""
     numbers = len(CHANNELS)
     inflation = max(2.0 * fit.noise_nats[k] / numbers, 1.0)
-    p = slices * float(chi2.sf(2.0 * fit.gain_nats[k] / inflation, numbers))
+    p = slices * float(chdtrc(numbers, max(2.0 * fit.gain_nats[k] / inflation, 0.0)))
     return max(p, 1.0 / (rules.SLICE_DRAWS + 1.0))
 
 

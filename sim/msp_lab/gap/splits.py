@@ -119,9 +119,9 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator, run_colum
 
 def _dearer(runs: int) -> float:
     """By how much more standard errors an effect between so few runs needs for the p-value of `rules.DEPENDENT_P`."""
-    from scipy.stats import norm, t
+    from scipy.special import ndtri, stdtrit
 
-    return float(t.isf(rules.DEPENDENT_P, max(runs - 2, 1)) / norm.isf(rules.DEPENDENT_P))
+    return float(stdtrit(max(runs - 2, 1), rules.DEPENDENT_P) / ndtri(rules.DEPENDENT_P))
 
 
 def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[np.str_], n: int) -> NDArray[np.str_]:

@@ -11,15 +11,15 @@ from typing import Literal
 
 from numpy.random import default_rng
 
-from msp_lab.gap import workflow
-from msp_lab.gap.findings import NUMBERS, GapFindings, Settings, read_findings, write_findings
-from msp_lab.gap.intake import read_readings
+from msp_lab.gap import before_after, naming
+from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.findings_file import NUMBERS, read_findings, write_findings
+from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
 from msp_lab.gap.named_file import NAMED, read_named, write_named
 from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.summary import with_words
-from msp_lab.gap.workflow import Comparison
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import sha256
 from msp_range import __version__
@@ -99,13 +99,13 @@ class Steps:
         return findings
 
     def _compare(self, comparison: Comparison) -> GapFindings:
-        findings = workflow.compare(comparison, date_of(self.clock.utc()), self.report)
+        findings = before_after.compare(comparison, date_of(self.clock.utc()), self.report)
         return replace(findings, model_sha256=sha256(Path(findings.settings.model)), version=__version__)
 
     def _name(
         self, comparison: Comparison, findings: GapFindings, started_s: float
     ) -> tuple[GapFindings, ExtendedModels]:
-        findings, models = workflow.name(comparison, findings, self.report)
+        findings, models = naming.name(comparison, findings, self.report)
         findings = self._written(findings, started_s)
         write_named(models, findings, self.folder)
         return findings, models
@@ -113,7 +113,7 @@ class Steps:
     def _add(
         self, comparison: Comparison, findings: GapFindings, models: ExtendedModels, started_s: float
     ) -> GapFindings:
-        findings = self._written(workflow.add(comparison, findings, models, self.report), started_s)
+        findings = self._written(before_after.add(comparison, findings, models, self.report), started_s)
         try:
             self._write_models(findings, models, comparison)
         except ConfigError as error:

@@ -189,6 +189,8 @@ def _plain(each: FoundEffect) -> str:
     text = effect_label(each.name, each.of)
     if effect is not None and each.parameters:
         text = plain_finding(effect, {name: value.value for name, value in each.parameters.items()}, each.of)
+    if each.in_model:
+        text += ", on top of what the model says"
     if each.verdict == "indistinguishable" and each.alternatives:
         others = " or ".join(effect_label(other.name, other.of) for other in each.alternatives)
         text += f" (or it is {others})"

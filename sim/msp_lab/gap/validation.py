@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
@@ -80,7 +80,7 @@ def gain_of_runs(sums: NDArray[Any], counts: NDArray[Any]) -> Gain:
         return Gain(0.0, 0.0, 1.0, 0, 0)
     mean = float(sums.sum() / n)
     se = float(np.sqrt(((sums - mean * counts) ** 2).sum() * runs / max(runs - 1, 1)) / n)
-    p_value = float(student.sf(mean / se, max(runs - 1, 1))) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
+    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
     return Gain(mean, se, p_value, runs, round(n))
 
 

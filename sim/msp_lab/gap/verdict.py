@@ -5,6 +5,8 @@ equivalent to none (a bias of a tenth of sigma, a spread within 5 %, 0.005 nats 
 To the nats the cost of fitting is added.
 """
 
+from typing import Literal
+
 import numpy as np
 
 from msp_lab.gap import rules
@@ -38,27 +40,21 @@ def _near_floor(measure: Measure, nothing: float, least: float, most: float) -> 
 
 def is_closed(findings: GapFindings, model: Model) -> bool:
     """Whether the gap that is left is within the bounds."""
-    gap = findings.gap
-    assert gap is not None
-    measures = {
-        "nats_per_reading": gap.nats_per_reading,
-        "bias_cm": gap.bias_cm,
-        "spread_ratio": gap.spread_ratio,
-    }
-    limits = bounds(findings, model)
-    if all(_within(measures[key].after, bound) for key, bound in limits.items()):
-        return True
     # Where nothing was added, the given model may do as it is: refitting its numbers has an error of its own.
     added = findings.effects or findings.unknown
-    return not added and all(_within(measures[key].before, bound) for key, bound in limits.items())
+    return _is_within(findings, model, "after") or (not added and _was_closed(findings, model))
 
 
 def _was_closed(findings: GapFindings, model: Model) -> bool:
     """Whether the gap of the given model was within the bounds already."""
-    gap = findings.gap
-    assert gap is not None
+    return _is_within(findings, model, "before")
+
+
+def _is_within(findings: GapFindings, model: Model, when: Literal["before", "after"]) -> bool:
+    """Whether all three measures are known and within their bounds."""
     limits = bounds(findings, model)
-    return all(_within(getattr(gap, key).before, limit) for key, limit in limits.items())
+    measured = {key: getattr(getattr(findings.gap, key), when) for key in limits}
+    return all(measured[key] is not None and measured[key] <= limit for key, limit in limits.items())
 
 
 def verdict(findings: GapFindings, model: Model) -> Verdict:
@@ -86,7 +82,3 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
     assert gap is not None
     before, after = gap.nats_per_reading.before or 0.0, gap.nats_per_reading.after or 0.0
     return "partly explained" if after < rules.PARTLY * before else "unexplained"
-
-
-def _within(left: float | None, bound: float) -> bool:
-    return left is not None and left <= bound

@@ -110,14 +110,20 @@ def _ranger(
     facing: int,
     parameters: Mapping[str, float],
 ) -> Ranger:
-    prefix = f"RNGFND{number}"
-    maximum_m = parameters.get(f"{prefix}_MAX", parameters.get(f"{prefix}_MAX_CM", np.inf) / 100.0)
+    maximum_m = _maximum_m(number, parameters)
     reading_cm = readings_cm(range_m, maximum_m)
     if status is not None:
         if np.isfinite(maximum_m):
             reading_cm[status == _TOO_FAR] = 100.0 * maximum_m
         reading_cm[status <= _NO_DATA] = np.nan
-    return Ranger(prefix, series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
+    return Ranger(f"RNGFND{number}", series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
+
+
+def _maximum_m(number: int, parameters: Mapping[str, float]) -> float:
+    """The largest distance [m] of a range finder: metres from 4.7 on, before 4.0 the first one has no number."""
+    maximum_cm = parameters.get("RNGFND_MAX_CM", np.inf) if number == 1 else np.inf
+    maximum_cm = parameters.get(f"RNGFND{number}_MAX_CM", maximum_cm)
+    return parameters.get(f"RNGFND{number}_MAX", maximum_cm / 100.0)
 
 
 def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource]:

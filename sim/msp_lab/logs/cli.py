@@ -162,7 +162,6 @@ def with_logs_imported(
         As `import_logs`.
     """
     from msp_lab.logs.opening import is_flight_log
-    from msp_lab.logs.show import show
     from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth
     from msp_lab.readings.dataset import is_dataset
 
@@ -179,6 +178,8 @@ def with_logs_imported(
     if failed:
         raise RecordingError("\n".join(failed.values()))
     if is_shown:
+        from msp_lab.logs.show import show
+
         show(imported)
     return [*as_they_are, out], truth if truth == OTHERS else RECORDED
 

@@ -13,7 +13,7 @@ from msp_lab.logs.clocks import clock_difference_s
 from msp_lab.logs.log import Series, TruthSource, VehicleLog, series
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import Truth, choose
-from msp_range.recording.csv_rows import csv_rows, short_list
+from msp_range.recording.csv_form import csv_rows, short_list
 from msp_range.recording.error import RecordingError
 
 TIME_NAMES = ("time_s", "time", "timestamp", "stamp", "t")

@@ -27,6 +27,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.model.derived import derived_columns
 from msp_sim.model.model import Model
 from msp_sim.workers import Workers
 
@@ -81,6 +82,8 @@ class FoundRanger:
         Readings less the reference, the median; taken off where the reference does not know the ground.
     scatter_cm
         Standard deviation of the differences, without outliers.
+    reference_span_cm
+        How much the reference changes over the log, between its 2.5 and 97.5 % points; None: there is none.
     reference_std_cm
         Standard deviation of the reference's error, and its 95 % interval; None: not known.
     reference_std_from
@@ -100,6 +103,7 @@ class FoundRanger:
     lag_s: tuple[float, float, float] | None = None
     offset_cm: float | None = None
     scatter_cm: float | None = None
+    reference_span_cm: float | None = None
     reference_std_cm: tuple[float, float, float] | None = None
     reference_std_from: str = ""
 
@@ -119,8 +123,10 @@ class Imported:
 
     Attributes
     ----------
-    run, file, sha256, form
-        Name of the run, path and SHA-256 of the log, and what it is.
+    runs
+        Names of its runs: one, but of a bench's table or recording with several.
+    file, sha256, form
+        Path and SHA-256 of the log, and what it is.
     duration_s
         From the first to the last reading.
     rangers
@@ -145,7 +151,7 @@ class Imported:
         What was lost, or is worth knowing.
     """
 
-    run: str
+    runs: tuple[str, ...]
     file: str
     sha256: str
     form: str
@@ -240,15 +246,13 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
         if outcome.value is None:
             failed[paths[outcome.index]] = outcome.error or ""
             continue
-        account, runs = outcome.value
-        record_runs(common.out, runs, asdict(account))
-        found.append(account)
+        record_runs(common.out, outcome.value.runs, asdict(outcome.value))
+        found.append(outcome.value)
     return found, failed
 
 
-def import_log(common: Import, named: NamedLog) -> tuple[Imported, list[str]]:
-    """Read a log and write its readings; what was found, and the names of its runs, which the dataset does not list
-    yet.
+def import_log(common: Import, named: NamedLog) -> Imported:
+    """Read a log and write its readings, as runs that the dataset does not list yet.
 
     Raises
     ------
@@ -275,11 +279,10 @@ def import_log(common: Import, named: NamedLog) -> tuple[Imported, list[str]]:
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
     if truth.kind == OTHERS:
         joined, notes = _others(path, joined, common.sensor)
-    account = _account(run, log, reference, joined, notes, truth)
     runs = _by_run(run, joined)
     for name, tables in runs.items():
         write_tables(common.out, name, tables)
-    return account, list(runs)
+    return _account(tuple(runs), log, reference, joined, notes, truth)
 
 
 def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:
@@ -312,7 +315,7 @@ def _column(data: MeasuredData, name: str) -> Any:
 
 
 def _account(
-    run: str,
+    runs: tuple[str, ...],
     log: VehicleLog,
     reference: TruthSource | None,
     joined: Sequence[Joined],
@@ -328,7 +331,7 @@ def _account(
         if reference is None or each.series is not reference.series
     }
     return Imported(
-        run,
+        runs,
         str(log.path),
         sha256(log.path),
         log.form,
@@ -365,9 +368,16 @@ def _found(each: Joined) -> FoundRanger:
         else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),
         None if alignment is None else alignment.offset_cm,
         None if alignment is None else alignment.scatter_cm,
+        _span(each.data[TRUE_RANGE]) if TRUE_RANGE in each.data else None,
         None if error is None else (error.std_cm, error.low_cm, error.high_cm),
         "" if error is None else error.source,
     )
+
+
+def _span(values: NDArray[np.float64]) -> float | None:
+    """Between the 2.5 and 97.5 % points of what is known; None: nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.ptp(np.quantile(known, (0.025, 0.975)))) if known.size else None
 
 
 def _repeated(reading_cm: NDArray[np.float64]) -> float:
@@ -379,8 +389,10 @@ def _repeated(reading_cm: NDArray[np.float64]) -> float:
 
 
 def _missing(joined: Sequence[Joined]) -> tuple[Missing, ...]:
-    """Columns that no range finder has, with the effects of the catalogue that require them."""
-    there = {name for each in joined for name in each.data.columns}
+    """Columns that no range finder has and that follow from no others, with the effects that require them."""
+    there = {
+        name for each in joined for name in [*each.data.columns, *derived_columns(OBTAINABLE, each.data.columns)[0]]
+    }
     found = []
     for column, what in OBTAINABLE.items():
         if column not in there:

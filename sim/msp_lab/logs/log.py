@@ -4,10 +4,11 @@ Each format has a file of its own that makes a `VehicleLog`; everything after th
 are those of the names, times are seconds on the log's own clock.
 """
 
-from collections.abc import Mapping
+from array import array
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,6 +182,36 @@ def series(source: str, time_s: Array, values: Array) -> Series:
     """
     time_s, rows = np.unique(np.asarray(time_s, dtype=float), return_index=True)
     return Series(source, time_s, np.asarray(values, dtype=float)[rows])
+
+
+class MessageColumns:
+    """Numbers of one sender's messages, with the time of each, collected while a log is read.
+
+    A field is a name, or names and places in arrays on the way to the number: ``pose.covariance.0``.
+    """
+
+    def __init__(self, source: str, fields: Sequence[str]) -> None:
+        self.source = source
+        self.fields = tuple(fields)
+        self._time_s = array("d")
+        self._values = {field: array("d") for field in fields}
+
+    def add(self, time_s: float, message: Any) -> None:
+        """Add a message; one that has no such numbers raises AttributeError, IndexError, TypeError or ValueError."""
+        self._time_s.append(time_s)
+        for path, values in self._values.items():
+            number = message
+            for name in path.split("."):
+                number = number[int(name)] if name.isdigit() else getattr(number, name)
+            values.append(float(number))
+
+    def __getitem__(self, field: str) -> Array:
+        return np.array(self._values[field])
+
+    def series(self, field: str = "", values: Array | None = None) -> Series:
+        """A field, or what follows from several, as a series."""
+        found = self[field] if values is None else values
+        return series(f"{self.source}.{field}" if field else self.source, np.array(self._time_s), found)
 
 
 def negative(found: Series) -> Series:

@@ -6,7 +6,6 @@ ranges that are infinite are out of range (REP 117).
 """
 
 import re
-from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,13 @@ from msp_lab.logs.log import (
     CLIMB,
     THROTTLE,
     TILT,
-    Array,
+    MessageColumns,
     Ranger,
     Series,
     TruthSource,
     VehicleLog,
     longest_m,
     readings_cm,
-    series,
 )
 from msp_range.recording.error import RecordingError
 
@@ -58,27 +56,12 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
 
 
-class _Topic:
-    """Values of some fields of a topic's messages, with the time of each."""
+class _Topic(MessageColumns):
+    """Values of some fields of a topic's messages; `kind` is their type without its package."""
 
-    def __init__(self, name: str, kind: str, fields: tuple[str, ...]) -> None:
-        self.name, self.kind, self.fields = name, kind.rsplit("/", 1)[-1], fields
-        self._time_s = array("d")
-        self._values = {field: array("d") for field in fields}
-
-    def add(self, time_s: float, message: Any) -> None:
-        """Add a message."""
-        self._time_s.append(time_s)
-        for field in self.fields:
-            self._values[field].append(_field(message, field))
-
-    def __getitem__(self, field: str) -> Array:
-        return np.array(self._values[field])
-
-    def series(self, field: str = "", values: Array | None = None) -> Series:
-        """A field, or what follows from several, as a series."""
-        found = self[field] if values is None else values
-        return series(f"{self.name}.{field}" if field else self.name, np.array(self._time_s), found)
+    def __init__(self, name: str, message_type: str, fields: tuple[str, ...]) -> None:
+        super().__init__(name, fields)
+        self.kind = message_type.rsplit("/", 1)[-1]
 
 
 def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
@@ -130,13 +113,6 @@ def _messages(
         notes.append(f"The bag is damaged after {count} messages ({reason}); those before are here.")
 
 
-def _field(message: Any, path: str) -> float:
-    """A number in a message, by the names of fields and the places in arrays on the way to it."""
-    for name in path.split("."):
-        message = message[int(name)] if name.isdigit() else getattr(message, name)
-    return float(message)
-
-
 def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
     rangers = []
     for each in topics.values():
@@ -145,7 +121,7 @@ def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
             range_m = each["range"]
             reading_cm = readings_cm(np.where(np.isneginf(range_m), np.nan, range_m), maximum_m)
             reading_cm[np.isinf(reading_cm)] = np.nan
-            name = each.name.strip("/").replace("/", "_")
+            name = each.source.strip("/").replace("/", "_")
             rangers.append(Ranger(name, each.series("range", reading_cm), True, 100.0 * maximum_m))
     return rangers
 
@@ -158,11 +134,11 @@ def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
             cosine = 1.0 - 2.0 * (each["orientation.x"] ** 2 + each["orientation.y"] ** 2)
             tilt = np.where(known, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), np.nan)
             found.setdefault(TILT, each.series("orientation", tilt))
-        elif each.kind == "TwistStamped" and each.name.endswith("velocity_local"):
+        elif each.kind == "TwistStamped" and each.source.endswith("velocity_local"):
             found[CLIMB] = each.series("twist.linear.z")
         elif each.kind == "Temperature":
             found.setdefault(
-                "board_temperature_c" if _BOARD.search(each.name) else "air_temperature_c", each.series("temperature")
+                "board_temperature_c" if _BOARD.search(each.source) else "air_temperature_c", each.series("temperature")
             )
         elif each.kind == "RelativeHumidity":
             found["humidity_pct"] = each.series("relative_humidity", 100.0 * each["relative_humidity"])
@@ -181,9 +157,9 @@ def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:
                 altitude = each.series("altitude", np.where(fixed, each["altitude"], np.nan))
                 references.append(TruthSource("rtk", altitude, std=each.series("position_covariance", std_m)))
         elif each.kind in _POSES and each[each.fields[0]].size:
-            if _EXTERNAL.search(each.name):
+            if _EXTERNAL.search(each.source):
                 references.append(TruthSource("mocap", each.series(each.fields[0])))
-            elif _OWN.search(each.name):
+            elif _OWN.search(each.source):
                 refused = "the bag does not say whether the range is fused into it"
                 references.append(TruthSource("ekf", each.series(each.fields[0]), refused=refused))
     return references

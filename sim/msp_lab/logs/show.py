@@ -22,7 +22,8 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
     for each in found:
         _show(shown, each)
     if out is not None:
-        runs = f"{len(found)} run{'s' if len(found) != 1 else ''}"
+        count = sum(len(each.runs) for each in found)
+        runs = f"{count} run{'s' if count != 1 else ''}"
         readings = sum(ranger.readings for each in found for ranger in each.rangers)
         shown.print(
             f"{out}: {readings:,} readings in {runs}; 'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it",
@@ -76,7 +77,7 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
         what = "taken off" if found.is_shifted else "left in: it is the range finder's latency if both have one clock"
         lines.append(f"{lag_s:.3f} s later than the reference ({low_s:.3f} to {high_s:.3f}), {what}")
     elif ranger.scatter_cm is not None:
-        lines.append("its lag cannot be seen: the range hardly changes")
+        lines.append(f"its lag cannot be seen: {_why_no_lag(ranger.scatter_cm, ranger.reference_span_cm)}")
     if ranger.scatter_cm is not None and ranger.offset_cm is not None:
         constant = f"{ranger.offset_cm:+.1f} cm on average, " if found.has_datum else ""
         lines.append(f"{constant}differences to the reference scatter by {ranger.scatter_cm:.1f} cm, outliers left out")
@@ -92,6 +93,15 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
             "has more rows than there are readings"
         )
     return lines
+
+
+def _why_no_lag(scatter_cm: float, span_cm: float | None) -> str:
+    if span_cm is None or span_cm >= scatter_cm:
+        return "the range hardly changes"
+    return (
+        f"the reference changes by {span_cm:.1f} cm in all, and the readings differ from it by more. If they are "
+        "right, the reference is not the distance that they measure"
+    )
 
 
 def _readings(ranger: FoundRanger) -> str:

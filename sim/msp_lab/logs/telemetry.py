@@ -6,7 +6,6 @@ by the bridge's own link. Messages: https://mavlink.io/en/messages/common.html.
 """
 
 import struct
-from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from msp_lab.logs.log import (
     RTK_FIXED,
     THROTTLE,
     TILT,
-    Array,
+    MessageColumns,
     Ranger,
     Series,
     TruthSource,
@@ -27,7 +26,6 @@ from msp_lab.logs.log import (
     longest_m,
     negative,
     readings_cm,
-    series,
     tilt_deg,
 )
 from msp_range.input_file import open_input
@@ -62,24 +60,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "VISION_POSITION_ESTIMATE": ("z",),
 }
 """Messages and fields of the flight; those of several components are taken from the first one that sends them."""
-
-
-class _Columns:
-    """Values of some fields of one sender's messages, with the time of each."""
-
-    def __init__(self, fields: tuple[str, ...]) -> None:
-        self.fields = fields
-        self.time_s = array("d")
-        self.values = {name: array("d") for name in fields}
-
-    def add(self, time_s: float, message: Any) -> None:
-        """Add a message."""
-        self.time_s.append(time_s)
-        for name in self.fields:
-            self.values[name].append(float(getattr(message, name)))
-
-    def __getitem__(self, name: str) -> Array:
-        return np.array(self.values[name])
+_DISTANCE = ("current_distance", "max_distance", "orientation", "signal_quality")
 
 
 def read_telemetry(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
@@ -89,8 +70,8 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
     ids = {kind.id: kind.msgname for kind in dialect.mavlink_map.values() if kind.msgname in fields}
     if field and (message not in ids.values() or field not in _kind(message).fieldnames):
         raise RecordingError(f"{path}: MAVLink's common messages have no {named_field}")
-    distances: dict[tuple[int, int, int], _Columns] = {}
-    flight: dict[str, _Columns] = {}
+    distances: dict[tuple[int, int, int], MessageColumns] = {}
+    flight: dict[str, MessageColumns] = {}
     senders: dict[str, tuple[int, int]] = {}
     parameters: dict[str, float] = {}
     wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
@@ -105,16 +86,14 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
         decoded = frame.decode()
         sender = (frame.system, frame.component)
         if frame.message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
-            columns = distances.setdefault(
-                (*sender, decoded.id), _Columns(("current_distance", "max_distance", "orientation", "signal_quality"))
-            )
-            columns.add(time_s - start_s, decoded)
+            key = (*sender, decoded.id)
+            distances.setdefault(key, MessageColumns("DISTANCE_SENSOR", _DISTANCE)).add(time_s - start_s, decoded)
         elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             parameters[decoded.param_id] = _parameter(decoded)
         else:
             name = ids[frame.message_id]
             if senders.setdefault(name, sender) == sender:
-                flight.setdefault(name, _Columns(fields[name])).add(time_s - start_s, decoded)
+                flight.setdefault(name, MessageColumns(name, fields[name])).add(time_s - start_s, decoded)
     if bad > MOST_BAD_SHARE * size:
         raise RecordingError(f"{path}: no telemetry log: {bad} of {size} bytes are in no frame")
     notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
@@ -193,7 +172,7 @@ def _parameter(message: Any) -> float:
     return float(message.param_value)
 
 
-def _rangers(distances: Mapping[tuple[int, int, int], _Columns]) -> list[Ranger]:
+def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[Ranger]:
     rangers = []
     numbers = [number for _, _, number in distances]
     for (system, component, number), found in distances.items():
@@ -205,7 +184,7 @@ def _rangers(distances: Mapping[tuple[int, int, int], _Columns]) -> list[Ranger]
         rangers.append(
             Ranger(
                 name,
-                series("DISTANCE_SENSOR.current_distance", np.array(found.time_s), reading_cm),
+                found.series("current_distance", reading_cm),
                 int(np.median(found["orientation"])) == DOWN,
                 100.0 * maximum_m,
             )
@@ -213,15 +192,15 @@ def _rangers(distances: Mapping[tuple[int, int, int], _Columns]) -> list[Ranger]
     return rangers
 
 
-def _context(flight: Mapping[str, _Columns]) -> dict[str, Series]:
+def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series]:
     found = {}
     if "ATTITUDE" in flight:
         attitude = flight["ATTITUDE"]
-        found[TILT] = series("ATTITUDE", np.array(attitude.time_s), tilt_deg(attitude["roll"], attitude["pitch"]))
+        found[TILT] = attitude.series(values=tilt_deg(attitude["roll"], attitude["pitch"]))
     if "VIBRATION" in flight:
-        axes = [flight["VIBRATION"][f"vibration_{axis}"] for axis in "xyz"]
-        time_s = np.array(flight["VIBRATION"].time_s)
-        found["vibration_m_s2"] = series("VIBRATION", time_s, np.sqrt(sum(axis**2 for axis in axes)))
+        vibration = flight["VIBRATION"]
+        squares = sum(vibration[f"vibration_{axis}"] ** 2 for axis in "xyz")
+        found["vibration_m_s2"] = vibration.series(values=np.sqrt(squares))
     for name, message, field, factor in (
         (CLIMB, "GLOBAL_POSITION_INT", "vz", -0.01),
         (THROTTLE, "VFR_HUD", "throttle", 0.01),
@@ -234,7 +213,7 @@ def _context(flight: Mapping[str, _Columns]) -> dict[str, Series]:
     return found
 
 
-def _references(flight: Mapping[str, _Columns], parameters: Mapping[str, float]) -> list[TruthSource]:
+def _references(flight: Mapping[str, MessageColumns], parameters: Mapping[str, float]) -> list[TruthSource]:
     references = []
     for message, factor in (("SIM_STATE", 1.0), ("HIL_STATE_QUATERNION", 0.001)):
         if message in flight:
@@ -255,6 +234,6 @@ def _references(flight: Mapping[str, _Columns], parameters: Mapping[str, float])
     return references
 
 
-def _series(flight: Mapping[str, _Columns], message: str, field: str, factor: float = 1.0) -> Series:
+def _series(flight: Mapping[str, MessageColumns], message: str, field: str, factor: float = 1.0) -> Series:
     found = flight[message]
-    return series(f"{message}.{field}", np.array(found.time_s), factor * found[field])
+    return found.series(field, factor * found[field])

@@ -19,8 +19,16 @@ from pydantic import Field, field_validator
 
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
-from msp_range.recording.csv_form import BLOCK, Column, MeasuredData, is_number, join_columns, word_column
-from msp_range.recording.csv_rows import csv_rows, short_list
+from msp_range.recording.csv_form import (
+    BLOCK,
+    Column,
+    MeasuredData,
+    csv_rows,
+    is_number,
+    join_columns,
+    short_list,
+    word_column,
+)
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load
 

@@ -28,13 +28,11 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
-from msp_sim.model.derived import time_in_run_s
+from msp_sim.model.derived import DERIVED, derived_columns
 from msp_sim.model.model import Model
 
 PREVIOUS = "previous_reading_cm"
 """Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
-TIME_IN_RUN = "time_in_run_s"
-"""Column that the intake adds where there is no time since power-up: time since the first row of the run [s]."""
 CLOCK_FAULT_CM = 32768.0
 """Readings from here on are a fault of the sensor's clock line and no distance: the highest bit of the answer is set.
 They are left out where a unit is judged by distances."""
@@ -145,8 +143,14 @@ def load_readings(
         sources.append(source)
     of_rows, renamed = runs_of(tables, paths, run_column)
     columns = {**_joined(tables).columns, "run": np.concatenate(of_rows)}
-    if "uptime_s" not in columns:
-        columns.setdefault(TIME_IN_RUN, time_in_run_s(columns))
+    # Time since power-up says more than time in the run.
+    asked = DERIVED.keys() - ({"time_in_run_s"} if "uptime_s" in columns else set())
+    if "time_in_run_s" in columns and np.isnan(columns["time_in_run_s"]).all():
+        # A table without times has numbers of rows in their place, from which no rate follows.
+        asked = {name for name in asked if "time_s" not in DERIVED[name][0]}
+    derived, words = derived_columns(asked, columns)
+    columns |= derived
+    messages += [f"{name} is computed from {words[name]}." for name in derived if name != "time_in_run_s"]
     # Many readings are held once, and not twice.
     tables.clear()
     name = ", ".join(str(path) for path in paths)
@@ -173,6 +177,20 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
     )
     columns = {**loaded.data.columns, "reading_cm": np.where(outside, math.nan, reading_cm)}
     return replace(loaded, data=MeasuredData(columns), messages=(*loaded.messages, message))
+
+
+def whole_cm(reading_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return readings in whole centimetres, same shape; halves go up.
+
+    Halves to the next even number, as `numpy.rint` has them, put a tenth of readings in millimetres on a grid of 2 cm.
+
+    Examples
+    --------
+    >>> whole_cm(np.array([120.5, 121.5, np.nan]))
+    array([121., 122.,  nan])
+    """
+    whole: NDArray[np.float64] = np.floor(np.asarray(reading_cm, dtype=np.float64) + 0.5)
+    return whole
 
 
 def sha256(path: Path) -> str:
@@ -328,6 +346,9 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
     previous = np.full(order.size, math.nan)
     previous[order[1:]] = reading_cm[order[:-1]]
     previous[order[is_first]] = math.nan
+    if "time_in_run_s" in columns:
+        # Without times the order of the rows need not be that of the readings: beams of a scanner, or a sorted table.
+        previous[np.isnan(columns["time_in_run_s"])] = math.nan
     columns[PREVIOUS] = previous
     return messages
 

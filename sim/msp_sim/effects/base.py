@@ -54,6 +54,8 @@ class Parameter:
         Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero.
     physical_low
         A fit below this means another cause: an age below 0 is that of the reference. None: no such limit.
+    jumps
+        The likelihood jumps along it, so that its slope says nothing: the values of its grid are tried, and no others.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Parameter:
     step: float = 1e-3
     power: int = 1
     physical_low: float | None = None
+    jumps: bool = False
 
 
 class Scene:

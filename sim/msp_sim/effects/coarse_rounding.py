@@ -3,6 +3,10 @@
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.codes import Coarser
 
+STEPS_CM = (2.0, 2.5, 2.54, 3.0, 4.0, 5.0, 5.08, 10.0)
+"""Steps that are tried: what people round to, in centimetres and inches. Another one is named as the nearest of these,
+or not at all."""
+
 
 def _apply(scene: Scene, values: Values) -> Contribution:
     fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
@@ -17,7 +21,7 @@ COARSE_ROUNDING = Effect(
     source="drivers and loggers that convert units",
     parameters=(
         Parameter("share", "1", "1 if every reading is rounded", 0.0, 1.0),
-        Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, (2.0, 2.54, 5.0, 10.0)),
+        Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, STEPS_CM, jumps=True),
     ),
     requires=(),
     channels=("code",),

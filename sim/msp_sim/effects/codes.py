@@ -51,9 +51,16 @@ class Coarser:
         return self._arrivals[np.clip(code - self.minimum_cm, 0, self._arrivals.size - 1).astype(np.int64)]
 
     def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
-        reaches = np.searchsorted(self._arrivals, first, "left").astype(np.float64)
-        exceeds = np.searchsorted(self._arrivals, last, "right").astype(np.float64)
-        return [(self.minimum_cm + reaches, self.minimum_cm + exceeds - 1.0)]
+        return [(self._first_above[self._place(first - 1.0)], self._first_above[self._place(last)] - 1.0)]
+
+    def _place(self, code: _Array) -> NDArray[np.intp]:
+        return np.clip(code - (self.minimum_cm - 1.0), 0, self._first_above.size - 1).astype(np.intp)
+
+    @cached_property
+    def _first_above(self) -> _Array:
+        """First of the sensor's codes that is received as more than each code, from one below the shortest."""
+        code = np.arange(self.minimum_cm - 1.0, self.maximum_cm + 1.0)
+        return self.minimum_cm + np.searchsorted(self._arrivals, code, "right").astype(np.float64)
 
     @cached_property
     def _arrivals(self) -> _Array:

@@ -109,12 +109,17 @@ def _hats(values: NDArray[Any], places: Knots) -> _Array:
         return weights
     if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
-    knots = np.asarray(places, dtype=np.float64)
-    values = np.clip(np.where(np.isfinite(values), values, knots[0]), knots[0], knots[-1])
-    left = np.clip(np.searchsorted(knots, values, "right") - 1, 0, knots.size - 2)
-    share = (values - knots[left]) / (knots[left + 1] - knots[left])
-    weights = np.zeros((values.size, knots.size))
+    left, share = between(values, places)
+    weights = np.zeros((values.size, len(places)))
     rows = np.arange(values.size)
     weights[rows, left] = 1.0 - share
     weights[rows, left + 1] += share
     return weights
+
+
+def between(values: NDArray[Any], places: Sequence[float] | _Array) -> tuple[NDArray[np.intp], _Array]:
+    """Place of the knot before each value, and how far it is to the next one, (n,); beyond the last ones the ends."""
+    knots = np.asarray(places, dtype=np.float64)
+    values = np.clip(np.where(np.isfinite(values), values, knots[0]), knots[0], knots[-1])
+    left = np.clip(np.searchsorted(knots, values, "right") - 1, 0, knots.size - 2)
+    return left, (values - knots[left]) / (knots[left + 1] - knots[left])

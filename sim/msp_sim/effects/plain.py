@@ -11,6 +11,7 @@ and a parameter in braces is its number with its unit, in one of these formats:
     {growth:factor}                 a growth of 2.9 as 3.9 times as much
     {log_odds:times}                log odds: 20 times as often, 20 times less often
     {offset_cm:too far|too near}    the size and a word for its sign: 1.5 cm too near
+    {share:% too far|% too near}    the same of a share: 98 % too near
 """
 
 import math
@@ -68,7 +69,10 @@ class Quantity:
         more, bar, less = form.partition("|")
         if not bar:
             raise ValueError(f"no such format: {form!r}")
-        return f"{self._with_unit(abs(self.value))} {more if self.value >= 0.0 else less}"
+        words = more if self.value >= 0.0 else less
+        if words.startswith("%"):
+            return f"{digits(100.0 * abs(self.value))} {words}"
+        return f"{self._with_unit(abs(self.value))} {words}"
 
     def _with_unit(self, value: float) -> str:
         if self.unit == "ms" and abs(value) >= 100.0:

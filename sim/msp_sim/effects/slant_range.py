@@ -14,7 +14,7 @@ def _apply(scene: Scene, values: Values) -> Contribution:
 SLANT_RANGE = Effect(
     name="slant_range",
     sentence="A tilted sensor measures along its axis, which is longer than the perpendicular distance to the surface.",
-    finding="tilt makes readings longer, by {share:%} of what the geometry gives",
+    finding="tilted, the sensor reads {share:% of the slant too far|% of the slant too near}",
     physics=(
         "z / cos(incidence), or slant_range_cm if known, instead of the perpendicular z; share -1 if the truth is "
         "along the axis and the sensor reads the perpendicular"

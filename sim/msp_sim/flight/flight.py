@@ -110,6 +110,7 @@ class Simulation:
             self._log.record_truth,
             scenario.device_faults(),
         )
+        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
         self._displayed_c = scenario.thermometer.reading_c
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
@@ -144,8 +145,8 @@ class Simulation:
         return self.vehicle.pose(self.now_s())
 
     def height_m(self) -> float:
-        """Present vertical distance from the vehicle to the surface below [m]."""
-        return self.world.height_m(self.pose())
+        """Present vertical distance from where the fused stream measures to the surface below [m]."""
+        return self.world.height_m(self.pose()) - self._reference_down_m
 
     def fly(self) -> Generator[list[Step], None, None]:
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""

@@ -71,6 +71,7 @@ def fly_scenario(
             clock,
             files=scenario.airframe.files,
             metadata={"scenario": scenario.name, "seed": str(flight_seed)},
+            waits=not realtime,
         )
     simulation = Simulation(
         scenario,

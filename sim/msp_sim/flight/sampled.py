@@ -1,7 +1,7 @@
 """A scenario with random parameters: flight number `index` of all that a seed stands for.
 
-A scenario, a seed and an index enter; a `Sample` leaves, always the same one. `msp-sim monte-carlo` flies many of them,
-and `msp-sim fly --sample` any of them again.
+A scenario, a seed and an index enter; a `SampledFlight` leaves, always the same one. `msp-sim monte-carlo` flies many
+of them, and `msp-sim fly --sample` any of them again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ without a reason, more only delay the message."""
 
 
 @dataclass(frozen=True)
-class Sample:
+class SampledFlight:
     """One flight with random parameters.
 
     Attributes
@@ -102,7 +102,7 @@ class Sampled:
         if self.vary.faults is not None and not self._kinds:
             raise ConfigError(f"{source}: vary.faults.kinds: no sensor of the airframe can show any of them")
 
-    def sample(self, seed: int, index: int) -> Sample:
+    def sample(self, seed: int, index: int) -> SampledFlight:
         """Draw a flight.
 
         Raises
@@ -125,7 +125,7 @@ class Sampled:
             except ImpossibleFlight as error:
                 reason = str(error)
                 continue
-            return Sample(scenario, flight_seed, values, tuple(faults), refused)
+            return SampledFlight(scenario, flight_seed, values, tuple(faults), refused)
         raise ConfigError(f"{self._source}: vary: none of {MOST_DRAWS} draws can be flown; the last one: {reason}")
 
     def _checked(self, path: str, distribution: Distribution) -> list[tuple[int | str, ...]]:

@@ -43,9 +43,14 @@ class FlightDisplay:
         if now_s < self._next_line_s:
             return None
         self._next_line_s = now_s + LINE_PERIOD_S
-        fused = "no estimate" if self._fused_m is None else f"{self._fused_m:.2f} m"
         sensors = ", ".join(f"{name} {shown}" for name, shown in self._last.items())
-        return f"{now_s:6.1f} s: true height {self._simulation.height_m():.2f} m, fused {fused}; {sensors}"
+        return f"{now_s:6.1f} s: true height {self._simulation.height_m():.2f} m, fused {self._fused()}; {sensors}"
+
+    def _fused(self) -> str:
+        if self._fused_m is None:
+            return "no estimate"
+        is_edge = self._simulation.flight.fused.why[-1] == "edge"
+        return f"{self._fused_m:.2f} m" + (" (over an edge of the ground)" if is_edge else "")
 
     def __rich__(self) -> RenderableType:
         now_s = self._simulation.now_s()
@@ -55,8 +60,7 @@ class FlightDisplay:
         table = Table.grid(padding=(0, 1))
         table.add_row("flown", _bar(done, "cyan"), f"{now_s:5.1f} of {self._duration_s:.0f} s")
         table.add_row("true height", _bar(height_m / self._highest_m, "green"), f"{height_m:5.2f} m")
-        fused = "no estimate" if self._fused_m is None else f"{self._fused_m:5.2f} m"
-        table.add_row("fused", _bar((self._fused_m or 0.0) / self._highest_m, "yellow"), fused)
+        table.add_row("fused", _bar((self._fused_m or 0.0) / self._highest_m, "yellow"), self._fused())
         for name in self._simulation.flight.tracks:
             table.add_row(name, Text(self._last.get(name, "")), "")
         texts = self._simulation.flight.texts[-3:]

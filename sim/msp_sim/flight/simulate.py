@@ -79,7 +79,7 @@ def simulate_flight(
     recorder = None
     if recording is not None:
         metadata = {"scenario": loaded.name, "seed": str(seed)}
-        recorder = Recorder(Path(recording), clock, files=loaded.airframe.files, metadata=metadata)
+        recorder = Recorder(Path(recording), clock, files=loaded.airframe.files, metadata=metadata, waits=True)
     sensor_model = None if model is None else load_sensor_model(model)
     simulation = Simulation(loaded, clock, seed, model=sensor_model, recorder=recorder)
     with closing(simulation.fly()) as flying:

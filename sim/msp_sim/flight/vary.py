@@ -79,7 +79,7 @@ class Factor(_LogLimits):
     kind: Literal["factor"]
 
 
-class Normal(Section):
+class TruncatedNormal(Section):
     """A normal distribution, cut off at limits if they are given."""
 
     kind: Literal["normal"]
@@ -137,7 +137,7 @@ class Choice(Section):
         return self.of[int(generator.integers(len(self.of)))]
 
 
-Distribution = Annotated[Uniform | LogUniform | Normal | Factor | Choice, Field(discriminator="kind")]
+Distribution = Annotated[Uniform | LogUniform | TruncatedNormal | Factor | Choice, Field(discriminator="kind")]
 
 
 class RandomFaults(Section):

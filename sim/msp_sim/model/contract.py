@@ -18,9 +18,8 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, Channel, Effect
 from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model
-from msp_sim.model.rows import ModelRows
+from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, slopes
 from msp_sim.model.sampler import Sampler
-from msp_sim.model.slopes import MIN_PROBABILITY, slopes
 from msp_sim.model.streams import RandomStreams
 from msp_sim.model.trial import VISIBLE_NATS, Columns, Trial
 

@@ -19,7 +19,7 @@ from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE, WORD_COLUMNS, Effect, Scene
+from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE, WORD_COLUMNS, Contribution, Effect, Scene
 from msp_sim.effects.curve import CURVE, MAX_VALUE, Knots, Ripple, curve
 from msp_sim.effects.own import find_effect
 from msp_sim.model.history import HISTORY_COLUMNS, History
@@ -51,6 +51,11 @@ class Term:
             what = f"ripple of {ripple.period:g}" if isinstance(ripple, Ripple) else self.effect.name
             return f"{what} of {self.shape[0]} over {' and '.join(self.shape[1])}"
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
+
+    def change(self, scene: Scene) -> Contribution:
+        """What it changes; where its contexts make no sense, NaN without a warning."""
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            return self.effect.apply(scene, self.values)
 
 
 @dataclass(frozen=True)
@@ -212,8 +217,7 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
         known = applies(scene, each)
         if known is False:
             continue
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            change = each.effect.apply(scene, each.values)
+        change = each.change(scene)
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
         if change.log_spread is not None:

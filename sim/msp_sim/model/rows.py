@@ -1,16 +1,17 @@
 """The distribution of n readings with effects: the base mixture, additional components, and faults of the code.
 
-Made from the centres, spreads and weights that the effects have changed; gives probabilities and draws readings.
+Made from the centres, spreads and weights that the effects have changed; draws readings and gives their probabilities,
+with the derivatives by the parameters of the mixture for fits and scores. All steps after the mixture (saturation,
+faults of the code) are linear in the probability, so derivatives pass through them as the probability itself does.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.rows import MixtureRows, Part, take
+from msp_range.reading_model.rows import MixtureRows, Part, among, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component, Hits
@@ -18,6 +19,10 @@ from msp_sim.model.history import HIT_SIGMAS, History
 from msp_sim.model.streams import RandomStreams
 
 _Array = NDArray[np.float64]
+
+MIN_PROBABILITY = 1e-12
+"""Smallest probability of a reading: one that the model cannot give is treated as this improbable, so that a single
+impossible reading does not make every likelihood zero. Smaller gives such readings more weight."""
 
 
 class AddedComponent(NamedTuple):
@@ -208,16 +213,22 @@ class ModelRows(MixtureRows):
 
     def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
         """As the base class, after the faults of the code."""
-        return self._after(self.faults, first, last, part)
+        return self._after(len(self.faults), first, last, part)
 
-    def _after(self, faults: Sequence[AppliedFault], first: _Array, last: _Array, part: Part) -> _Array:
-        if not faults:
+    def _after(self, count: int, first: _Array, last: _Array, part: Part) -> _Array:
+        """After the first faults, so many."""
+        if not count:
             return super().arrives(first, last, part)
-        share, fault, _ = faults[-1]
-        faulty = sum(self._after(faults[:-1], *origin, part) for origin in fault.origins(first, last))
+        inside = np.flatnonzero(first <= last)
+        if inside.size < first.size:
+            # Most faults give few codes, so that their own origins are those of few readings.
+            some = self.take(inside)._after(count, first[inside], last[inside], part)
+            return among(some, inside, first.size)
+        share, fault, _ = self.faults[count - 1]
+        faulty = sum(self._after(count - 1, *origin, part) for origin in fault.origins(first, last))
         if np.ndim(share) == 0 and share == 1.0:
             return np.asarray(faulty)
-        return np.asarray((1.0 - share) * self._after(faults[:-1], first, last, part) + share * faulty)
+        return np.asarray((1.0 - share) * self._after(count - 1, first, last, part) + share * faulty)
 
     def probability(self, first: _Array, last: _Array) -> _Array:
         """Probability g of the codes from first to last, within the limits, before saturation and faults, (1, n)."""
@@ -247,3 +258,55 @@ class ModelRows(MixtureRows):
             found = self.added[-1].component.prob(first, last, hits)
         # A component without a share may have unknown parameters.
         return np.nan_to_num(found)
+
+
+def slopes(rows: ModelRows, reading_cm: _Array) -> tuple[_Array, _Array]:
+    """Log probabilities and their derivatives.
+
+    Parameters
+    ----------
+    rows
+        The distribution of n readings.
+    reading_cm
+        The readings [cm], (n,).
+
+    Returns
+    -------
+    log_p : ndarray, shape (n,)
+        At least log `MIN_PROBABILITY`, where the derivatives are 0.
+    by : ndarray, shape (n, 7)
+        In the order of `msp_range.reading_model.rows.FREE`: by the centre of the hits [1/cm], the logarithm of their
+        spread within runs, the log odds of short, missed and random readings, the logarithm of the rate of short
+        readings, and the saturated fraction.
+    """
+    parts = rows.of_readings(reading_cm, ModelRows.slopes)
+    p = np.maximum(parts[0], MIN_PROBABILITY)
+    by = np.where(parts[0] > MIN_PROBABILITY, parts[1:] / p, 0.0)
+    by[1] *= rows.within_share
+    return np.log(p), np.ascontiguousarray(by.T)
+
+
+def log_prob(rows: ModelRows, reading_cm: _Array) -> _Array:
+    """Log probabilities alone, (n,): as `ModelRows.log_prob`, but at least log `MIN_PROBABILITY`."""
+    return np.asarray(np.log(np.maximum(rows.of_readings(reading_cm, ModelRows.probability)[0], MIN_PROBABILITY)))
+
+
+def score_of_component(rows: ModelRows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
+    """Derivative of the log probabilities by the odds of one more component, at odds of 0, (n,)."""
+    others = 1.0 + sum(np.asarray(each.odds) for each in rows.added)
+    own = replace(rows, added=(AddedComponent(1.0, component, ""),)).of_readings(reading_cm, ModelRows.last_added)[0]
+    return _ratio(own, log_p) / others
+
+
+def score_of_fault(rows: ModelRows, reading_cm: _Array, fault: CodeFault, log_p: _Array) -> _Array:
+    """Derivative of the log probabilities by the share of one more fault, at a share of 0, (n,)."""
+    faults = sorted((*rows.faults, AppliedFault(1.0, fault, "")), key=lambda each: each.fault.order)
+    own = replace(rows, faults=tuple(faults)).of_readings(reading_cm, ModelRows.probability)[0]
+    return _ratio(own, log_p)
+
+
+def _ratio(own: _Array, log_p: _Array) -> _Array:
+    """The added probability divided by the present one, minus 1; an impossible reading cannot become less probable."""
+    p = np.exp(log_p)
+    score: _Array = np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
+    return score

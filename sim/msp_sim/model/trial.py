@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
 from msp_sim.model.model import Model, Term
-from msp_sim.model.slopes import MIN_PROBABILITY
+from msp_sim.model.rows import MIN_PROBABILITY
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
 STRENGTHS = (0.3, 0.6, 1.0)

@@ -22,7 +22,7 @@ from msp_range.yaml_file import config_path
 from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, Flights, draw_sample, fly_sample
-from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, Store
+from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, FlightStore
 from msp_sim.monte_carlo.summary import Summary, summarise
 from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
 
@@ -59,7 +59,7 @@ def fly_monte_carlo(
     }
     if sampled.scenario.vary is None:
         _print_variation(sampled)
-    store = Store(out, columns, settings)
+    store = FlightStore(out, columns, settings)
     flown = {row[NUMBER] for row in store.rows}
     wanted = [number for number in range(flights) if number not in flown]
     if flown:

@@ -26,7 +26,7 @@ from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
-from msp_sim.flight.sampled import Sample, Sampled
+from msp_sim.flight.sampled import Sampled, SampledFlight
 from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
@@ -90,7 +90,7 @@ class Flights:
     model: SensorModel | None = None
     effects: tuple[Path, ...] = ()
 
-    def sample(self, index: int) -> Sample:
+    def sample(self, index: int) -> SampledFlight:
         """Draw a flight, with the effects added to the catalogue of this process."""
         add_own_effects_once(self.effects)
         return self.sampled.sample(self.seed, index)
@@ -151,7 +151,7 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     return about(sample) | _judged_readings(readings)
 
 
-def about(sample: Sample) -> Numbers:
+def about(sample: SampledFlight) -> Numbers:
     """What was drawn: the parameters, the faults in words, and the draws that were refused before."""
     faults = [f"{each['sensor']} {each['kind']} {each['from_s']:g}-{each['to_s']:g} s" for each in sample.faults]
     return {**sample.values, "faults": "; ".join(faults), "refused": sample.refused}

@@ -22,7 +22,7 @@ WORDS = ("faults", "sha256")
 Row = Mapping[str, Any]
 
 
-class Store:
+class FlightStore:
     """The flights in a folder.
 
     Parameters

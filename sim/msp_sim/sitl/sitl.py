@@ -67,7 +67,7 @@ class AutopilotVehicle:
     armed : bool or None
         State in the last HEARTBEAT; None before the first.
     height_known : bool
-        Whether a HEARTBEAT has been received that says it is disarmed, and so on the ground.
+        Whether it has been received disarmed, and so on the ground, and its first pose did not come after it was armed.
     source : str or None
         Message type of the last pose; LOCAL_POSITION_NED stands for the estimate.
     poses_received : Counter
@@ -168,6 +168,8 @@ class AutopilotVehicle:
 
     def _set_pose(self, source: str, now_s: float, place: Vector, angles: EulerAngles, velocity: Vector) -> None:
         if source != self.source:
+            if self.source is None and self.armed:
+                self.height_known = False  # It may have climbed since it was last received disarmed.
             # Another message type has another origin; the vehicle itself has not moved.
             here = self.pose(now_s).position_ned_m
             self._origin_m = (place[0] - here[0], place[1] - here[1], place[2] - here[2])
@@ -345,6 +347,8 @@ def status_line(sitl: Sitl) -> str:
     answers = [f"fused {fused.filtered_m[-1]:.2f} m" if is_new else "fused -"]
     for name, track in sitl.flight.tracks.items():
         if track.time_s:
-            filtered_m = track.filtered_m[-1]
-            answers.append(f"{name} {track.why[-1] if filtered_m is None else f'{filtered_m:.2f}'}")
+            filtered_m, raw_m = track.filtered_m[-1], track.raw_m[-1]
+            # A sensor that is only fused has no filtered distance of its own, whatever it answers.
+            distance_m = raw_m if filtered_m is None and track.why[-1] is None else filtered_m
+            answers.append(f"{name} {track.why[-1] if distance_m is None else f'{distance_m:.2f} m'}")
     return f"{now_s:6.1f} s  {pose}  {', '.join(answers)}"

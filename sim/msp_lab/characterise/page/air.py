@@ -6,11 +6,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import CompensationRow, Findings
+from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
 from msp_lab.characterise.page.text import interval, number, sentence
+from msp_lab.characterise.question_findings import CompensationRow
 from msp_range.acoustics.air import compensate_range
 from msp_sim.page.page import PageTable
 

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from msp_lab.characterise.findings import Findings, Form, IntervalEstimate, Question, Verdict
+from msp_lab.characterise.findings import Findings, Form
 from msp_lab.characterise.page.text import half_interval, interval, minus, plus, sentence
+from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.characterise.question_findings import Question, Verdict
 from msp_lab.characterise.questions import TOPICS
 from msp_sim.page.style import p_text
 

@@ -20,6 +20,7 @@ from msp_lab.characterise.page.draw.mixture import (
 )
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
+from msp_lab.readings.intake import whole_cm
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.page import PageTable
@@ -81,7 +82,7 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
     by_kind = dict(zip(KINDS, (hit.p, short.p, missed, random.p), strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
-    readings = np.rint(rows.reading_cm[chosen])
+    readings = whole_cm(rows.reading_cm[chosen])
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
     counts = np.bincount(readings, minlength=k.size).astype(np.float64)
     peak_cm = float(np.sum(k * by_kind["hit"]))

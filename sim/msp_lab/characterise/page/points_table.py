@@ -1,6 +1,7 @@
 """Table of all set-ups and their readings."""
 
-from msp_lab.characterise.findings import Findings, IntervalEstimate, PointResult
+from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_sim.page.page import PageTable
 
 MAX_POINTS = 400

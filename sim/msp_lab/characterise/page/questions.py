@@ -1,9 +1,10 @@
 """The questions (does it matter?) as one picture, and every effect as a table."""
 
-from msp_lab.characterise.findings import FactorEffect, Findings, Question
+from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.questions import draw_questions
 from msp_lab.characterise.page.picture_data import Absent, Drawn, PictureData
 from msp_lab.characterise.page.text import interval, sentence
+from msp_lab.characterise.question_findings import FactorEffect, Question
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_sim.page.page import PageTable
 from msp_sim.page.style import p_text

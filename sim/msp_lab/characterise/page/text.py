@@ -5,7 +5,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import IntervalEstimate
+from msp_lab.characterise.point_findings import IntervalEstimate
 
 
 def interval(estimate: IntervalEstimate) -> str:

@@ -9,8 +9,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
-from msp_lab.characterise.findings import CalibrationFindings, CompensationRow, HotBox, IntervalEstimate
+from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.page.draw.errors import with_reach
+from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.characterise.question_findings import CompensationRow, HotBox
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.correction.calibration import PiecewiseLinear
 from msp_sim.page.style import DOTS, GREEN, GREY, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure

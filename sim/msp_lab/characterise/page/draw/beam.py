@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, IntervalEstimate, SonarFit
+from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, SonarFit
 from msp_lab.characterise.page.draw.errors import share_bars, with_reach
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_sim.page.style import (

@@ -15,7 +15,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from msp_lab.characterise.estimates import Z
-from msp_lab.characterise.findings import IntervalEstimate
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure
 
 _Array = NDArray[np.float64]

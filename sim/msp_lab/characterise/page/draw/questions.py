@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from msp_lab.characterise.findings import FactorEffect, IntervalEstimate
+from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.characterise.question_findings import FactorEffect
 from msp_sim.page.style import GREEN, GREY, INK, PALE, REFERENCE, legend_below, new_figure
 
 METRICS = {

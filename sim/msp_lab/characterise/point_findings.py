@@ -1,0 +1,88 @@
+"""What was found at one point of the bench, and a number with its interval: values only, as in `findings.py`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class IntervalEstimate:
+    """A number with its 95 % interval.
+
+    Attributes
+    ----------
+    value
+        The estimate.
+    low, high
+        Ends of the interval; None where the data give none on that side.
+    unit
+        Of all three; "" for a share or a ratio.
+    n
+        How many independent things it rests on, which `of` names.
+    of
+        What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target).
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    unit: str
+    n: int
+    of: str = "readings"
+
+    @classmethod
+    def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
+        """A number with an interval that reaches as far to both sides."""
+        return cls(value, value - half, value + half, unit, n, of)
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """One set-up of the bench and its readings.
+
+    Attributes
+    ----------
+    condition
+        Experiment of the campaign, as the CSV form's column `condition` names it.
+    sensor, run
+        As in the data.
+    level
+        Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied.
+    true_range_cm
+        Of the reference.
+    incidence_deg, air_temperature_c, target_temperature_c
+        Means over the point; None where unknown.
+    readings
+        All rows; the next six add up to it.
+    hits
+        Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`).
+    short, long
+        Readings before and after the gate: of something else.
+    no_echo, saturated, no_answer
+        Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading.
+    error, spread
+        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
+        contain the scatter of readings, not the error of the placement. None without hits.
+    compensated_error
+        The mean error compensated for the air's temperature; None without an air temperature.
+    worst_error_cm
+        Largest error of a reading that is no code, signed.
+    """
+
+    condition: str
+    sensor: str
+    run: str
+    level: str
+    true_range_cm: float
+    incidence_deg: float | None
+    air_temperature_c: float | None
+    target_temperature_c: float | None
+    readings: int
+    hits: int
+    short: int
+    long: int
+    no_echo: int
+    saturated: int
+    no_answer: int
+    error: IntervalEstimate | None
+    spread: IntervalEstimate | None
+    compensated_error: IntervalEstimate | None
+    worst_error_cm: float | None

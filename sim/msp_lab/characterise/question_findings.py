@@ -1,0 +1,148 @@
+"""What was found by varying one thing: whether it matters, and what the temperature of the air does; values only."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+
+AirBefore = Literal["uniform", "gradient", "confined"]
+"""How the air before a sensor in a box may be: like the box's all the way, changing all the way, or only near."""
+
+
+@dataclass(frozen=True)
+class HotBoxRow:
+    """Error at a range with the air hot or cold at the sensor, against three ideas of where that air is [cm].
+
+    `shift` is the mean error minus the one at room temperature where that was measured. `uniform_cm` is expected with
+    the box's air all the way, `gradient_cm` with a linear fall to room temperature at the target, `confined_cm` with
+    that air over `HotBox.depth` only.
+    """
+
+    range_cm: float
+    shift: IntervalEstimate
+    uniform_cm: float
+    gradient_cm: float
+    confined_cm: float
+
+
+@dataclass(frozen=True)
+class HotBox:
+    """A box of hot or cold air about the sensor.
+
+    Attributes
+    ----------
+    box_c, room_c
+        Air temperatures in the box and beyond.
+    depth
+        Length of the box's air that explains the shifts [cm].
+    per_cent, uniform_per_cent
+        Error in per cent of range as measured (slope) and as expected of that air all the way.
+    best
+        Which idea is nearest: "uniform", "gradient", "confined", or "none" where no shift is seen.
+    """
+
+    level: str
+    box_c: float
+    room_c: float
+    room_is_assumed: bool
+    depth: IntervalEstimate
+    per_cent: IntervalEstimate
+    uniform_per_cent: float
+    rows: tuple[HotBoxRow, ...]
+    best: AirBefore | Literal["none"]
+    answer: str
+
+
+@dataclass(frozen=True)
+class CompensationRow:
+    """Mean error at a range without and with temperature compensation [cm].
+
+    Attributes
+    ----------
+    thermometer_c
+        Air temperature that the compensation used; None: no thermometer, and no compensated error.
+    implied_c
+        The one air temperature that would bring the mean error to 0 with this calibration temperature.
+    note
+        What to know of this row; "": nothing.
+    """
+
+    range_cm: float
+    uncompensated: IntervalEstimate
+    compensated: IntervalEstimate | None
+    thermometer_c: float | None
+    implied_c: IntervalEstimate
+    note: str
+
+
+Metric = Literal["bias", "spread", "missed", "outliers"]
+Verdict = Literal["matters", "does not matter", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class FactorEffect:
+    """What a factor does to one property of the readings.
+
+    Attributes
+    ----------
+    metric
+        "bias" (mean error of the hits, cm), "spread" (ratio of standard deviations), "missed" and "outliers" (odds
+        ratios).
+    estimate
+        Size; no effect is 0 for the bias and 1 for a ratio. 95 % interval, not corrected for the number of questions.
+    p_value, p_adjusted
+        Of no effect, and after Holm over all effects that were asked for.
+    bound
+        What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound.
+    verdict
+        "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": its 90 %
+        interval (two one-sided tests) lies within the bound. Else "cannot tell".
+    smallest_detectable
+        Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
+        thousandfold, or it is not known.
+    """
+
+    metric: Metric
+    estimate: IntervalEstimate | None
+    p_value: float | None
+    p_adjusted: float | None
+    bound: float
+    verdict: Verdict
+    smallest_detectable: float | None
+
+
+@dataclass(frozen=True)
+class Question:
+    """Does it matter?
+
+    Attributes
+    ----------
+    name
+        material, temperature, vibration, crosstalk_simultaneous, crosstalk_sequential, external_interference.
+    level, reference
+        What is compared with what: "concrete" with "plywood", "60 Hz" with "0 Hz".
+    sensor
+        Whose readings; "" for all.
+    pairs
+        Points of equal range that were compared; the unit of the bias.
+    effects
+        bias, spread, missed, outliers, in this order.
+    verdict
+        "matters" if one effect does, "does not matter" if none does, else "cannot tell".
+    answer
+        In a sentence.
+    points, reference_points
+        What was compared.
+    """
+
+    name: str
+    question: str
+    level: str
+    reference: str
+    sensor: str
+    pairs: int
+    effects: tuple[FactorEffect, ...]
+    verdict: Verdict
+    answer: str
+    points: tuple[PointResult, ...] = ()
+    reference_points: tuple[PointResult, ...] = ()
