@@ -20,6 +20,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
+from math import inf
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -46,6 +47,12 @@ CONNECT_S = 5.0
 """Time in which a scheduler must answer [s]; more only delays the message about a wrong address."""
 WAIT_S = 5.0
 """Time without a result after which it is checked whether the cluster has workers [s]."""
+RESTART_S = 120.0
+"""Time in which a process of this machine that died must be replaced [s]. It takes 2 s, and 10 s on a computer that
+does ten other things; who waits longer waits for nothing. Nobody knows when the workers of a cluster come back."""
+NEVER = "365 days"
+"""Dask's time after which it closes for ever a worker that died and is not there (15 s by default). It looks once, that
+long after a death: where the worker that was replaced has died again, nothing would start another one."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -83,6 +90,8 @@ class Workers:
         The cluster's client; None: this process.
     progress
         Console for the progress bar; None: no bar.
+    patience_s
+        Time for which a cluster without workers is waited for [s].
 
     Attributes
     ----------
@@ -90,11 +99,12 @@ class Workers:
         Number of worker processes that ended unexpectedly; their items were computed again by others.
     """
 
-    def __init__(self, client: Any = None, progress: Console | None = None) -> None:
+    def __init__(self, client: Any = None, progress: Console | None = None, patience_s: float = inf) -> None:
         self.died = 0
         self._maps = 0
         self._client = client
         self._progress = progress
+        self._patience_s = patience_s
 
     def map(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any = None, *, what: str
@@ -178,14 +188,22 @@ class Workers:
         from distributed import CancelledError
         from distributed.comm import CommClosedError
 
-        is_known = False
+        without_workers_s = 0.0
         while True:
             try:
                 return future.result(timeout=WAIT_S)
             except TimeoutError:
-                if not is_known and not self._client.scheduler_info()["workers"]:
-                    is_known = True
+                if self._client.scheduler_info()["workers"]:
+                    without_workers_s = 0.0
+                    continue
+                if without_workers_s == 0.0:
                     print("the cluster has no worker at present: waiting for one", file=sys.stderr)
+                without_workers_s += WAIT_S
+                if without_workers_s >= self._patience_s:
+                    raise ConfigError(
+                        f"all worker processes died, and none has started again for {without_workers_s:g} s (out of "
+                        "memory?): try fewer --jobs; what was computed is kept"
+                    ) from None
             except (CommClosedError, CancelledError):
                 raise ConfigError("the connection to the Dask scheduler was lost; what was computed is kept") from None
 
@@ -230,7 +248,7 @@ def workers(jobs: int, scheduler: str | None, command: str) -> Iterator[Workers]
             client = opened.enter_context(_connected(scheduler))
         if progress.is_terminal:
             print(f"progress also at {client.dashboard_link}", file=sys.stderr)
-        found = Workers(client, progress)
+        found = Workers(client, progress, RESTART_S if scheduler is None else inf)
         client.subscribe_topic("all", found.on_event)
         yield found
         client.unsubscribe_topic("all")
@@ -239,6 +257,7 @@ def workers(jobs: int, scheduler: str | None, command: str) -> Iterator[Workers]
 @contextmanager
 def _local_cluster(jobs: int) -> Iterator[Any]:
     """A Dask cluster of processes of this machine, which listens to this machine only."""
+    import dask
     from distributed import LocalCluster
 
     # Ctrl-C goes to all processes of a terminal. The workers must leave it to this one: they inherit what is blocked.
@@ -255,7 +274,7 @@ def _local_cluster(jobs: int) -> Iterator[Any]:
         )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    with cluster:
+    with cluster, dask.config.set({"distributed.deploy.lost-worker-timeout": NEVER}):
         yield cluster
 
 

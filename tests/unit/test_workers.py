@@ -91,6 +91,26 @@ def test_four_workers_of_which_some_are_killed_do_all_that_can_be_done(tmp_path:
 
 
 @pytest.mark.slow
+def test_a_worker_is_replaced_however_often_and_quickly_it_dies(tmp_path: Path, monkeypatch: Any) -> None:
+    """Dask looks once whether a worker that died is back, here while it is being replaced."""
+    import dask
+
+    monkeypatch.setattr(module, "RESTART_S", 20.0)
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}), workers(2, None, "a command") as found:
+        outcomes = list(found.map(deadly, ["die", "1"], tmp_path / "mark", what="items"))
+        assert [each.value for each in outcomes] == [None, "1"]
+        assert found.died >= 8
+
+
+@pytest.mark.slow
+def test_a_cluster_whose_processes_cannot_be_started_again_is_not_waited_for(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(module, "RESTART_S", 10.0)
+    monkeypatch.setattr(module, "NEVER", "100 ms")
+    with pytest.raises(ConfigError, match="none has started again for 10 s"), workers(2, None, "a command") as found:
+        list(found.map(deadly, ["die"], tmp_path / "mark", what="items"))
+
+
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_bytes_and_the_same_errors() -> None:
     products = [each.value for each in Workers().map(matrix_product, [300, 400], 1, what="products")]
     numbers = list(Workers().map(square, [1, 3, 4, 2], 10, what="numbers"))
@@ -105,7 +125,7 @@ def test_a_cluster_of_another_version_or_with_threads_or_without_workers_is_refu
 
     options = {
         "processes": False,
-        "dashboard_address": None,
+        "dashboard_address": "127.0.0.1:0",
         "silence_logs": 60,
         "protocol": "tcp",
         "host": "127.0.0.1",
