@@ -93,8 +93,8 @@ class Types:
         return found
 
 
-def write_bag(path: Path, form: str) -> Path:
-    """A bag of this form; what is to be opened."""
+def write_bag(path: Path, form: str, others: int = 0) -> Path:
+    """A bag of this form, with this many messages of another topic after each; what is to be opened."""
     types = Types(Stores.ROS1_NOETIC if form == "ros1" else Stores.ROS2_HUMBLE)
     writer: Any
     if form == "ros1":
@@ -104,9 +104,13 @@ def write_bag(path: Path, form: str) -> Path:
         plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
         writer = Writer2(path / "flight", version=9, storage_plugin=plugin)
         written_to = path / "flight"
+    other = types.make("std_msgs/msg/UInt8", data=0)
     connections: dict[str, Any] = {}
     with writer:
-        for time_s, topic, message in types.messages():
+        messages = (
+            (time_s, each) for time_s, *flown in types.messages() for each in (flown, *[("/other", other)] * others)
+        )
+        for time_s, (topic, message) in messages:
             kind = message.__msgtype__
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=types.store)

@@ -1,5 +1,6 @@
 """Bags of ROS 1 and 2, written by rosbags, as logs; cut, damaged, and with topics that are not known."""
 
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -52,6 +53,21 @@ def test_any_field_of_a_topic(tmp_path: Path) -> None:
     assert (reference.kind, reference.series.values[0]) == ("column", pytest.approx(np.cos(0.05)))
     with pytest.raises(RecordingError, match="orientation"):
         open_log(path, nothing, field="/vrpn/drone/pose.orientation.w")
+
+
+def test_messages_that_are_not_read_take_no_memory(tmp_path: Path) -> None:
+    """rosbags keeps 170 bytes for each message of a bag of ROS 1: 5 million small ones were 1 GB."""
+    peak_bytes = []
+    for others in (0, 40):
+        folder = tmp_path / str(others)
+        folder.mkdir()
+        path = write_bag(folder, "ros1", others)
+        tracemalloc.start()
+        check(open_log(path, nothing))
+        peak_bytes.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    # A chunk at a time is in memory.
+    assert peak_bytes[1] - peak_bytes[0] < 5_000_000
 
 
 def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
