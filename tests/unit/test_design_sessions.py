@@ -310,6 +310,26 @@ def test_what_a_number_of_the_model_absorbed_is_planned_as_strong_as_it_explains
     assert OldReadings(scattered, (offsets,)).run_offset_cm == pytest.approx(5.0)
 
 
+def test_a_strength_that_is_hardly_known_is_planned_as_strong_as_it_explains_the_number() -> None:
+    """A throttle that hardly varies: the effect fits by some nats better, and its strength may be anything."""
+    rng = np.random.default_rng(1)
+    size = 2000
+    contexts = {
+        "true_range_cm": rng.uniform(100.0, 300.0, size),
+        "throttle": 0.5 + 0.015 * rng.standard_normal(size),
+        "run": np.repeat([f"r{each}" for each in range(10)], size // 10),
+    }
+    louder = replace(GIVEN, effects=(make_term("rotor_noise", None, {"growth": 2.0, "exponent": 1.0}),))
+    data = contexts | {"reading_cm": louder.sample(contexts, rng)}
+    old = OldReadings(Comparison.of(Readings(MeasuredData(data), ()), GIVEN, Settings(str(SENSOR))), ())
+    noise, nothing = fit_answers(old, OpenQuestion("absorbed", (Answer("rotor_noise"), NONE), ""))
+    assert noise.log_likelihood is not None
+    assert nothing.log_likelihood is not None
+    assert noise.log_likelihood - nothing.log_likelihood > 2.0
+    values = noise.terms[-1].values
+    assert np.log1p(values["growth"] * 0.5 ** values["exponent"]) == pytest.approx(np.log(2.0), abs=0.1)
+
+
 def test_flights_at_the_ends_of_the_throttle_do_not_hover_between_them() -> None:
     file = ROOT / "configs/quad_pallet.yaml"
     pilot = Pilot(file, load_airframe(file))

@@ -142,6 +142,16 @@ def test_a_name_that_does_as_well_is_an_alternative() -> None:
     assert motion.separation < 1.0
 
 
+def test_a_bend_that_begins_before_the_nearest_reading_is_no_alternative_to_a_scale() -> None:
+    rng = np.random.default_rng(7)
+    true_cm = rng.uniform(150.0, 500.0, N)
+    reading_cm = np.array(sensor().readings((1.02 * true_cm).tolist(), 7))
+    problem = Problem.of(MODEL, {"true_range_cm": true_cm}, reading_cm, np.arange(N) * RUNS // N, rng)
+    selection = after_exchange(problem, "range_scale")
+    assert names_of(selection) == ["range_scale"]
+    assert "bend" not in [each.active.effect.name for each in selection.alternatives["range_scale", None]]
+
+
 def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:
     """Next to the effect the spread is small; from there nearly every hit would end as a random reading."""
     rng = np.random.default_rng(3)

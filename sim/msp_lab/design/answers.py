@@ -34,7 +34,8 @@ STARTS = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """Strengths at which a fit may start, as shares of what the parameter may be; the likeliest is taken."""
 LARGEST_DOUBT = 0.5
 """A strength is planned with one standard error smaller than fitted, at most by this share: where a number of the model
-does as well, its error is larger than itself. Larger: longer sessions that keep their promise more often."""
+does as well, its error is larger than itself. Where the error is larger than this share the strength is that which
+explains the number. Larger: longer sessions that keep their promise more often."""
 SHOWN_NATS = 2.0
 """If the readings prefer an effect to none by less, its fitted strength means nothing, and that which matters is taken
 (`MATTERS_NATS`). Two nats are those of two standard errors."""
@@ -166,7 +167,8 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
         term = Term(answer.effect, answer.effect.neutral_values(), answer.of)
         return as_answer([*without.effects, term], without.base, None)
     fit = _best_fit(old, without.effects, starts, without.base)
-    if fit.log_likelihood - without.log_likelihood >= SHOWN_NATS:
+    is_shown = fit.log_likelihood - without.log_likelihood >= SHOWN_NATS
+    if is_shown and _doubt(fit) <= LARGEST_DOUBT:
         return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
     # The model's own numbers do as well. Then it may be the effect that has changed them: without it they are as given.
     given = np.zeros_like(without.base)
@@ -174,6 +176,8 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     unexplained = float(old.prepared.log_prob(given, without.effects).sum())
     if instead.log_likelihood - max(without.log_likelihood - SHOWN_NATS, unexplained + SHOWN_NATS) >= 0.0:
         return as_answer([*instead.effects[:-1], _cautious(instead, alone=True)], instead.base, instead)
+    if is_shown:
+        return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
     return as_answer([*without.effects, fit.effects[-1]], without.base, None)
 
 
@@ -194,18 +198,24 @@ def strength_of(effect: Effect) -> Parameter:
     return next(each for each in effect.parameters if each.neutral is not None)
 
 
-def _cautious(fit: JointFit, alone: bool = False) -> Term:
-    """The last effect with its strength one standard error nearer to nothing; `alone`: other numbers are known."""
+def _doubt(fit: JointFit, alone: bool = False) -> float:
+    """Standard error of the last effect's strength over the strength itself; `alone`: other numbers are known."""
     term = fit.effects[-1]
     strength = strength_of(term.effect)
-    neutral = strength.neutral or 0.0
     place = fit.names.index(f"{len(fit.effects) - 1}.{strength.name}")
     covariance = fit.covariance()
     variance = 1.0 / np.linalg.pinv(covariance)[place, place] if alone else covariance[place, place]
-    error = float(np.sqrt(max(variance, 0.0)))
-    size = term.values[strength.name] - neutral
-    less = min(error / max(abs(size), 1e-12), LARGEST_DOUBT)
-    return replace(term, values={**term.values, strength.name: neutral + size * (1.0 - less)})
+    size = term.values[strength.name] - (strength.neutral or 0.0)
+    return float(np.sqrt(max(variance, 0.0))) / max(abs(size), 1e-12)
+
+
+def _cautious(fit: JointFit, alone: bool = False) -> Term:
+    """The last effect with its strength one standard error nearer to nothing."""
+    term = fit.effects[-1]
+    strength = strength_of(term.effect)
+    neutral = strength.neutral or 0.0
+    left = 1.0 - min(_doubt(fit, alone), LARGEST_DOUBT)
+    return replace(term, values={**term.values, strength.name: neutral + left * (term.values[strength.name] - neutral)})
 
 
 def with_strength(

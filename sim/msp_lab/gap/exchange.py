@@ -153,8 +153,15 @@ def _in_its_place(
     return None, tuple(
         AlternativeTerm(other.term.active, nats, correlation, separation)
         for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
-        if nats <= rules.ALTERNATIVE_NATS and other.term.active.effect.name != term.active.effect.name
+        if nats <= rules.ALTERNATIVE_NATS
+        and other.term.active.effect.name != term.active.effect.name
+        and not (_numbers(other.term) > _numbers(term) and abs(correlation) > rules.IMITATES)
     )
+
+
+def _numbers(term: SelectedTerm) -> int:
+    """How many numbers a candidate has: its strength and its shape."""
+    return 1 if term.candidate is None else 1 + len(term.candidate.shape)
 
 
 def _next_to_base(problem: Problem, state: State, others: Sequence[CandidateFit], needed_nats: float) -> State | None:
