@@ -2,7 +2,7 @@
 
 In the simulated hours sensors and bus fail at random; the real minutes run while a busy process occupies each core.
 Exit code 1: a distance was wrong, memory grew by more than 2 % after the first hour, or a message came later than a
-slot. ``--write FILE`` writes the report.
+slot. ``--write FILE`` writes the report. `make soak` runs it with the settings of the service's unit.
 """
 
 import argparse
@@ -155,7 +155,8 @@ def main() -> int:
         "computer: does memory grow, does a message come late, is a distance wrong? `make soak` flies 24 simulated",
         "hours and 20 real minutes. This is the report of what was flown last, which may be less.",
         "",
-        f"{given.hours:g} h and {given.minutes:g} min by seed {given.seed}, flown on {machine}.",
+        f"{given.hours:g} h and {given.minutes:g} min by seed {given.seed}, flown on {machine}, with",
+        f"MALLOC_MMAP_THRESHOLD_={os.environ.get('MALLOC_MMAP_THRESHOLD_', 'unset')}; the service's unit sets it.",
         "",
         "## Simulated hours",
         "",
