@@ -15,7 +15,7 @@ from msp_range import __version__
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.user_errors import Commands
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
@@ -84,6 +84,8 @@ def run(
     or a bus that another process uses. Failing sensors, bus, link or disk are reported to the pilot and retried for
     ever.
     """
+    if record is not None and no_record:
+        raise ConfigError("--record and --no-record: give one of them")
     # The imports take some time; a service that is stopped meanwhile has also ended normally.
     for signum in (signal.SIGTERM, signal.SIGINT):
         signal.signal(signum, _leave)
@@ -253,18 +255,21 @@ def params(
     from msp_range.params import commands
     from msp_range.params.settings import Firmware
 
+    if compare + write + (restore is not None) > 1:
+        raise ConfigError("--compare, --write and --restore: give one of them")
     airframe = load_airframe(airframe_file).changed(link=link)
     if not (compare or write or restore):
         text = commands.file_text(airframe, Firmware(airframe.link.autopilot, vehicle, before_4_7), port)
-        print(text, end="") if out is None else out.write_text(text)
+        print(text, end="") if out is None else _write_file(out, text)
         return
+    to_restore = None if restore is None else commands.restored(restore)
     clock = SystemClock()
     client = commands.connect(airframe, clock)
     firmware, settings = commands.wanted(airframe, client, port)
     if out is not None:
-        out.write_text(commands.file_text(airframe, firmware, port))
-    if restore is not None:
-        settings = commands.restored(restore)
+        _write_file(out, commands.file_text(airframe, firmware, port))
+    if to_restore is not None:
+        settings = to_restore
     changes = commands.differences(client, settings)
     print(f"{firmware}: {len(settings) - len(changes)} of {len(settings)} parameters are as they should be")
     if not (write or restore):
@@ -275,6 +280,12 @@ def params(
     done = commands.write(client, changes, lambda text: typer.confirm(f"{text}\nSet it?"), undo, airframe.vehicle)
     if done:
         print(f"{len(done)} set. Restart the autopilot. To undo: msp-range params {airframe_file} --restore {undo}")
+
+
+def _write_file(path: Path, text: str) -> None:
+    with writing(path):
+        path.write_text(text, encoding="utf-8")
+    print(f"written: {path}")
 
 
 @app.command()

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 
 def replay(
@@ -110,8 +110,6 @@ def layout(
     if out.suffix not in FORMS:
         raise ConfigError(f"{out}: found the ending {out.suffix!r}; expected .json (Foxglove) or .xml (PlotJuggler)")
     plots = plots_of(Recording(recording))
-    try:
+    with writing(out):
         out.write_text(FORMS[out.suffix](plots), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     print(f"{out}: {len(plots)} plots")

@@ -8,6 +8,7 @@ import difflib
 import types
 import typing
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
@@ -58,6 +59,21 @@ class Section(BaseModel):
         for key, description in descriptions(cls).items():
             properties[key]["description"] = description
         return described
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Context in which the file ``path``, which a user named, is written.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 SectionT = TypeVar("SectionT", bound=Section)

@@ -16,7 +16,7 @@ from msp_range.commission.steps import addresses, bench, flight, lift, parameter
 from msp_range.config import load_airframe
 from msp_range.doctor.command import WIDTH, lines_of
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 STEPS: dict[str, Callable[[Session], StepOutcome]] = {
     "wires": wires.run,
@@ -129,11 +129,8 @@ def _make(path: Path, text: str) -> None:
     if path.exists():
         edit.save(path, text)
         return
-    try:
-        with making(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    with writing(path), making(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def _asked(session: Session, proposal: Proposal) -> str:

@@ -15,7 +15,7 @@ from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
 from msp_range.input_file import making, read_text
 from msp_range.params.settings import Firmware, settings
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 LARGEST_BYTES = 2**20
 
@@ -111,8 +111,5 @@ class PassedSteps:
             "hash": hash_of(step, airframe),
             "measured": measured,
         }
-        try:
-            with making(self.path, replacing=True) as unfinished:
-                unfinished.write_text(json.dumps({"steps": self.steps}, indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from None
+        with writing(self.path), making(self.path, replacing=True) as unfinished:
+            unfinished.write_text(json.dumps({"steps": self.steps}, indent=2) + "\n", encoding="utf-8")

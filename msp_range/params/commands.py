@@ -11,7 +11,7 @@ from msp_range.mavlink.transport import open_transport
 from msp_range.params.client import NotSet, ParameterClient, same
 from msp_range.params.parm_file import parm_text, read_parm, text_of
 from msp_range.params.settings import Firmware, Setting, remarks, settings
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 CONNECT_S = 10.0
 """How long to wait for an autopilot: it sends a heartbeat each second, and a TCP or serial link may have to be opened
@@ -119,7 +119,8 @@ def write(
     Raises
     ------
     ConfigError
-        A parameter could not be set; those before it are, and ``undo`` has their old values.
+        A parameter could not be set, or ``undo`` not be written; those before it are set, and ``undo`` has their old
+        values.
     """
     before: list[Setting] = []
     done: dict[str, float] = {}
@@ -131,7 +132,8 @@ def write(
         if not confirm(described(change)):
             continue
         before.insert(0, Setting(setting.name, found, "before msp-range params --write", "read from the autopilot"))
-        undo.write_text(parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
+        with writing(undo):
+            undo.write_text(parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
         try:
             done[setting.name] = client.write(setting.name, setting.value)
         except NotSet as error:

@@ -260,15 +260,20 @@ def show(
     from msp_sim.flight.show import print_table
     from msp_sim.flight.summary import summarise
 
-    if out is not None and out.exists():
-        raise ConfigError(f"{out}: there is a file already, and none is overwritten")
+    if out is not None:
+        from msp_sim.page.style import FORMATS
+        from msp_sim.terminal import make_folder
+
+        if out.suffix.removeprefix(".").lower() not in FORMATS:
+            raise ConfigError(f"{out}: found the ending {out.suffix!r}; expected .{', .'.join(FORMATS)}")
+        if out.exists():
+            raise ConfigError(f"{out}: there is a file already, and none is overwritten")
+        make_folder(out.parent)
     flight = recorded_flight(recording)
     print_table(console(), summarise(flight, recording.name, None))
     if out is not None:
         from msp_sim.flight.flight_picture import draw
-        from msp_sim.terminal import make_folder
 
-        make_folder(out.parent)
         draw(flight, out, recording.name)
         print(f"picture: {out}")
 

@@ -1,5 +1,6 @@
 """Shared parts of the commands: a progress bar and a folder for results."""
 
+import os
 from pathlib import Path
 from typing import Self
 
@@ -42,8 +43,10 @@ class Bar:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder for results unless it exists; ConfigError if that fails."""
+    """Create a folder for results unless it exists; ConfigError if that fails, or nothing can be written into it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder}: this folder cannot be created: {error.strerror}") from None
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ConfigError(f"{folder}: no permission to write into this folder; name another one")

@@ -92,6 +92,7 @@ def test_the_file_is_read_by_pymavlink(tmp_path: Path) -> None:
     done = params(tmp_path, str(CONFIGS / "quad_pallet.yaml"), "--out", "range.parm", "--before-4.7")
     assert done.returncode == 0, done.stderr
     read = mavparm.MAVParmDict()
+    assert done.stdout == "written: range.parm\n"
     assert read.load(str(tmp_path / "range.parm"))
     assert dict(read) == of("quad_pallet", Firmware("ardupilot", centimetres=True))
     text = (tmp_path / "range.parm").read_text()

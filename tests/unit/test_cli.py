@@ -115,6 +115,10 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["layout", "README.md", "out.json"], "not an MCAP recording"),
         (["layout", "README.md", "out.yaml"], "expected .json (Foxglove) or .xml (PlotJuggler)"),
         (["recover", "missing.mcap", "out.mcap"], "cannot be read"),
+        (["run", "configs/loopback.yaml", "--record", "x", "--no-record"], "--record and --no-record: give one"),
+        (["params", "configs/quad_pallet.yaml", "--out", "no/range.parm"], "no/range.parm: cannot be written: No such"),
+        (["params", "configs/quad_pallet.yaml", "--write", "--compare"], "--compare, --write and --restore: give one"),
+        (["params", "configs/quad_pallet.yaml", "--restore", "no.parm"], "no.parm: cannot be read"),
     ],
 )
 def test_a_user_error_is_one_line_and_exit_code_3(
@@ -218,6 +222,25 @@ def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
     result = CliRunner().invoke(sim_app, args, catch_exceptions=False)
     assert result.exit_code == 3
     assert "cannot be created" in result.output
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused_before_the_flight(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode, **how: not mode & os.W_OK)
+    result = CliRunner().invoke(sim_app, ["fly", "hover", "--out", str(tmp_path)])
+    assert result.exit_code == 3
+    assert result.output == f"{tmp_path}: no permission to write into this folder; name another one\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("flight.doc", "expected .png, .svg, .pdf"), ("there.png", "overwritten")]
+)
+def test_show_refuses_a_picture_before_it_reads_the_flight(name: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "there.png").touch()
+    result = CliRunner().invoke(sim_app, ["show", "no.mcap", "--out", str(tmp_path / name)])
+    assert result.exit_code == 3
+    assert message in result.output
 
 
 def test_a_flight_is_not_replaced_unasked(short: Path, tmp_path: Path) -> None:
