@@ -24,7 +24,7 @@ from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation
 from msp_range.mavlink.transport.url import parse_url
 from msp_range.reading_model.sensor_model import with_new_names
 from msp_range.sensor_on_bus import Name, SensorOnBus
-from msp_range.yaml_file import ConfigError, Section, config_path, load, load_named, read_config, read_yaml
+from msp_range.yaml_file import ConfigError, Section, config_path, load, load_named, read_config
 
 AIRFRAME_NAME = "airframe.yaml"
 
@@ -333,25 +333,12 @@ def load_airframe(path: Path | str) -> Airframe:
         The file cannot be read or used; one line per error.
     """
     path = config_path(path, "")
-    try:
-        airframe = load(path, Airframe)
-    except ConfigError:
-        _refuse_sensor_model(path)
-        raise
+    airframe = load(path, Airframe)
     files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
         files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
     airframe.keep_files(files)
     return airframe
-
-
-def _refuse_sensor_model(path: Path) -> None:
-    """Say in one line that a file is a sensor's, which has all keys of an airframe wrong."""
-    content = read_yaml(path)
-    if isinstance(content, dict) and "reading_model" in content and "sensors" not in content:
-        raise ConfigError(
-            f"{path}: found a sensor model; expected an airframe file, whose sensors name such a file as model"
-        ) from None
 
 
 def _load_named(named: Any, info: ValidationInfo) -> Airframe:

@@ -32,6 +32,15 @@ MOST_PROBLEMS = 1000
 us."""
 LONGEST_LINE = 1000
 """Length of an error message; of a long value the start is enough."""
+FILE_KINDS = {
+    "an airframe file": {"vehicle", "sensors"},
+    "a sensor model": {"minimum_cm", "reading_model"},
+    "a scenario": {"airframe", "duration_s"},
+    "a campaign": {"campaign", "conditions"},
+    "a campaign of flights": {"campaign", "flights"},
+    "a column map": {"columns"},
+}
+"""Kind of file -> keys by which it is recognised where a file of another kind is expected: it has all keys wrong."""
 _QUOTE = "'"
 
 
@@ -158,9 +167,18 @@ def check(source: Path | str, section: type[SectionT], content: Any, context: di
     except ArithmeticError:
         raise ConfigError(f"{source}: found a number in quotes that is too large to calculate with") from None
     except ValidationError as error:
+        _refuse_other_kind(source, section, content)
         lines = list(_explain(source, section, error))
         more = [f"{source}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
         raise ConfigError("\n".join([*map(_short, lines[:MOST_LINES]), *more])) from None
+
+
+def _refuse_other_kind(source: Path | str, section: type[Section], content: dict[Any, Any]) -> None:
+    """Report in one line that a file is of another kind, instead of all its keys."""
+    expected = [kind for kind, keys in FILE_KINDS.items() if keys <= section.model_fields.keys()]
+    found = [kind for kind, keys in FILE_KINDS.items() if keys <= content.keys() and kind not in expected]
+    if expected and found:
+        raise ConfigError(f"{source}: found {found[0]}; expected {expected[0]}") from None
 
 
 def folder_of(info: ValidationInfo) -> Path:
@@ -243,19 +261,26 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
     for spot, _ in spots:
         deepest[spot.union] = max(deepest.get(spot.union, 0), len(spot.path))
     lines: dict[tuple[str, str], list[str]] = {}
+    places: dict[str, list[str]] = {}
     for spot, problem in spots:
         # The member of a union that the value fits best is probably the intended one.
-        if spot.union is None or len(spot.path) == deepest[spot.union]:
+        if spot.union is not None and len(spot.path) < deepest[spot.union]:
+            continue
+        cause = problem.get("ctx", {}).get("error")
+        if isinstance(cause, ConfigError):
+            # The error is in another file, which this one names here.
+            places.setdefault(str(cause), []).append(_place(spot.path))
+        else:
             around = _locate(section, problem["loc"][:-1]).choices
-            found, expected = _describe(path, spot, around, problem)
+            found, expected = _describe(spot, around, problem)
             lines.setdefault((_prefix(path, spot, problem), found), []).append(expected)
+    for text, named_at in places.items():
+        yield f"{text} (named in {': '.join(filter(None, [str(path), _join(named_at)]))})"
     for (prefix, found), expected_here in lines.items():
         yield f"{prefix}{found}{' or '.join(dict.fromkeys(expected_here))}"
 
 
 def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
-    if isinstance(problem.get("ctx", {}).get("error"), ConfigError):
-        return ""
     place = _place(spot.path)
     discriminator = problem.get("ctx", {}).get("discriminator")
     if discriminator is not None:
@@ -264,7 +289,7 @@ def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
     return f"{path}: {place}: " if place else f"{path}: "
 
 
-def _describe(path: Path | str, spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
+def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
     """What was found and what was expected; ``around`` are the types that may contain the place."""
     kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
     if kind == "extra_forbidden":
@@ -280,13 +305,10 @@ def _describe(path: Path | str, spot: _Spot, around: list[Any], problem: Any) ->
     if kind == "union_tag_invalid":
         tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
         return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{_near(context['tag'], tags)}"
-    if isinstance(context.get("error"), ConfigError):
-        # The error is in another file that this one names.
-        place = _place(spot.path)
-        return "", f"{context['error']} (named in {path}{': ' if place else ''}{place})"
     if kind == "value_error":
-        found = "" if isinstance(value, dict | list) else f"found {_show(value)}; "
-        return found, str(context["error"])
+        text = str(context["error"])
+        is_shown = isinstance(value, dict | list) or (isinstance(value, str) and _show(value) in text)
+        return "" if is_shown else f"found {_show(value)}; ", text
     expected = problem["msg"].removeprefix("Input should be ")
     if kind in ("model_type", "model_attributes_type"):
         expected = f"a mapping with the keys {_join(_keys(spot.choices))}"

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from msp_lab.campaigns.campaign import load_campaign
+from msp_lab.readings.column_map import load_map
 from msp_range.bus.base import BusError
 from msp_range.bus.smbus import KernelBus
 from msp_range.check import drawing, lines
@@ -14,8 +16,10 @@ from msp_range.health.bus import BusHealth
 from msp_range.mavlink.transport import open_transport
 from msp_range.plausible import doubts
 from msp_range.reading import Reading, Status
+from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.sensors.polling import Ranging
 from msp_range.yaml_file import ConfigError
+from msp_sim.flight.scenario import load_scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -81,12 +85,25 @@ def test_centimetres_are_suspected(tmp_path: Path) -> None:
     assert "front_right: at the same place and angle as front_left" in twice
 
 
-@pytest.mark.parametrize("name", ["mb1242", "lidar_lite_v3", "hcsr04"])
-def test_a_sensor_file_as_airframe_is_one_line(name: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        load_airframe(CONFIGS / f"sensors/{name}.yaml")
-    assert len(str(caught.value).splitlines()) == 1
-    assert "found a sensor model; expected an airframe file" in str(caught.value)
+READERS = {
+    ".": ("an airframe file", load_airframe),
+    "sensors": ("a sensor model", load_sensor_model),
+    "scenarios": ("a scenario", load_scenario),
+    "campaigns": ("a campaign", load_campaign),
+    "maps": ("a column map", lambda path: load_map([str(path)])),
+}
+
+
+@pytest.mark.parametrize("other", READERS)
+@pytest.mark.parametrize("folder", READERS)
+def test_a_file_of_another_kind_is_one_line(folder: str, other: str) -> None:
+    expected, read = READERS[folder]
+    for path in sorted((CONFIGS / other).glob("*.yaml")):
+        if folder != other:
+            with pytest.raises(ConfigError) as caught:
+                read(path)
+            found = "a campaign of flights" if path.stem == "flight" else READERS[other][0]
+            assert str(caught.value) == f"{path}: found {found}; expected {expected}"
 
 
 def test_the_eight_bit_form_is_explained(tmp_path: Path) -> None:

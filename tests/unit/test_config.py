@@ -156,7 +156,7 @@ def test_what_is_left_out() -> None:
         (lambda c: c["link"].update(component_id=1), "link.component_id: found 1; expected greater than or equal to 2"),
         (
             lambda c: c["link"].update(url="udp:1.2.3.4:5"),
-            "link.url: found 'udp:1.2.3.4:5'; link 'udp:1.2.3.4:5': found",
+            "link.url: link 'udp:1.2.3.4:5': found",
         ),
         (
             lambda c: c["filters"][0].update(filter="kalmn"),
@@ -239,6 +239,12 @@ def test_a_user_error_in_a_file_that_is_named_is_reported_with_both_places(tmp_p
     (line,) = errors_of(tmp_path, lambda c: c["sensors"][2].update(model="mb1242.yaml"))
     assert line.startswith(f"{tmp_path / 'mb1242.yaml'}: no such file (named in ")
     assert line.endswith("airframe.yaml: sensors[2])")
+
+
+def test_a_file_that_is_named_four_times_is_one_error(tmp_path: Path) -> None:
+    (line,) = errors_of(tmp_path, lambda c: [each.update(model="mb1424.yaml") for each in c["sensors"]])
+    assert line.count("no such file") == 1
+    assert line.endswith("airframe.yaml: sensors[0], sensors[1], sensors[2], sensors[3])")
 
 
 @pytest.mark.parametrize(
