@@ -358,8 +358,9 @@ def scan(
     from msp_range.sensors.addressing import scan as scan_bus
     from msp_range.terminal import PlainConsole
 
+    kind = None if driver is None else driver_of(driver)
     kernel_bus = KernelBus(bus_of(bus))
-    found = scan_bus(kernel_bus, SystemClock(), identify=ping, driver=None if driver is None else driver_of(driver))
+    found = scan_bus(kernel_bus, SystemClock(), identify=ping, driver=kind)
     kernel_bus.close()
     if not found:
         print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")

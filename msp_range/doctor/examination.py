@@ -46,7 +46,10 @@ def examine(
     try:
         airframe = load_airframe(path)
     except ConfigError as error:
-        yield wrong("airframe file", str(error), f"correct it; msp-range check {path} shows the rest")
+        remedy = f"correct it; msp-range check {path} shows the rest"
+        if not path.exists():
+            remedy = "name your airframe file: msp-range doctor AIRFRAME.yaml; install.sh makes that of the service"
+        yield wrong("airframe file", str(error), remedy)
         return
     yield right("airframe file", f"{path}: {airframe.vehicle}")
     for doubt in doubts(airframe):

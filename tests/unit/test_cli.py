@@ -109,6 +109,7 @@ def test_check_says_what_each_thermometer_is_worth() -> None:
         (["check", "configs/quad_palet.yaml"], "next to it there is quad_pallet.yaml"),
         (["run", "configs/quad_pallet.yaml", "--link", "udp:1"], "--link:"),
         (["scan", "--bus", "/nonexistent/i2c-9"], "no such I2C bus; enable I2C"),
+        (["scan", "--bus", "/nonexistent/i2c-9", "--driver", "mb1424"], "--driver"),
         (["address", "0x70", "0x28"], "ignores the address 0x28"),
         (["address", "0x70", "seventy"], "expected a 7-bit address"),
         (["export", "README.md", "out.csv"], "not an MCAP recording"),
@@ -130,6 +131,13 @@ def test_a_user_error_is_one_line_and_exit_code_3(
     assert message in result.output
     assert "Traceback" not in result.output
     assert len(result.output.strip().splitlines()) == 1
+
+
+def test_doctor_without_an_airframe_file_says_that_one_has_to_be_named(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["doctor", str(tmp_path / "airframe.yaml")])
+    assert result.exit_code == 1
+    assert "no such file" in result.output
+    assert "-> name your airframe file: msp-range doctor AIRFRAME.yaml" in result.output
 
 
 def test_a_wrong_command_line_is_exit_code_2() -> None:
