@@ -125,21 +125,24 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
 
 
 def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> None:
-    unit = np.repeat(np.arange(14), 150)
-    wandering, offset, still = [], [], []
-    for seed in range(30):
+    """A wander that hardly forgets itself in a run moves the runs' means as offsets do, and blocks of them less."""
+    runs, rows = 14, 150
+    unit = np.repeat(np.arange(runs), rows)
+    p_values: dict[str, list[float]] = {"quick": [], "slow": [], "offset": [], "still": []}
+    for seed in range(10):
         rng = np.random.default_rng([seed, 4])
         noise = rng.standard_normal(unit.size)
-        # A run of 15 s, and a wander of 5 s.
-        wander = np.concatenate(
-            [np.interp(np.arange(150) / 50.0, np.arange(4), rng.standard_normal(4)) for _ in range(14)]
-        )
-        wandering.append(p_beyond_wander(noise + 0.7 * wander, unit))
-        offset.append(p_beyond_wander(noise + 0.7 * rng.standard_normal(14)[unit], unit))
-        still.append(p_beyond_wander(noise, unit))
-    assert np.mean(np.array(wandering) < rules.RUN_OFFSETS_P) < 0.1
-    assert np.mean(np.array(offset) < rules.RUN_OFFSETS_P) > 0.9
-    assert 0.25 < np.median(still) < 0.75
+        p_values["still"].append(p_beyond_wander(noise, unit))
+        p_values["offset"].append(p_beyond_wander(noise + 0.7 * rng.standard_normal(runs)[unit], unit))
+        for name, readings in (("quick", 15.0), ("slow", 60.0)):
+            keeps = np.exp(-1.0 / readings)
+            wander = rng.standard_normal((runs, rows))
+            wander[:, 1:] *= np.sqrt(1.0 - keeps**2)
+            for row in range(1, rows):
+                wander[:, row] += keeps * wander[:, row - 1]
+            p_values[name].append(p_beyond_wander(noise + 0.7 * wander.ravel(), unit))
+    named = {name: np.mean(np.array(found) < rules.BEYOND_WANDER_P) for name, found in p_values.items()}
+    assert named == {"quick": 0.0, "slow": 0.0, "offset": 1.0, "still": 0.0}
 
 
 def test_offsets_of_runs_do_not_hide_by_how_much_one_of_two_names_is_ahead() -> None:

@@ -138,14 +138,14 @@ def _by_scatter(nats: float, runs: int) -> float:
     return 0.5 * float(ndtri(p_value)) ** 2
 
 
-def blocks_of(unit: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Number of each reading's block: its run's readings in their order, in `WANDER_BLOCKS` parts."""
+def blocks_of(unit: NDArray[np.intp], parts: int = rules.WANDER_BLOCKS) -> NDArray[np.intp]:
+    """Number of each reading's block: its run's readings in their order, in so many parts."""
     order = np.argsort(unit, kind="stable")
     counts = np.bincount(unit)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     place = np.empty(unit.size, dtype=np.intp)
     place[order] = np.arange(unit.size) - starts[unit[order]]
-    return unit * rules.WANDER_BLOCKS + place * rules.WANDER_BLOCKS // counts[unit]
+    return unit * parts + place * parts // counts[unit]
 
 
 def evidence_nats(

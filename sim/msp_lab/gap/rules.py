@@ -178,6 +178,13 @@ gains half a nat more than with one, and the best of several shapes a little mor
 PLACE_COST_NATS = 2.0
 """The same for the place at which a component gathers readings. About the logarithm of the number of places that
 differ. Lower: components are named for a few readings at one place."""
+ECHO_NATS = 10.0
+"""The search for an object in front of the sensor also begins at the place that explains most readings, if it explains
+them by so many nats more than the base. What a name needs, and what the best of 150 places has by random variation
+(5). Lower: more is tried in vain; higher: legs of which few readings are are not found."""
+ECHO_SIGMAS = 5.0
+"""Readings that many standard deviations short of the surface may be of an object in front of it. Lower: tails of the
+hits are taken for objects; higher: objects near the surface are not seen."""
 COLLINEAR = 1e-3
 """A candidate of which the base and the accepted terms leave a smaller share of its information is not tested. Its
 number would rest on rounding. Lower: names that are the base's own."""
@@ -365,6 +372,13 @@ name, since it has no variable that could be checked. Higher: drifts are named r
 RUN_OFFSETS_LAG_Z = 3.0
 """They are not named where neighbours in a run correlate by more standard errors. Slow noise moves the means of runs
 too. Higher: slow noise is named run offsets."""
+BEYOND_WANDER_P = 0.01
+"""And by more than a wander inside them leads to with a smaller probability. A wander that lasts for a run is nearly an
+offset: at 0.0001 offsets of 0.3 sigma are found in 0.7 of tables of 20 runs and 0.1 of 8 runs, at 0.01 in all and 0.7.
+Higher: wanders are named run offsets."""
+OFFSET_BLOCKS = 8
+"""Each run is cut into so many blocks to tell offsets from a wander. More: a wander that is over in an eighth of a run
+is seen as one; fewer: it counts as offsets."""
 MAX_BETWEEN_SHARE = 0.95
 """At most this share of the variance lies between runs. The rest keeps a spread within them. It only matters for tables
 of repeats."""

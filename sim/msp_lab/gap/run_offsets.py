@@ -5,7 +5,8 @@ A fit of all readings enters; the effect `run_offsets` leaves, which no single r
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
+from scipy.optimize import minimize
+from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.evidence import blocks_of
@@ -33,7 +34,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     left = problem.dependence(fit)
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
-    if p_beyond_wander(fit.here.by[:, 0], problem.some_unit) > rules.RUN_OFFSETS_P:
+    if p_beyond_wander(fit.here.by[:, 0], problem.some_unit) > rules.BEYOND_WANDER_P:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
     rows = problem.some.at(fit.base, fit.effects)
@@ -54,19 +55,41 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
 
 
 def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
-    """p-value of the runs' means against the means of blocks inside the runs (one-way analysis of variance).
+    """p-value of offsets between runs next to a wander inside them, by the likelihood of the means of blocks.
 
-    A slow wander moves the means of runs too, but those of their blocks as well; an offset only those of runs.
+    A wander moves the means of runs too, the more the slower it is: block means ``m_i`` of a run have
+    ``cov(m_i, m_j) = d + w r^|i - j| + [i = j] a / n_i``, with d of the offsets, and w and r of a wander that forgets
+    itself in a run's length or sooner (`rules.OFFSET_BLOCKS`); slower ones are offsets. The likelihood ratio of d > 0
+    against d = 0, at a bound, is zero or chi-squared, each half of the time (Self & Liang 1987, JASA 82, 605).
     """
-    block = np.unique(blocks_of(unit), return_inverse=True)[1]
-    of_run, of_block = np.bincount(unit), np.bincount(block)
-    runs, blocks = int((of_run > 0).sum()), of_block.size
-    if blocks <= runs or runs < 2:
+    counts = np.bincount(unit)
+    long = np.flatnonzero(counts >= rules.OFFSET_BLOCKS)
+    if long.size < 2:
         return 1.0
-    between = float((np.bincount(unit, slope - slope.mean()) ** 2 / np.maximum(of_run, 1)).sum()) / (runs - 1)
-    about_run = slope - (np.bincount(unit, slope) / np.maximum(of_run, 1))[unit]
-    inside = float((np.bincount(block, about_run) ** 2 / of_block).sum()) / (blocks - runs)
-    return float(fdtrc(runs - 1, blocks - runs, between / max(inside, 1e-300)))
+    blocks = blocks_of(unit, rules.OFFSET_BLOCKS)
+    size = np.bincount(blocks, minlength=counts.size * rules.OFFSET_BLOCKS).reshape(-1, rules.OFFSET_BLOCKS)[long]
+    sums = np.bincount(blocks, slope - slope.mean(), counts.size * rules.OFFSET_BLOCKS)
+    mean = sums.reshape(-1, rules.OFFSET_BLOCKS)[long] / size
+    apart = np.abs(np.subtract.outer(np.arange(rules.OFFSET_BLOCKS), np.arange(rules.OFFSET_BLOCKS)))
+    single, whole = float(np.var(slope)), float(np.var(mean))
+
+    def loss(numbers: _Array) -> float:
+        own, wander, forgets = single * np.exp(numbers[0]), whole * np.exp(numbers[1]), np.exp(-np.exp(numbers[2]))
+        offset = whole * np.exp(numbers[3]) if numbers.size > 3 else 0.0
+        covariance = offset + wander * forgets**apart + np.eye(rules.OFFSET_BLOCKS) * (own / size)[:, None, :]
+        rest = np.linalg.solve(covariance, mean[:, :, None])[:, :, 0]
+        return 0.5 * float(np.linalg.slogdet(covariance)[1].sum() + (mean * rest).sum())
+
+    # In blocks; the fastest wander is over before the next block.
+    slowest, fastest = -np.log(rules.OFFSET_BLOCKS), 1.5
+    bounds = [(-7.0, 7.0), (-12.0, 5.0), (slowest, fastest), (-12.0, 5.0)]
+    starts = [np.array([0.0, -0.7, forgets, -0.7]) for forgets in (slowest, 0.0)]
+    without = min(
+        (minimize(loss, start[:3], method="L-BFGS-B", bounds=bounds[:3]) for start in starts), key=lambda each: each.fun
+    )
+    starts.append(np.append(without.x, -5.0))
+    with_offsets = min(minimize(loss, start, method="L-BFGS-B", bounds=bounds).fun for start in starts)
+    return 0.5 * float(chdtrc(1, 2.0 * max(without.fun - with_offsets, 0.0)))
 
 
 def validated_run_offsets(
