@@ -1,6 +1,7 @@
 """msp-lab: the commands of the laboratory."""
 
 import json
+import sys
 from dataclasses import replace
 from datetime import date as day
 from pathlib import Path
@@ -193,6 +194,9 @@ def characterise(
         reference_std_cm,
         set_up_std_cm,
     )
+    if sensor is None and column_map:
+        name = load_sensor_model(how.start).name
+        print(f"note: no --sensor, so name, limits and codes are those of the {name}", file=sys.stderr)
     if each is not None:
         if compare_with_report:
             raise ConfigError("--each and --compare-with-report: give one of them")

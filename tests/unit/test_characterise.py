@@ -219,6 +219,15 @@ def test_a_sensor_without_a_driver_does_not_fly(tmp_path: Path) -> None:
         load_airframe(tmp_path / "airframe.yaml")
 
 
+@pytest.mark.parametrize(("sensor", "notes"), [((), 1), (("--sensor", CONFIGS / "sensors" / "hcsr04.yaml"), 0)])
+def test_a_stranger_s_table_does_not_become_an_mb1242_in_silence(
+    sensor: tuple[object, ...], notes: int, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.csv").write_text("mm,tape\n1010,1000\n")
+    result = run(tmp_path / "mine.csv", "--map", "reading_cm=mm*0.1", "--out", tmp_path / "m.yaml", *sensor)
+    assert result.output.count("note: no --sensor, so name, limits and codes are those of the MB1242") == notes
+
+
 def on_real_data(tmp_path: Path, name: str, map_name: str, sensor: str) -> tuple[str, Path]:
     out = tmp_path / "model.yaml"
     sensor_file = CONFIGS / "sensors" / sensor
