@@ -58,10 +58,13 @@ def summarise(findings: Findings) -> str:
     if calibration is None:
         parts = [f"These data do not say how accurate the {findings.sensor} is."]
     else:
-        bias_cm = (calibration if base is None else base).bias.value
+        bias = plus((calibration if base is None else base).bias.value, 2)
+        in_air = plus(calibration.bias.value, 2)
+        # What a calibration corrects is the error that is left when the air's temperature is compensated.
+        compensated = "" if in_air == bias else f" ({in_air} cm in air of {findings.calibration_temperature_c:g} °C)"
         form = _CALIBRATION[calibration.form] if calibration.held_out else "there are too few ranges for a calibration"
         parts = [
-            f"Hits of the {findings.sensor} are off by {plus(bias_cm, 2)} cm on average and scatter by "
+            f"Hits of the {findings.sensor} are off by {bias} cm on average{compensated} and scatter by "
             f"{calibration.spread.value:.2g} cm; {form}."
         ]
     if base is not None:

@@ -72,15 +72,14 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
     minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
-    # About the range that the fit took it to be.
-    apparent_cm = float(np.mean(rows.apparent_cm[chosen])) + placement_error_cm(findings, condition, true_cm)
-    contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
+    # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
+    mean_cm = float(np.mean(rows.apparent_cm[chosen]))
+    steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
+    apparent_cm = mean_cm + placement_error_cm(findings, condition, true_cm)
     whole = ReadingModel.of(rows.model)
-    mixture = whole.rows(contexts["true_range_cm"])
-    hit, short, _, random = mixture.kinds(k, k)
-    # The garbled code is drawn with the mass that it comes from.
-    missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
-    by_kind = dict(zip(KINDS, (hit.p, short.p, missed, random.p), strict=True))
+    at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm.tolist()]
+    *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
+    by_kind = dict(zip(KINDS, by_each_kind, strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = whole_cm(rows.reading_cm[chosen])
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
@@ -93,7 +92,17 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
         weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
         counts=counts if readings.size else None,
     )
-    return fitted, np.exp(whole.log_prob(k, contexts))
+    return fitted, total
+
+
+def _probabilities(whole: ReadingModel, k: NDArray[np.float64], apparent_cm: float) -> list[NDArray[np.float64]]:
+    """Probability of each reading by each kind alone, and by all of the mixture, at a range."""
+    contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
+    mixture = whole.rows(contexts["true_range_cm"])
+    hit, short, _, random = mixture.kinds(k, k)
+    # The garbled code is drawn with the mass that it comes from.
+    missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
+    return [hit.p, short.p, missed, random.p, np.exp(whole.log_prob(k, contexts))]
 
 
 def _one_range(rows: PictureData) -> tuple[str, float]:
