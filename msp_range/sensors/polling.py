@@ -82,19 +82,33 @@ _next_try_s = attrgetter("next_try_s")
 
 
 class _Duration(NamedTuple):
-    """How long a sensor's last measurement took: at least so long for its answer, and so much longer [s]."""
+    """How long a sensor measures, by its last answer [s].
+
+    Attributes
+    ----------
+    earliest_s
+        Shortest time in which that answer can come, see `Decoded.earliest_s`: it grows with the range.
+    extra_s
+        What the sensor takes on top of that, at any range.
+    """
 
     earliest_s: float
-    beyond_s: float
+    extra_s: float
+
+    @property
+    def total_s(self) -> float:
+        """Time from the ping to the answer, where the range is that of the last one [s]."""
+        return self.earliest_s + self.extra_s
 
 
 def _duration(pending: _Pending, earliest_s: float, now_s: float, before: _Duration | None) -> _Duration:
-    """The duration of the measurement that was answered now; what was learnt ``before`` holds for any answer."""
-    beyond_s = now_s - pending.ping_s - earliest_s
+    """How long a sensor measures, where it answered now; ``before``: the same by its previous answer."""
+    extra_s = now_s - pending.ping_s - earliest_s
     if before is not None:
-        beyond_s = min(beyond_s, before.beyond_s)
+        extra_s = min(extra_s, before.extra_s)
+    # It was done some time between the last attempt in vain and the next, which would be a poll later.
     in_vain_s = pending.tried_s + 0.5 * POLL_INTERVAL_S - pending.ping_s - earliest_s
-    return _Duration(earliest_s, max(beyond_s - SOONER_S, in_vain_s))
+    return _Duration(earliest_s, max(extra_s - SOONER_S, in_vain_s))
 
 
 class Poller:
@@ -177,7 +191,7 @@ class Poller:
         if busy_s is None:
             busy_s = 0.0
             if sensor.name in self._durations:
-                expected_s = self._last_ping_s + sum(self._durations[sensor.name])
+                expected_s = self._last_ping_s + self._durations[sensor.name].total_s
         self._pending.append(_Pending(sensor, from_s, self._last_ping_s, busy_s, expected_s))
         self._acknowledged = True
         return None
