@@ -158,7 +158,8 @@ class Workers:
 
         pickled = pickle.dumps((function, shared))
         length = -(-len(items) // MOST_TASKS)
-        parts = [list(enumerate(items))[start : start + length] for start in range(0, len(items), length or 1)]
+        indexed_items = list(enumerate(items))
+        parts = [indexed_items[start : start + length] for start in range(0, len(items), length or 1)]
         # The dashboard groups tasks by the first part of their keys. A key must be new: the result of an earlier task
         # with the same one, also of somebody else's, would be taken for this one's.
         self._maps += 1
@@ -283,7 +284,6 @@ def _connected(address: str) -> Iterator[Any]:
     """A client of a running cluster."""
     from distributed import Client
 
-    start = "docs/fleets.md has the commands that start one"
     logging.getLogger("distributed").setLevel(SILENT)
     try:
         client = Client(address, timeout=CONNECT_S)
@@ -291,7 +291,7 @@ def _connected(address: str) -> Iterator[Any]:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigError(
             f"--scheduler {address}: no Dask scheduler answered within {CONNECT_S:g} s ({reason}). Start one with "
-            f"'dask scheduler', and 'dask worker tcp://HOST:8786 --nthreads 1' on each machine; {start}"
+            "'dask scheduler', and 'dask worker tcp://HOST:8786 --nthreads 1' on each machine (docs/fleets.md)"
         ) from None
     with client:
         found = client.scheduler_info(n_workers=-1)["workers"]
