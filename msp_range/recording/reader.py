@@ -80,7 +80,7 @@ class Recording:
         self.metadata: dict[str, str] = {}
         self.profile = ""
         self._attached_bytes = 0
-        with self._open() as file:
+        with _opened(self.path) as file:
             magic = file.read(len(MCAP0_MAGIC))
             self.has_magic = MCAP0_MAGIC.startswith(magic)
             if not (salvage or self.has_magic):
@@ -121,7 +121,7 @@ class Recording:
     def records(self) -> Iterator[Record]:
         """Every whole record, chunks taken apart; `losses` counts the others."""
         self.losses = Losses()
-        with self._open() as file:
+        with _opened(self.path) as file:
             yield from read_records(file, self.losses)
 
     def _start(self) -> tuple[float, int]:
@@ -136,12 +136,6 @@ class Recording:
             return start_s, utc_start_ns
         found = ", ".join(f"{name} {value[:40]!r}" for name, value in given.items())
         raise RecordingError(f"{self.path}: metadata {METADATA_NAME}: found {found}, expected times of a recording")
-
-    def _open(self) -> BinaryIO:
-        try:
-            return open_input(self.path, LARGEST_FILE_BYTES)
-        except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
     def _keep(self, record: Record | None) -> None:
         if isinstance(record, Header):
@@ -175,8 +169,12 @@ def is_recording(path: Path | str) -> bool:
     RecordingError
         It cannot be read.
     """
+    with _opened(path) as file:
+        return Path(path).suffix == SUFFIX or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+
+
+def _opened(path: Path | str) -> BinaryIO:
     try:
-        with open_input(path, LARGEST_FILE_BYTES) as file:
-            return Path(path).suffix == SUFFIX or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return open_input(path, LARGEST_FILE_BYTES)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
