@@ -64,18 +64,24 @@ from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
 from msp_range.recording.stages import stages_of
-from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, MOTION_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import (
+    ATTITUDE_TOPIC,
+    FUSED_TOPIC,
+    HEALTH_TOPIC,
+    MOTION_TOPIC,
+    RANGE_PREFIX,
+    SENT_TOPIC,
+)
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
 
 LINK_WAITS_S = 0.02
-"""Transfers that follow each other at once keep the link and the report of a silence waiting no longer than this, and
-for the one that is under way [s]. Longer than the pings of a group, so that they go out together (eight take 4 ms at
-50 kHz); far shorter than the second between two heartbeats, and than what a report comes before its limit
-(`Windows.silence_s`)."""
-LOOK_INTERVAL_S = 0.25
-"""Longest time between two looks at what is not a reading's: bus, temperature, autopilot, disk [s]. A silence is due at
-a time of its own, whatever this is."""
+"""While transfers follow each other without a pause, the link and the report of a silence wait for this time at most,
+and for the transfer under way [s]. Longer than the pings of a group, so that they go out together (eight take 4 ms at
+50 kHz); far shorter than the second between two heartbeats, and than the margin in `Windows.silence_s` (50 ms)."""
+CONDITIONS_INTERVAL_S = 0.25
+"""Longest time between two checks of what does not come with a reading: bus, temperature, autopilot, disk [s]. A
+silence is reported when it is due, whatever this is; a longer interval reports the others later."""
 TEMPERATURE_REQUEST_HZ = 1.0
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
@@ -108,7 +114,7 @@ class Records(Protocol):
 
 
 class _Channel:
-    """One sensor's way through the bridge."""
+    """What the bridge has of one sensor: its correction, its filters, and counts of its readings."""
 
     def __init__(self, sensor: SensorSettings, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
@@ -277,7 +283,7 @@ class Bridge:
         self._below = ObservationsBelow(self.notify)
         self._bus_health = BusHealth()
         self._reminder = Reminder()
-        self._next_look_s = clock.now()
+        self._next_conditions_s = clock.now()
         self.completed_s = clock.now()
 
     @property
@@ -297,7 +303,7 @@ class Bridge:
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
-        due_s = min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_look_s)
+        due_s = min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_conditions_s)
         has_arrived = clock.sleep_until(due_s, link.files)
         now_s = clock.now()
         steps: list[Step] = []
@@ -308,12 +314,12 @@ class Bridge:
             outbox.send_due(now_s)
         if has_arrived:
             link.next_event_s = min(link.next_event_s, now_s)
-        if poller.next_event_s <= now_s < min(link.next_event_s, self._next_look_s) + LINK_WAITS_S:
+        if poller.next_event_s <= now_s < min(link.next_event_s, self._next_conditions_s) + LINK_WAITS_S:
             return steps
         if now_s >= link.next_event_s:
             link.service(has_arrived)
-        if now_s >= self._next_look_s:
-            self._look_after(now_s)
+        if now_s >= self._next_conditions_s:
+            self._check_conditions(now_s)
         self.completed_s = now_s
         return steps
 
@@ -402,8 +408,8 @@ class Bridge:
 
     def _send(self, message: Any) -> None:
         frame = self.link.send(message)
-        if self._recorder is not None and frame is not None:
-            self._recorder.write("/mavlink/sent", self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
+        if frame is not None:
+            self._write(SENT_TOPIC, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
     def _record(self, now_s: float, topic: str, step: Step) -> None:
         if self._recorder is None:
@@ -439,10 +445,10 @@ class Bridge:
         elif (height_m := pressure_height_m(message)) is not None and self._motion.on_pressure_height(now_s, height_m):
             self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
 
-    def _look_after(self, now_s: float) -> None:
-        """Update what is not a reading's: air and disk, and the conditions of all that is not a sensor."""
-        # A usable message only defers the limit of silence: no look is later than one that is reached.
-        self._next_look_s = min(now_s + LOOK_INTERVAL_S, self._output.next_event_s(now_s))
+    def _check_conditions(self, now_s: float) -> None:
+        """Update the air, the recording and the conditions of all that is not a sensor, and report what has changed."""
+        # A usable message only defers the limit of silence: no check is later than one that is reached.
+        self._next_conditions_s = min(now_s + CONDITIONS_INTERVAL_S, self._output.next_event_s(now_s))
         conditions = [*self._bus_health.conditions(now_s), *self.link.conditions()]
         if self._recorded_air is None:
             self._air = self._temperature.now(now_s)
@@ -475,7 +481,7 @@ class Bridge:
     def notify(self, severity: Severity, text: str) -> None:
         """Report something to the pilot, the recording and the log."""
         self.link.send_text(severity, text)
-        self._write("/health", self._clock.now(), {"text": text, "severity": severity.name.lower()})
+        self._write(HEALTH_TOPIC, self._clock.now(), {"text": text, "severity": severity.name.lower()})
         if self._report is not None:
             self._report(severity, text)
 

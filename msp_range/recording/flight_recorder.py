@@ -82,7 +82,7 @@ class FlightRecorder:
         self._on_failure = on_failure
         self._ending: list[Recorder] = []
         self._retry_s = float("-inf")
-        self._is_known = False
+        self._is_reported = False
         self._began_s = clock.now()
         self._utc_offset_s = 0.0
         self._recorder: Recorder | None = self._begin(self._began_s)
@@ -94,7 +94,7 @@ class FlightRecorder:
 
     def flush_if_due(self, now_s: float) -> None:
         """Hand over to the disk what is due, begin a new file where it is time, and check `fault`."""
-        self._look_after_ending()
+        self._drop_ended()
         if self._recorder is None:
             # A disk that hangs has ended nothing: its last file has to end before there is another.
             if now_s >= self._retry_s and not self._ending:
@@ -109,8 +109,8 @@ class FlightRecorder:
             self._end(recorder)
             self._recorder = None
             return
-        if not self._is_known and recorder.is_kept and recorder.path is not None:
-            self._is_known, self.fault = True, None
+        if not self._is_reported and recorder.is_kept and recorder.path is not None:
+            self._is_reported, self.fault = True, None
             self._on_file(recorder.path)
         utc_moved_s = abs(self._clock.utc() - now_s - self._utc_offset_s)
         if now_s - self._began_s >= FILE_LASTS_S or recorder.size_bytes >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
@@ -131,7 +131,7 @@ class FlightRecorder:
 
     def _begin(self, now_s: float) -> Recorder:
         utc_s = self._clock.utc()
-        self._is_known = False
+        self._is_reported = False
         self._began_s = now_s
         self._utc_offset_s = utc_s - now_s
         file = BackgroundFile(partial(new_file, self._folder, self._name, utc_s))
@@ -141,7 +141,7 @@ class FlightRecorder:
         recorder.finish()
         self._ending.append(recorder)
 
-    def _look_after_ending(self) -> None:
+    def _drop_ended(self) -> None:
         for recorder in self._ending:
             if recorder.has_ended and recorder.fault is None and not recorder.is_complete:
                 self._on_failure(recorder.failure())

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX
 
 USED, FILTERED, FUSED = "#1f77b4", "#2ca02c", "#9467bd"
 """Colours of corrected readings, filtered ones and the fused distance, which the colour-blind distinguish too."""
@@ -58,7 +58,7 @@ def foxglove(plots: Sequence[Plot]) -> str:
         for key in ("status", "rejected")
     ]
     panels.append(_panel("StateTransitions", "what became of the readings", {"paths": states, "isSynced": True}))
-    panels.append(_panel("RawMessages", None, {"topicPath": "/health"}))
+    panels.append(_panel("RawMessages", None, {"topicPath": HEALTH_TOPIC}))
     items = [{"proportion": 1, "content": each} for each in panels]
     return json.dumps({"version": 1, "content": {"type": "split", "direction": "column", "items": items}}, indent=1)
 

@@ -1,7 +1,7 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
-``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/mavlink/sent``, ``/health``, ``/mark`` and
+``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/motion``, ``/mavlink/sent``, ``/health``, ``/mark`` and
 ``/campaign``. A key that is absent is unknown, and a reading without those of `REQUIRED` is none. Every property has
 one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
 """
@@ -29,7 +29,8 @@ LONGEST_TEXT = 10_000
 LARGEST_TIME_S = 1e10
 """Times are not farther from the clock's zero than this [s]: 300 years, at which a float still tells microseconds."""
 
-ATTITUDE_TOPIC, MOTION_TOPIC, FUSED_TOPIC, MARK_TOPIC = "/attitude", "/motion", "/fused", "/mark"
+FUSED_TOPIC, ATTITUDE_TOPIC, MOTION_TOPIC = "/fused", "/attitude", "/motion"
+SENT_TOPIC, HEALTH_TOPIC, MARK_TOPIC, CAMPAIGN_TOPIC = "/mavlink/sent", "/health", "/mark", "/campaign"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _RANGE: tuple[str, _PropertyTable] = (
@@ -83,13 +84,13 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
             "pressure_height_m": ("number", "the pressure as a height over any level [m]; absent in an acceleration"),
         },
     ),
-    "/mavlink/sent": ("a MAVLink message that went out", _MAVLINK),
-    "/health": (
+    SENT_TOPIC: ("a MAVLink message that went out", _MAVLINK),
+    HEALTH_TOPIC: (
         "a change of health",
         {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},
     ),
     MARK_TOPIC: ("what somebody noted while it flew", {"text": ("string", "the note")}),
-    "/campaign": (
+    CAMPAIGN_TOPIC: (
         "a step of a campaign at the bench",
         {
             "event": ("string", "begin or done"),
@@ -108,7 +109,7 @@ _TRUTH: tuple[str, _PropertyTable] = (
     {
         name: ("string" if name in WORD_COLUMNS else "number", meaning)
         for name, meaning in {
-            "run": "which set-up of a campaign, and which sitting",
+            "run": "which set-up of a campaign, and which session",
             "true_range_cm": "perpendicular distance to the surface [cm]",
             **CONTEXT_COLUMNS,
         }.items()
@@ -122,7 +123,7 @@ REQUIRED: dict[str, frozenset[str]] = {
     FUSED_TOPIC: frozenset(),
     ATTITUDE_TOPIC: frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
     MOTION_TOPIC: frozenset({"time_s"}),
-    "/campaign": frozenset({"event", "point", "attempt", "run", "planned"}),
+    CAMPAIGN_TOPIC: frozenset({"event", "point", "attempt", "run", "planned"}),
 }
 """Topics, or their prefixes, whose messages are read back -> keys without which a message is of no use."""
 

@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX
 from msp_range.watch.client import Packet
 
 TEXTS_KEPT = 50
@@ -52,5 +52,5 @@ class Newest:
             self.status = message
         elif topic == "/autopilot":
             self.received[message["kind"]] = message
-        elif topic == "/health":
+        elif topic == HEALTH_TOPIC:
             self.texts.append((self.time_s, message))

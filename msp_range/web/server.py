@@ -22,6 +22,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, Packet
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import Newest
@@ -37,8 +38,8 @@ SLOW_BYTES = 1 << 20
 """A browser with more unsent data than this gets no more until it has read it: ten seconds of four sensors."""
 RETRY_S = 0.5
 """Time between two tries to find the bridge [s]."""
-NOT_SHOWN = ('"/mavlink/sent"', '"/motion"')
-"""Topics that the page does not draw."""
+NOT_SHOWN = tuple(f'{{"topic":"{topic}"'.encode() for topic in (SENT_TOPIC, MOTION_TOPIC))
+"""Beginnings of packets that the page does not draw: the topic comes first in a packet."""
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -164,8 +165,7 @@ class Page:
             await asyncio.sleep(RETRY_S)
 
     def _update(self, packet: bytes) -> None:
-        # The topic comes first in a packet: what the page does not draw need not be parsed.
-        if any(packet.startswith(b'{"topic":' + topic.encode()) for topic in NOT_SHOWN):
+        if packet.startswith(NOT_SHOWN):
             return
         parsed = Packet.parsed(packet)
         self._newest.update(parsed)

@@ -14,6 +14,7 @@ from msp_range.commission.steps.places import compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, right, unknown, wrong
 from msp_range.recording.reader import Recording
+from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC
 from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
@@ -84,14 +85,14 @@ def review(session: Session) -> StepOutcome:
     reported = Counter(
         str(message["text"])
         for topic, _, message in records
-        if topic == "/health" and "text" in message and message.get("severity") in ("error", "warning")
+        if topic == HEALTH_TOPIC and "text" in message and message.get("severity") in ("error", "warning")
     )
     for text, count in reported.most_common(8):
         remedy = "docs/flying.md explains the texts"
         outcome.findings.append(
             unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
         )
-    sent = Counter(str(message["name"]) for topic, _, message in records if topic == "/mavlink/sent")
+    sent = Counter(str(message["name"]) for topic, _, message in records if topic == SENT_TOPIC)
     outcome.measured["sent"] = dict(sent)
     return outcome
 

@@ -24,12 +24,11 @@ from msp_range.recording.columns import CONTEXT_COLUMNS, WORD_COLUMNS
 from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import RANGE_PREFIX, TRUTH_PREFIX
+from msp_range.recording.topics import CAMPAIGN_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
 from msp_range.recording.writer import Recorder
 from msp_sim.terminal import make_folder
 
 READINGS_NAME = "readings.csv"
-CAMPAIGN_TOPIC = "/campaign"
 BENCH_KEY = "bench"
 MOST_ATTEMPTS = 10_000
 """Refuse a recording with a higher number of an attempt: it is damaged, and every attempt up to it would be created.

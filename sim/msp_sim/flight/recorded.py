@@ -10,7 +10,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import FUSED_TOPIC, MARK_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
+from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, MARK_TOPIC, RANGE_PREFIX, SENT_TOPIC, TRUTH_PREFIX
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 CM_PER_M = 100
@@ -56,9 +56,9 @@ def recorded_flight(path: Path) -> FlightResult:
             fused.truth_m.append(None)
             fused.filtered_m.append(message["range_m"])
             fused.why.append(None)
-        elif topic == "/mavlink/sent":
+        elif topic == SENT_TOPIC:
             sent[str(message.get("name"))] += 1
-        elif topic in ("/health", MARK_TOPIC) and "text" in message:
+        elif topic in (HEALTH_TOPIC, MARK_TOPIC) and "text" in message:
             severity = str(message.get("severity", "mark"))
             texts.append((time_s - (time_s if start_s is None else start_s), severity, str(message["text"])))
     if not tracks:
