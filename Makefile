@@ -97,6 +97,7 @@ compile: .venv/.installed
 	$(PYTHON) -m venv .venv
 
 .venv/.installed: pyproject.toml | .venv/bin/python
+	@echo "Installing into .venv: a minute or two in silence."
 	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,fleet]'
 	@touch $@
 
