@@ -40,6 +40,8 @@ CHECK_INTERVAL_S = 0.05
 """Time between two checks of all that is not the bridge's own: a reload, systemd's watchdog, watchers and the link's
 state [s]. A mark in the recording is at most this late, and an eighth of the processor time was spent on checks after
 every step of the bridge."""
+LINK_CHECK_INTERVAL_S = 1.0
+"""Time between two checks of what the log says about the link [s]; a shorter one logs each change of a loose plug."""
 FEED_INTERVAL_S = 0.2
 """Shortest time between two messages to systemd's watchdog [s]. A transfer on a locked-up bus takes 1 s in the kernel,
 and WatchdogSec in systemd/msp-range.service is 1.5 s. With more than 0.4 s such a bus would restart the bridge; less
@@ -73,10 +75,10 @@ def received_signals(*signals: signal.Signals) -> Iterator[list[int]]:
     """Context in which these signals are added to the list instead of ending the program."""
     received: list[int] = []
 
-    def note(signum: int, frame: FrameType | None) -> None:
+    def record(signum: int, frame: FrameType | None) -> None:
         received.append(signum)
 
-    before = {signum: signal.signal(signum, note) for signum in signals}
+    before = {signum: signal.signal(signum, record) for signum in signals}
     try:
         yield received
     finally:
@@ -119,11 +121,9 @@ def serve(
     """Step the bridge until ``stopped`` contains a signal or the airframe has changed."""
     notify_systemd("READY=1")
     next_check_s = next_feed_s = clock.now()
-    next_note_s = clock.now() + 1.0
+    next_link_check_s = clock.now() + LINK_CHECK_INTERVAL_S
     next_summary_s = clock.now() + SUMMARY_INTERVAL_S
-    autopilot: int | None = None
-    connected = False
-    trouble: str | None = None
+    link_log = _LinkLog(bridge, transport, log)
     while not stopped:
         bridge.step()
         now_s = clock.now()
@@ -137,21 +137,36 @@ def serve(
             next_feed_s = now_s + FEED_INTERVAL_S
         if watch is not None:
             watch.service(now_s)
-        if now_s < next_note_s:
-            continue
-        next_note_s = now_s + 1.0
-        if bridge.link.autopilot_is_present and bridge.link.autopilot_system != autopilot:
-            autopilot = bridge.link.autopilot_system
-            log.info("autopilot found", system=autopilot)
-        if transport.last_error != trouble or transport.connected != connected:
-            trouble, connected = transport.last_error, transport.connected
-            write = log.info if connected else log.warning
-            write("link", url=transport.description, connected=connected, error=trouble)
+        if now_s >= next_link_check_s:
+            next_link_check_s = now_s + LINK_CHECK_INTERVAL_S
+            link_log.update()
         if now_s >= next_summary_s:
             next_summary_s += SUMMARY_INTERVAL_S
             log.info("still flying", **_summary(bridge, transport))
     log.info("stopped by signal", signal=signal.Signals(stopped[0]).name, **_summary(bridge, transport))
     notify_systemd("STOPPING=1")
+
+
+class _LinkLog:
+    """Logs what changes at the link: the autopilot that is received, and whether the transport is connected."""
+
+    def __init__(self, bridge: Bridge, transport: Transport, log: Log) -> None:
+        self._bridge, self._transport, self._log = bridge, transport, log
+        self._autopilot: int | None = None
+        self._state: tuple[bool, str | None] = False, None
+
+    def update(self) -> None:
+        """Log what has changed since the last call."""
+        link, transport = self._bridge.link, self._transport
+        if link.autopilot_is_present and link.autopilot_system != self._autopilot:
+            self._autopilot = link.autopilot_system
+            self._log.info("autopilot found", system=self._autopilot)
+        state = transport.connected, transport.last_error
+        if state != self._state:
+            self._state = state
+            connected, error = state
+            write = self._log.info if connected else self._log.warning
+            write("link", url=transport.description, connected=connected, error=error)
 
 
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
@@ -294,7 +309,7 @@ def _watch(
     clock: Clock,
     log: Log,
 ) -> Watch | None:
-    """By which the bridge can be watched; None where there can be no socket, which is no reason not to fly."""
+    """The socket by which the bridge is watched; None where it cannot be made, which is no reason not to fly."""
     try:
         return Watch(airframe, bridge, transport, recorder, socket_path, web, clock.now(), log)
     except FeedError as error:
