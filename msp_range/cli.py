@@ -60,6 +60,12 @@ DriverOption = Annotated[
     str | None,
     typer.Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
 ]
+PortOption = Annotated[
+    int,
+    typer.Option(
+        min=0, max=9, help="the autopilot's port with the bridge: n of ArduPilot's SERIALn (0 to 9), of PX4's TELEM n"
+    ),
+]
 
 
 @app.command()
@@ -190,7 +196,7 @@ def commission(
     recording: Annotated[
         Path | None, typer.Option(help="recording of the hover (.mcap); default: the newest of the airframe's folder")
     ] = None,
-    port: Annotated[int, typer.Option(help="the autopilot's port with the bridge, as in msp-range params")] = 2,
+    port: PortOption = 2,
     json_lines: Annotated[
         bool, typer.Option("--json", help="print one JSON object at the end; instructions go to standard error")
     ] = False,
@@ -238,9 +244,7 @@ def params(
         Literal["copter", "plane", "sub", "rover"], typer.Option(help="ArduPilot's vehicle, where none is connected")
     ] = "copter",
     before_4_7: Annotated[bool, typer.Option("--before-4.7", help="names and units of ArduPilot before 4.7")] = False,
-    port: Annotated[
-        int, typer.Option(help="the autopilot's port with the bridge: n of ArduPilot's SERIALn, of PX4's TELEM n")
-    ] = 2,
+    port: PortOption = 2,
     compare: Annotated[bool, typer.Option("--compare", help="compare with the connected autopilot's values")] = False,
     write: Annotated[bool, typer.Option("--write", help="set them, with a question for each change")] = False,
     restore: Annotated[Path | None, typer.Option(help="set the values of this file (.parm) instead")] = None,

@@ -11,7 +11,7 @@ from typing import Literal
 from msp_range.assembly import fused_stream, single_streams
 from msp_range.config import Airframe
 from msp_range.mavlink.distance_sensor import Autopilot, Stream
-from msp_range.mavlink.orientation import DOWN
+from msp_range.mavlink.orientation import DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 
 Vehicle = Literal["copter", "plane", "sub", "rover"]
@@ -107,6 +107,9 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
     lines = ["Restart the autopilot after setting them: some count only from then on."]
     if firmware.autopilot == "px4" and downward_stream(airframe) is not None:
         lines.append("EKF2_RNG_DELAY is to be the latency that you measure [ms]: msp-range doctor prints it.")
+    outward = [each for each in single_streams(airframe).values() if each.orientation.value not in (DOWN, PITCH_90)]
+    if firmware.autopilot == "px4" and outward:
+        lines.append("CP_DIST switches collision prevention on: it is the distance to keep [m], for you to choose.")
     if firmware.autopilot == "ardupilot" and firmware.vehicle == "sub":
         lines.append("ArduSub ignores distances with a quality below RNGFND_SQ_MIN (90).")
     return lines

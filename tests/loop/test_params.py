@@ -12,7 +12,7 @@ from pymavlink import mavparm
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.config import load_airframe
-from msp_range.params.settings import Firmware, Vehicle, settings
+from msp_range.params.settings import Firmware, Vehicle, remarks, settings
 from tests.sitl import documented
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.transports import free_port
@@ -74,6 +74,16 @@ def test_a_serial_port_is_set_up_first() -> None:
     assert first == [("SERIAL4_PROTOCOL", 2), ("SERIAL4_BAUD", 921), ("RNGFND1_TYPE", 10)]
     px4 = of("canted_pallet", Firmware("px4"))
     assert list(px4.items())[:3] == [("MAV_1_CONFIG", 102), ("MAV_1_MODE", 2), ("SER_TEL2_BAUD", 921600)]
+
+
+@pytest.mark.parametrize(
+    ("name", "is_named"), [("proximity", True), ("forward_and_down", True), ("quad_pallet", False)]
+)
+def test_what_the_pilot_has_to_choose_is_named(name: str, is_named: bool) -> None:
+    """Of PX4's collision prevention: no value follows from the airframe, and without one it is off."""
+    airframe = load_airframe(CONFIGS / f"{name}.yaml")
+    assert ("CP_DIST" in "".join(remarks(airframe, Firmware("px4")))) is is_named
+    assert "CP_DIST" not in "".join(remarks(airframe, Firmware("ardupilot")))
 
 
 @pytest.mark.parametrize("vehicle", get_args(Vehicle))

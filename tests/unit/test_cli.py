@@ -141,6 +141,7 @@ def test_doctor_without_an_airframe_file_says_that_one_has_to_be_named(tmp_path:
 
 
 def test_a_wrong_command_line_is_exit_code_2() -> None:
+    assert CliRunner().invoke(app, ["params", str(CONFIGS / "quad_pallet.yaml"), "--port", "10"]).exit_code == 2
     assert CliRunner().invoke(app, ["run"]).exit_code == 2
     assert CliRunner().invoke(app, ["rnu", "x.yaml"]).exit_code == 2
 
