@@ -167,7 +167,10 @@ def characterise(
     )
     if not asked and not table and all(value is None for value in vars(changes).values()):
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
-        raise RecordingError(f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}")
+        raise RecordingError(
+            f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
+            "which varies everything at once, is for msp-lab gap"
+        )
     return Characterised(findings, changes)
 
 
