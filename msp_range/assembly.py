@@ -49,7 +49,7 @@ def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
     timing = model.timing
     first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
     # Rounding to whole centimetres adds its variance.
-    std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.resolution_cm**2 / 12) / 100
+    std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.answered_cm**2 / 12) / 100
     return PolledSensor(
         sensor.name,
         sensor.driver(bus, sensor.address),

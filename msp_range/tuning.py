@@ -38,7 +38,7 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
     airframe = load_airframe(airframe_file) if airframe_file is not None else _flown(paths[0])
     parameters = _kalman_of(airframe, model)
     models = [sensor.sensor_model for sensor in airframe.sensors]
-    variance_cm2 = max(each.reading_model.sigma_cm**2 + each.resolution_cm**2 / 12 for each in models)
+    variance_cm2 = max(each.reading_model.sigma_cm**2 + each.answered_cm**2 / 12 for each in models)
     try:
         return tune(tracks, parameters, variance_cm2)
     except ValueError as error:

@@ -30,7 +30,7 @@ class ChangepointParameters(Section):
         from msp_range.filters.runs import RangeLikelihood
 
         return Changepoint(
-            RangeLikelihood.of(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm)
+            RangeLikelihood.of(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm, sensor.answered_cm)
         )
 
 

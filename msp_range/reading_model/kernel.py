@@ -25,6 +25,28 @@ NO_ECHO_CENTRE = 1e12
 ROOT_2_PI = float(np.sqrt(2.0 * np.pi))
 
 
+def on_grid(reading: Any, step: float) -> Any:
+    """Readings rounded to whole multiples of a step, halves to the even one: a number or an array.
+
+    A step below 1 has a whole number of steps in 1, and multiples are the floats nearest to their decimals, so that
+    readings can be compared for equality.
+
+    Examples
+    --------
+    >>> print(on_grid(np.array([12.34, 12.36]), 0.1), on_grid(12.34, 5.0))
+    [12.3 12.4] 10.0
+    """
+    if step >= 1.0:
+        return np.rint(reading / step) * step
+    steps = round(1.0 / step)
+    return np.rint(reading * steps) / steps
+
+
+def is_on_grid(reading: Any, step: float) -> Any:
+    """Which readings are whole multiples of a step: a bool or an array; NaN is none."""
+    return on_grid(reading, step) == reading
+
+
 class Hit:
     """A reading of the surface (z_hit, report eq 9): normal about the expected range.
 
@@ -223,6 +245,6 @@ class Random:
         self.p = (last - first + step) / (maximum - minimum + step)
 
     @staticmethod
-    def draw(uniform: Any, minimum: float, maximum: float) -> Any:
+    def draw(uniform: Any, minimum: float, maximum: float, step: float) -> Any:
         """Draw a rounded reading from uniform numbers below 1."""
-        return minimum + np.floor(uniform * (maximum - minimum + 1.0))
+        return on_grid(minimum + step * np.floor(uniform * ((maximum - minimum) / step + 1.0)), step)

@@ -1,10 +1,10 @@
 """The base reading model: what a range finder reports, given the true range.
 
-The mixture of Thrun (report 5.2.1, eq 9-12) in whole centimetres, with the sensor's limits and codes. True ranges
-enter, readings leave (`ReadingModel.sample`), or readings enter too and their log-probabilities leave
+The mixture of Thrun (report 5.2.1, eq 9-12) in steps of the sensor's resolution, with its limits and codes. True
+ranges enter, readings leave (`ReadingModel.sample`), or readings enter too and their log-probabilities leave
 (`ReadingModel.log_prob`): one distribution, drawn from by the simulator and scored by filters and fits. The report's
 equations are normalised over the real line; here, by its erratum 6, every density is normalised on what the sensor
-can report, the exponential ends at the expected range, and a reading's probability is that of its 1 cm interval.
+can report, the exponential ends at the expected range, and a reading's probability is that of its step.
 """
 
 import math
@@ -35,9 +35,10 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReadingModel:
-    """Distribution of a reading k [cm] over the whole centimetres m ... M, given the true range z* [cm].
+    """Distribution of a reading k [cm] over m, m + d ... M, given the true range z* [cm].
 
-    With m and M the sensor's shortest and longest reading and [a, b] the reading's interval, k - 1/2 to k + 1/2::
+    With m and M the sensor's shortest and longest reading, d its resolution (mostly 1 cm) and [a, b] the reading's
+    interval, k - d/2 to k + d/2::
 
         q(k) = w_hit hit(k) + w_short short(k) + w_missed [k = M] + w_random random(k)
 
@@ -47,7 +48,7 @@ class ReadingModel:
         short(k)       (exp(-lambda (a' - m)) - exp(-lambda (b' - m))) / (1 - exp(-lambda (e - m)))   (eq 10)
                        e = min(z*, M), and [a', b'] the part of [a, b] inside [m, e]; [k = m] where e <= m
         [k = M]        an echo missed (eq 11)
-        random(k)      1 / (M - m + 1)                                                            (eq 12)
+        random(k)      d / (M - m + d)                                                            (eq 12)
 
     z* is the true range as the calibration takes it to a reading, `Calibration.forward`. A surface that gives no
     echo is one at infinity: its hits read M, and a short reading may be anywhere before M. M is the no-echo code,
@@ -68,6 +69,8 @@ class ReadingModel:
         m and M.
     calibration
         Mean reading over true range.
+    resolution_cm
+        d, of which m and M are multiples.
 
     Examples
     --------
@@ -83,11 +86,13 @@ class ReadingModel:
     minimum_cm: int
     maximum_cm: int
     calibration: Calibration = IDENTITY
+    resolution_cm: float = 1.0
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingModel":
         """The base model of a sensor model file."""
-        return cls(sensor.reading_model, sensor.minimum_cm, sensor.maximum_cm, sensor.calibration_curve)
+        limits = sensor.minimum_cm, sensor.maximum_cm
+        return cls(sensor.reading_model, *limits, sensor.calibration_curve, sensor.resolution_cm)
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator) -> _Array:
         """Draw one reading for each context.
@@ -102,7 +107,7 @@ class ReadingModel:
         Returns
         -------
         ndarray, shape (n,)
-            Readings [cm], whole numbers.
+            Readings [cm], multiples of the resolution.
 
         Raises
         ------
@@ -129,7 +134,7 @@ class ReadingModel:
         Returns
         -------
         ndarray, shape (n,)
-            log p; -inf for what the sensor cannot report: fractions of a centimetre, values outside its limits, NaN.
+            log p; -inf for what the sensor cannot report: fractions of its resolution, values outside its limits, NaN.
 
         Raises
         ------
@@ -155,6 +160,7 @@ class ReadingModel:
             self.parameters.saturated_fraction,
             self.minimum_cm,
             self.maximum_cm,
+            self.resolution_cm,
         )
 
     def sigma_cm(self, true_range_cm: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.kernel import Hit, Missed, Random, Short
+from msp_range.reading_model.kernel import Hit, Missed, Random, Short, is_on_grid, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 
 _Array = NDArray[np.float64]
@@ -21,6 +21,8 @@ Part: TypeAlias = Callable[[Any, _Array, _Array], _Array]
 
 FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
 """By what is derived; the first five are the channels through which effects act."""
+ON_GRID = 1e-6
+"""A reading that is farther from a step, as a share of it, lies between two: above the rounding of a division."""
 UNDERFLOW = 1e-290
 """Below this a probability is no longer a float with all its digits, and that of the hits is taken by its logarithm."""
 
@@ -47,8 +49,8 @@ class MixtureRows:
         Of the hits, (n,), or one sigma for all; a centre of NaN gives no echo.
     log_weights
         Logarithms of the weights of hit, short, missed, random, but for a common summand: numbers or arrays.
-    rate_per_m, saturated_fraction, minimum_cm, maximum_cm
-        As in the sensor model.
+    rate_per_m, saturated_fraction, minimum_cm, maximum_cm, step_cm
+        As in the sensor model; readings are whole multiples of the step.
     """
 
     centre_cm: _Array
@@ -58,6 +60,7 @@ class MixtureRows:
     saturated_fraction: float
     minimum_cm: int
     maximum_cm: int
+    step_cm: float
 
     def __len__(self) -> int:
         return self.centre_cm.size
@@ -73,12 +76,12 @@ class MixtureRows:
         )
 
     def log_prob(self, reading_cm: _Array) -> _Array:
-        """log of the probability of each reading; -inf for what cannot be read, such as fractions and NaN."""
+        """log of the probability of each reading; -inf for what cannot be read, such as fractions of a step and NaN."""
         p = self.of_readings(reading_cm, type(self).probability)[0]
         with np.errstate(divide="ignore"):
             log_p: _Array = np.log(p)
         reportable = (reading_cm >= self.minimum_cm) & (reading_cm <= self.maximum_cm)
-        tail = np.flatnonzero((p < UNDERFLOW) & reportable & (np.rint(reading_cm) == reading_cm))
+        tail = np.flatnonzero((p < UNDERFLOW) & reportable & is_on_grid(reading_cm, self.step_cm))
         if tail.size:
             rows, reading_cm = self.take(tail), reading_cm[tail]
             log_share = rows.log_weights[0] - np.log(sum(rows.weights()))
@@ -90,14 +93,14 @@ class MixtureRows:
 
     def log_below(self, reading_cm: _Array) -> _Array:
         """log of the probability of all smaller readings, for the probability integral transform."""
-        last = np.ceil(reading_cm) - 1.0
+        last = on_grid((np.ceil(reading_cm / self.step_cm - ON_GRID) - 1.0) * self.step_cm, self.step_cm)
         with np.errstate(divide="ignore"):
             log_p: _Array = np.log(self.arrives(np.full_like(last, -np.inf), last, type(self).probability)[0])
         return log_p
 
     def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
-        """What ``part`` is of each reading, (m, n); 0 for what is no whole centimetre."""
-        code = np.where(np.rint(reading_cm) == reading_cm, reading_cm, -1.0)
+        """What ``part`` is of each reading, (m, n); 0 for what is no multiple of the step."""
+        code = np.where(is_on_grid(reading_cm, self.step_cm), reading_cm, -1.0)
         return self.arrives(code, code, part)
 
     def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
@@ -127,13 +130,13 @@ class MixtureRows:
 
     def kinds(self, first: _Array, last: _Array) -> tuple[Hit, Short, Missed, Random]:
         """Hit, short, missed and random readings from first to last."""
-        lowest, highest = self.minimum_cm, self.maximum_cm
+        lowest, highest, step = self.minimum_cm, self.maximum_cm, self.step_cm
         top = last == highest
         return (
-            Hit(first, last, top, self.centre_cm, self.sigma_cm, lowest, 1.0),
-            Short(first, last, self.centre_cm, self.rate_per_m / 100.0, lowest, highest, 1.0),
+            Hit(first, last, top, self.centre_cm, self.sigma_cm, lowest, step),
+            Short(first, last, self.centre_cm, self.rate_per_m / 100.0, lowest, highest, step),
             Missed(top),
-            Random(first, last, lowest, highest, 1.0),
+            Random(first, last, lowest, highest, step),
         )
 
     def probability(self, first: _Array, last: _Array) -> _Array:
@@ -171,8 +174,7 @@ class MixtureRows:
         place
             Uniform numbers for where short and random readings lie; None: what is left of ``kind``.
         """
-        reading_cm: _Array = Hit.draw(normal, self.centre_cm, self.sigma_cm)
-        np.rint(reading_cm, out=reading_cm)
+        reading_cm: _Array = on_grid(Hit.draw(normal, self.centre_cm, self.sigma_cm), self.step_cm)
         # fmin and not minimum: it takes NaN, a surface that gives no echo, to the maximum.
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
@@ -198,9 +200,10 @@ class MixtureRows:
             return place[rows] if place is not None else (kind[rows] - start[rows]) / (take(end, rows) - start[rows])
 
         drawn = uniform(short, below_hit, below_short)
-        minimum, maximum = self.minimum_cm, self.maximum_cm
-        reading_cm[short] = np.rint(Short.draw(drawn, self.centre_cm[short], self.rate_per_m / 100.0, minimum, maximum))
-        reading_cm[random] = Random.draw(uniform(random, below_missed, 1.0), minimum, maximum)
+        minimum, maximum, step = self.minimum_cm, self.maximum_cm, self.step_cm
+        drawn_cm = Short.draw(drawn, self.centre_cm[short], self.rate_per_m / 100.0, minimum, maximum)
+        reading_cm[short] = on_grid(drawn_cm, step)
+        reading_cm[random] = Random.draw(uniform(random, below_missed, 1.0), minimum, maximum, step)
         # A share next to 1 can round up to it.
         np.minimum(reading_cm, maximum, out=reading_cm)
         return reading_cm

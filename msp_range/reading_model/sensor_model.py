@@ -123,7 +123,7 @@ class MixtureParameters(Section):
     """Shares of hit, short, missed and random readings."""
 
     sigma_cm: float = Field(ge=0.01, le=100.0)
-    """Standard deviation of a hit before it is rounded to whole centimetres: Thrun's sigma_hit [cm]."""
+    """Standard deviation of a hit before it is rounded to `resolution_cm`: Thrun's sigma_hit [cm]."""
 
     short_rate_per_m: float = Field(gt=0.0, le=1000.0)
     """Rate at which short readings get rarer with range: Thrun's lambda_short [1/m]."""
@@ -188,8 +188,9 @@ class SensorModel(Section):
     maximum_cm: int = Field(le=32767)
     """Longest reading; it is also the code for 'no echo' [cm]."""
 
-    resolution_cm: Literal[1]
-    """Step of the readings [cm]: whole centimetres is what the driver and the reading model know."""
+    resolution_cm: float = Field(ge=0.01, le=100.0)
+    """Step of the readings [cm], which are whole multiples of it: whole centimetres, or a whole number of steps in one.
+    The drivers answer whole centimetres; a finer step is that of measured readings."""
 
     calibration_temperature_c: float = Field(ge=-20.0, le=50.0)
     """Air temperature that the sensor's own conversion to range assumes [deg C]; left out for light and radio."""
@@ -265,6 +266,14 @@ class SensorModel(Section):
             raise ValueError(
                 f"expected heard_on_axis_cm <= maximum_cm, found {self.heard_on_axis_cm:g} and {self.maximum_cm}"
             )
+        step = self.resolution_cm
+        if (step if step >= 1.0 else round(1.0 / step, 9)) % 1.0:
+            raise ValueError(f"expected resolution_cm a whole number, or a whole number of them in 1, found {step:g}")
+        if step > 1.0 and (self.minimum_cm % step or self.maximum_cm % step):
+            raise ValueError(
+                f"expected minimum_cm and maximum_cm whole multiples of resolution_cm ({step:g}), "
+                f"found {self.minimum_cm} and {self.maximum_cm}"
+            )
         saturates = self.reading_model.saturated_fraction > 0.0
         if saturates and not self.minimum_cm <= SATURATED_CM < self.maximum_cm:
             raise ValueError(
@@ -279,6 +288,11 @@ class SensorModel(Section):
                 f"found that it ends after {farthest_s:.4g} s (ready_s + maximum_cm * s_per_cm)"
             )
         return self
+
+    @property
+    def answered_cm(self) -> float:
+        """Step of what a driver answers [cm]: whole centimetres, however fine the readings that were characterised."""
+        return max(self.resolution_cm, 1.0)
 
     @cached_property
     def calibration_curve(self) -> Calibration:

@@ -282,12 +282,18 @@ def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -
     assert all(truth is None for track in recorded_flight(replayed).tracks.values() for truth in track.truth_m)
 
 
-def test_another_model_flies(tmp_path: Path) -> None:
-    """A sensor model without outliers, with little noise: nothing is rejected but each sensor's first."""
+@pytest.mark.parametrize("resolution_cm", [1, 0.1])
+def test_another_model_flies(tmp_path: Path, resolution_cm: float) -> None:
+    """A sensor model without outliers, with little noise: nothing is rejected but each sensor's first.
+
+    In millimetres it flies too: the devices answer whole centimetres.
+    """
     model = (SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text()
     model = model.replace(
         "{hit: 0.96, short: 0.01, missed: 0.02, random: 0.01}", "{hit: 1.0, short: 0.0, missed: 0.0, random: 0.0}"
     ).replace("sigma_cm: 1.9445", "sigma_cm: 0.3")
+    model = model.replace("resolution_cm: 1\n", f"resolution_cm: {resolution_cm}\n")
+    assert f"resolution_cm: {resolution_cm}\n" in model
     (tmp_path / "quiet.yaml").write_text(model)
     run("fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")
     summary = json.loads((tmp_path / "f" / "summary.json").read_text())

@@ -9,14 +9,17 @@ import pytest
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
-from msp_sim.model.contract import CHECKS, CODES, Check, uniformity
+from msp_sim.model.contract import CHECKS, Check, codes, uniformity
 from msp_sim.model.model import Model
 from msp_sim.model.trial import Trial, contexts
 from tests.support.curves import with_curve
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+CODES = codes(SENSOR)
 TRIALS = {name: Trial(effect, SENSOR) for name, effect in CATALOGUE.items()}
+IN_MILLIMETRES = Trial(CATALOGUE["clutter"], SENSOR).base.with_step(0.1).sensor
 
 
 def sensor(**changes: object) -> SensorModel:
@@ -33,6 +36,20 @@ def strong(name: str, on: Model | None = None) -> Model:
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_an_effect_keeps_the_contract(name: str, check: Check) -> None:
     assert check.find(TRIALS[name]) is None, check.advice
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.find.__name__)
+@pytest.mark.parametrize("name", ["clutter", "coarse_rounding", "crosstalk", "cycle_slip", "stale"])
+def test_an_effect_keeps_the_contract_in_millimetres(name: str, check: Check) -> None:
+    """One of each kind of component and fault, and one with the hits' own place."""
+    assert check.find(Trial(CATALOGUE[name], IN_MILLIMETRES)) is None, check.advice
+
+
+def test_a_fault_of_bytes_needs_whole_centimetres() -> None:
+    entry = {"name": "lost_high_byte", "parameters": {"share": 0.1}}
+    assert Model.of(sensor(effects=(entry,))).effects[0].effect.name == "lost_high_byte"
+    with pytest.raises(ConfigError, match=r"effects\[0\]\.name: lost_high_byte acts on bytes .* resolution_cm is 0\.1"):
+        Model.of(sensor(effects=(entry,), resolution_cm=0.1))
 
 
 CURVES: dict[str, Any] = {
@@ -106,7 +123,7 @@ def test_effects_upon_effects() -> None:
     given = contexts(20_000, seed=3)
     given["run"] = np.arange(20_000).astype(str)
     assert uniformity(model, given) > 1e-3
-    codes = np.concatenate([CODES, CODES[CODES < 766] + 766.0])
-    each = {column: np.repeat(values[:8], codes.size) for column, values in given.items()}
-    p = np.exp(model.log_prob(np.tile(codes, 8), each)).reshape(8, codes.size)
+    sent = np.concatenate([CODES, CODES[CODES < 766] + 766.0])
+    each = {column: np.repeat(values[:8], sent.size) for column, values in given.items()}
+    p = np.exp(model.log_prob(np.tile(sent, 8), each)).reshape(8, sent.size)
     assert p.sum(axis=1) == pytest.approx(np.ones(8), abs=1e-9)

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.clumps import clumping
-from msp_lab.gap.problem import Problem, _replaces_base, first_state, with_candidate
+from msp_lab.gap.problem import Problem, _replaces_base, with_candidate
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_sim.model.model import Model
+from msp_sim.model.model import Model, Term, make_term
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
 
@@ -42,13 +42,19 @@ def test_readings_of_one_value_are_one_clump() -> None:
     assert clumping(rng.standard_normal(N), RUN, value) == 1.0
 
 
-def nats(name: str, contexts: dict[str, NDArray[np.generic]], reading_cm: Array) -> tuple[float, float]:
-    """Evidence for an effect, and its plain gain in likelihood."""
-    problem = Problem.of(MODEL, contexts, reading_cm, RUN.astype(np.intp), np.random.default_rng(1))
-    state = first_state(problem)
+def nats(
+    name: str,
+    contexts: dict[str, NDArray[np.generic]],
+    reading_cm: Array,
+    model: Model = MODEL,
+    others: tuple[Term, ...] = (),
+) -> tuple[float, float]:
+    """Evidence for an effect next to others, and its plain gain in likelihood."""
+    problem = Problem.of(model, contexts, reading_cm, RUN.astype(np.intp), np.random.default_rng(1))
+    before = problem.refit(others, problem.base.base)
     candidate = next(each for each in problem.candidates if each.key[0] == name)
-    fit = with_candidate(problem, state.fit, candidate, 0.1)
-    return problem.candidate_nats(state.fit, fit, candidate, False), fit.log_likelihood - state.fit.log_likelihood
+    fit = with_candidate(problem, before, candidate, 0.1)
+    return problem.candidate_nats(before, fit, candidate, False), fit.log_likelihood - before.log_likelihood
 
 
 def flight(seed: int) -> tuple[dict[str, NDArray[np.generic]], Array]:
@@ -86,6 +92,49 @@ def test_other_surfaces_at_few_values_are_no_grid() -> None:
     assert evidence < 0.3 * gained
     evidence, gained = nats("coarse_rounding", contexts, inches)
     assert evidence > 0.7 * gained > 100.0
+
+
+def in_millimetres(seed: int) -> tuple[dict[str, NDArray[np.generic]], Array]:
+    """Readings of which half are held; a tenth are surfaces behind, in stretches, and differ by millimetres there."""
+    rng = np.random.default_rng(seed)
+    contexts, _ = flight(seed)
+    reading_cm = np.round(np.asarray(contexts["true_range_cm"]) + 1.9 * rng.standard_normal(N), 1)
+    for first in rng.choice(N // 10, 12, replace=False) * 10:
+        surface_cm = rng.uniform(440.0, 470.0)
+        reading_cm[first : first + 10] = np.round(surface_cm + rng.normal(0.0, 0.15, 10), 1)
+    for i in (np.flatnonzero(rng.random(N - 1) < 0.5) + 1).tolist():
+        reading_cm[i] = reading_cm[i - 1]
+    contexts["previous_reading_cm"] = np.concatenate([[np.nan], reading_cm[:-1]])
+    return contexts, reading_cm
+
+
+def test_values_that_nearly_come_again_are_no_grid() -> None:
+    """Some are multiples of a step by chance, next to a value that is not: between the steps there are as many."""
+    model, held, most = MODEL.with_step(0.1), (make_term("stale", None, {"share": 0.5}),), 0.0
+    for seed in range(10, 16):
+        contexts, reading_cm = in_millimetres(seed)
+        evidence, gained = nats("coarse_rounding", contexts, reading_cm, model, held)
+        assert evidence < 3.0
+        most = max(most, gained)
+    assert most > 10.0
+    rounded = np.random.default_rng(9).random(N) < 0.3
+    contexts, reading_cm = in_millimetres(9)
+    inches = np.where(rounded, np.round(2.54 * np.rint(reading_cm / 2.54), 1), reading_cm)
+    evidence, _ = nats("coarse_rounding", contexts, inches, model, held)
+    assert evidence > 100.0
+
+
+def test_one_jump_of_the_truth_makes_no_repeats() -> None:
+    """The truth jumps by an error of its own while the reading is as it was: one reading, however improbable."""
+    contexts, _ = flight(12)
+    contexts["true_range_cm"] = 200.0 + 0.1 * np.arange(N)
+    noise_cm = 1.9 * np.random.default_rng(12).standard_normal(N)
+    reading_cm = np.rint(np.asarray(contexts["true_range_cm"]) + noise_cm)
+    np.asarray(contexts["true_range_cm"])[650] -= 150.0
+    reading_cm[650] = reading_cm[649]
+    contexts["previous_reading_cm"] = np.concatenate([[np.nan], reading_cm[:-1]])
+    found, gained = nats("stale", contexts, reading_cm)
+    assert found <= 5.0 < gained
 
 
 def test_a_fault_that_leaves_the_hits_as_they_are_is_not_what_all_readings_have() -> None:

@@ -78,6 +78,11 @@ def test_effects_and_evidence_are_kept_unread(tmp_path: Path) -> None:
     assert sensor.evidence == ({"rows": 9},)
 
 
+def test_drivers_answer_whole_centimetres_of_a_finer_model(tmp_path: Path) -> None:
+    fine = load_sensor_model(write(tmp_path, lambda content: content.update(resolution_cm=0.1)))
+    assert (fine.resolution_cm, fine.answered_cm) == (0.1, 1.0)
+
+
 def test_effects_and_evidence_may_be_absent(tmp_path: Path) -> None:
     sensor = load_sensor_model(write(tmp_path, lambda content: (content.pop("effects"), content.pop("evidence"))))
     assert sensor.effects == sensor.evidence == ()
@@ -91,7 +96,8 @@ def test_effects_and_evidence_may_be_absent(tmp_path: Path) -> None:
         (lambda c: c.pop("calibration_temperature_c"), r"calibration_temperature_c: this key is missing"),
         (lambda c: c.update(driver="mb1232"), r"driver: found 'mb1232'; expected 'mb1242'"),
         (lambda c: c.update(oblique_reading="both"), r"oblique_reading: found 'both'; expected 'slant', 'nearest' or"),
-        (lambda c: c.update(resolution_cm=2), r"resolution_cm: found 2; expected 1"),
+        (lambda c: c.update(resolution_cm=0.3), r"expected resolution_cm a whole number, or a .*, found 0\.3"),
+        (lambda c: c.update(resolution_cm=2), r"whole multiples of resolution_cm \(2\), found 20 and 765"),
         (lambda c: c.update(calibration_temperature_c=72.5), r"calibration_temperature_c: found 72\.5; .* 50"),
         (lambda c: c.update(minimum_cm=765), r"expected minimum_cm < maximum_cm, found 765 and 765"),
         (lambda c: c.update(maximum_cm=900), r"expected an echo from maximum_cm within timing\.cycle_s \(0\.067 s\)"),

@@ -14,7 +14,7 @@ from msp_lab.characterise.estimates import Z, fit_points, share, standard_error
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
-from msp_lab.readings.intake import whole_cm
+from msp_lab.readings.resolution import to_step
 from msp_range.reading_model.sensor_model import SensorModel
 
 PEAK_HALF_CM = 3
@@ -78,8 +78,8 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
         return None
     range_cm = max(point.range_cm for point in echoes)
     here = [point for point in echoes if point.range_cm == range_cm]
-    readings = whole_cm(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]))
-    kept = whole_cm(np.concatenate([point.reading_cm[point.is_echo] for point in here]))
+    readings = to_step(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]), 1.0)
+    kept = to_step(np.concatenate([point.reading_cm[point.is_echo] for point in here]), 1.0)
     values, counts = np.unique(readings, return_counts=True)
     span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
     no_echo = int((readings == sensor.maximum_cm).sum())

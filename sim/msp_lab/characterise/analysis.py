@@ -5,7 +5,7 @@ What the data do not determine stays as in the starting model, and the findings 
 
 import difflib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -22,9 +22,11 @@ from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_
 from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
+from msp_lab.readings.resolution import step_with
 from msp_range.correction.calibration import curve_through
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
+from msp_sim.model.model import Model
 
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments with nothing varied but range: calibration and mixture are fitted to them."""
@@ -41,6 +43,7 @@ FEW_READINGS = 20
 class Changes:
     """Changes of a sensor model by a characterisation; None: the data do not determine it."""
 
+    resolution_cm: float | None = None
     calibration: tuple[CalibrationKnot, ...] | None = None
     breakaway: tuple[BreakawayPoint, ...] | None = None
     oblique_reading: str | None = None
@@ -90,6 +93,8 @@ def characterise(
     RecordingError
         Nothing can be found in these readings.
     """
+    started_cm, step_cm = sensor.resolution_cm, step_with(loaded.data, Model.of(sensor))
+    sensor = SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
@@ -165,13 +170,13 @@ def characterise(
         reading_model=fitted.parameters if isinstance(fitted, FittedMixture) else None,
         effects=_with_set_up_offset(sensor, calibration),
     )
-    if not asked and not table and all(value is None for value in vars(changes).values()):
+    if not asked and not table and changes == Changes():
         why = [*findings.warnings, absent.get("calibration", "no calibration")]
         raise RecordingError(
             f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
         )
-    return Characterised(findings, changes)
+    return Characterised(findings, replace(changes, resolution_cm=None if step_cm == started_cm else step_cm))
 
 
 def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:

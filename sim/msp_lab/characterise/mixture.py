@@ -92,7 +92,7 @@ def fit_mixture(
     whole = grid.nearest(reading_cm)
     notes = []
     if not np.array_equal(whole, reading_cm):
-        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm that the sensor model file knows")
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
     has_ranges = np.unique(expected_cm).size > 1
     try:
         result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
@@ -190,7 +190,9 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
     if "missed_growth_per_m" not in result.estimates:
         return growing
-    model = ReadingModel(result.parameters, int(result.grid.minimum_cm), int(result.grid.maximum_cm))
+    grid = result.grid
+    limits = int(grid.minimum_cm), int(grid.maximum_cm)
+    model = ReadingModel(result.parameters, *limits, resolution_cm=grid.resolution_cm)
     names = ("hit", "short", "missed", "random")
     shares = zip(names, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)

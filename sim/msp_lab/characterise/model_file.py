@@ -84,7 +84,8 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Changes, starte
     content = sensor.model_dump(mode="json")
     kept = f"Kept from {started_from}"
     sections: list[tuple[list[str], Sequence[str]]] = [
-        ([kept + "."], ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm", "resolution_cm")),
+        ([kept + "."], ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm")),
+        ([f"{kept}." if changes.resolution_cm is None else "Step of the readings."], ("resolution_cm",)),
         ([kept + "."], ("calibration_temperature_c",)),
         (_oblique_comment(findings, changes, kept), ("oblique_reading",)),
         ([kept + "."], ("timing", "frequency_hz")),

@@ -107,6 +107,7 @@ def readings_of(model: Model, unit: Unit) -> UnitReadings:
 def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
     model, _ = with_least_weights(pickle.loads(pickled))
     readings = read_readings([unit.dataset], model, sensors=(unit.sensor,), runs=unit.sessions)
+    model = readings.in_step(model)
     count = len(readings.data)
     if count < MIN_READINGS:
         raise UnusableError(f"{count} readings with a true range, and at least {MIN_READINGS} are needed")

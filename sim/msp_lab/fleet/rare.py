@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from msp_lab.gap.candidates import CandidateEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
-from msp_sim.effects.component import Hits
 from msp_sim.model.model import applies
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, log_prob
 from msp_sim.model.streams import RandomStreams
@@ -72,7 +71,7 @@ class RareReadings:
                 reading_cm[some] = change.fault.arrives(reading_cm[some])
             elif change.component is not None:
                 sigma_cm = np.broadcast_to(given.sigma_cm, reading_cm.shape)[some]
-                hits = Hits(given.centre_cm[some], sigma_cm, given.minimum_cm, given.maximum_cm)
+                hits = replace(given.hits, centre_cm=given.centre_cm[some], sigma_cm=sigma_cm)
                 reading_cm[some] = change.component.take(some).sample(rng, hits)
         kinds = [_of_kind(given, kind) for kind in KINDS]
         for number, kind in enumerate(kinds, start=len(mixed)):

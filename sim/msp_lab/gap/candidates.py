@@ -158,13 +158,13 @@ def candidates_of(
     """Candidates that these contexts can show, and effects with the columns that are missing for them.
 
     An effect that the model already has is a candidate again: more of it may be there. What happens to sound only is no
-    candidate for a sensor that ranges with light.
+    candidate for a sensor that ranges with light, and a fault of bytes none for readings in millimetres.
     """
     of_others = bool(np.any(np.asarray(contexts.get(REFERENCE, "")) == OTHERS))
     found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
-        if model.sensor.medium not in effect.media or (of_others and effect.name in COMMON):
+        if not effect.happens_to(model.sensor) or (of_others and effect.name in COMMON):
             continue
         required = (*effect.requires, *((effect.per,) if effect.per else ()))
         absent = tuple(name for name in required if not _is_recorded(contexts, name))

@@ -54,7 +54,7 @@ def _causes_of(number: str, model: Model, contexts: Mapping[str, Any]) -> Iterat
     channel = CHANNELS.get(number.rpartition(".")[2])
     known = {each.effect.name for each in model.effects}
     for effect in CATALOGUE.values():
-        if channel not in effect.channels or effect.name in known or model.sensor.medium not in effect.media:
+        if channel not in effect.channels or effect.name in known or not effect.happens_to(model.sensor):
             continue
         lacking = [each for each in _special(effect) if not _varied(each, contexts)]
         if len(lacking) == 1:

@@ -1,7 +1,7 @@
-"""What a model is compared with: the readings of the laboratory's one intake, put onto the model's grid, and split.
+"""What a model is compared with: the readings of the laboratory's one intake, put onto their own grid, and split.
 
 Files enter, the rows that can be compared leave, with what was noticed: rows without an answer or a true range are left
-out, readings finer than the model's grid are rounded onto it, and point masses that the model does not declare are set
+out, readings and model are put onto the grid of the readings, and point masses that the model does not declare are set
 aside as calibration. Runs are split before anything is looked at.
 """
 
@@ -20,9 +20,10 @@ from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.intake import PREVIOUS, load_readings, time_order, whole_cm
-from msp_lab.readings.resolution import step_of
+from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
+from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
+from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD
@@ -50,6 +51,8 @@ class Readings:
         What was left out or noticed, a sentence each.
     constant
         Context columns that never change, with their value.
+    step_cm
+        The readings are compared in this step; None: in that of the model.
     """
 
     data: MeasuredData
@@ -57,6 +60,11 @@ class Readings:
     calibration: tuple[CalibrationFinding, ...] = ()
     messages: tuple[str, ...] = ()
     constant: tuple[tuple[str, str], ...] = ()
+    step_cm: float | None = None
+
+    def in_step(self, model: Model) -> Model:
+        """The model in the step of the readings."""
+        return model if self.step_cm is None else model.with_step(self.step_cm)
 
 
 def read_readings(
@@ -99,12 +107,13 @@ def read_readings(
     )
     data, left_out = _compared_rows(data)
     data, copies = _without_copies(data)
-    data, calibration = _on_grid(data, model)
-    data, codes = _without_codes(data, model)
+    step_cm = step_with(data, model)
+    data, calibration = _on_grid(data, model, step_cm)
+    data, codes = _without_codes(data, model.with_step(step_cm))
     constant = _constant(data)
     messages = (*loaded.messages, *left_out, *copies, *suspicious(loaded.data))
     messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"], data["time_s"]))
-    return Readings(data, sources, (*calibration, *codes), messages, constant)
+    return Readings(data, sources, (*calibration, *codes), messages, constant, step_cm)
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,7 @@ class Comparison:
     Attributes
     ----------
     model
-        The given model, without kinds of reading at a share of 0.
+        The given model in the step of the readings, without kinds of reading at a share of 0.
     data
         All columns of all readings, by name.
     splits
@@ -154,7 +163,7 @@ class Comparison:
         settings
             With the random seed.
         """
-        model, messages = with_least_weights(model)
+        model, messages = with_least_weights(readings.in_step(model))
         data = dict(readings.data.columns)
         parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
@@ -232,37 +241,49 @@ def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     return (data if kept.all() else data.select(kept)), messages
 
 
-def _previous_on_grid(reading_cm: NDArray[np.float64], previous_cm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Previous readings in whole centimetres, equal to the rounded readings only where they repeat exactly.
+def _previous_on_grid(
+    reading_cm: NDArray[np.float64], previous_cm: NDArray[np.float64], step_cm: float
+) -> NDArray[np.float64]:
+    """Previous readings in the step, equal to the rounded readings only where they repeat exactly.
 
     Where nearly all repeats are exact, all count (`rules.EXACT_REPEATS`).
     """
-    whole = whole_cm(previous_cm)
-    repeats = whole_cm(reading_cm) == whole
+    rounded = to_step(previous_cm, step_cm)
+    repeats = to_step(reading_cm, step_cm) == rounded
     differs = repeats & (np.abs(reading_cm - previous_cm) > SAME_CM)
     if differs.sum() <= (1.0 - rules.EXACT_REPEATS) * repeats.sum():
-        return whole
-    return whole + np.where(differs, np.where(previous_cm < reading_cm, -1.0, 1.0), 0.0)
+        return rounded
+    return to_step(rounded + np.where(differs, np.where(previous_cm < reading_cm, -step_cm, step_cm), 0.0), step_cm)
 
 
-def _on_grid(data: MeasuredData, model: Model) -> tuple[MeasuredData, list[CalibrationFinding]]:
+def _on_grid(data: MeasuredData, model: Model, step_cm: float) -> tuple[MeasuredData, list[CalibrationFinding]]:
+    """The readings as multiples of the step, and what was changed for it."""
     reading_cm = data["reading_cm"]
-    whole = whole_cm(reading_cm)
-    off = reading_cm != whole
-    if not off.any():
+    if step_cm == model.sensor.resolution_cm and is_on_grid(reading_cm, step_cm).all():
         return data, _coarse(reading_cm, model)
-    step = step_of(reading_cm) or None
-    finding = (
-        f"{100.0 * off.mean():.3g} % of the readings are no whole centimetres"
-        + ("" if step is None else f" (their step is {step:g} cm)")
-        + f", as {model.sensor.name} reads; they are rounded first, so less than a centimetre is not visible"
-    )
-    columns = {**data.columns, "reading_cm": whole, PREVIOUS: _previous_on_grid(reading_cm, data[PREVIOUS])}
-    return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=1.0, after=step, unit="cm")]
+    rounded = to_step(reading_cm, step_cm)
+    off = np.abs(reading_cm - rounded) > TOLERANCE * step_cm
+    columns = {**data.columns, "reading_cm": rounded, PREVIOUS: _previous_on_grid(reading_cm, data[PREVIOUS], step_cm)}
+    model_cm = model.sensor.resolution_cm
+    if not off.any() and step_cm == model_cm:
+        return MeasuredData(columns), _coarse(rounded, model)
+    texts = []
+    if step_cm != model_cm:
+        texts.append(f"the readings are compared in steps of {step_cm:g} cm, and the model's are {model_cm:g} cm")
+    own_cm: float | None = step_cm
+    if off.any():
+        own_cm = step_of(reading_cm) or None
+        share = f"{100.0 * off.mean():.3g} % of the readings are no multiples of {step_cm:g} cm"
+        step = "" if own_cm is None else f" (their step is {own_cm:g} cm)"
+        texts.append(f"{share}{step}; they are rounded first, so less than that is not visible")
+    finding = "; ".join(texts)
+    return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=model_cm, after=own_cm, unit="cm")]
 
 
 def _coarse(reading_cm: NDArray[Any], model: Model) -> list[CalibrationFinding]:
-    """Readings on a coarser grid than the model's."""
+    """Whole centimetres on a coarser grid."""
+    if model.sensor.resolution_cm != 1.0:
+        return []
     usual = reading_cm[(reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)]
     for step in (10, 5, 4, 3, 2):
         if usual.size >= 50 and np.unique(usual).size > 5 and (np.mod(usual, step) == 0).mean() > rules.COARSE_SHARE:
@@ -284,8 +305,9 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
         # What an effect explains comes at one range; a code comes at ranges that differ.
         if value in declared or count < max(rules.CODE_MIN_READINGS, rules.CODE_SHARE * reading_cm.size):
             continue
-        near = counts[(np.abs(values - value) <= 3.0) & (values != value)].sum() / 6.0
-        next_to = counts[np.abs(values - value) == 1.0].max(initial=0)
+        steps = np.rint(np.abs(values - value) / sensor.resolution_cm)
+        near = counts[(steps <= 3.0) & (steps > 0.0)].sum() / 6.0
+        next_to = counts[steps == 1.0].max(initial=0)
         here = data["true_range_cm"][reading_cm == value]
         alone = count > max(rules.CODE_TIMES_NEIGHBOURS * (near + 1.0), rules.CODE_TIMES_NEXT * next_to)
         if alone and np.ptp(here) > rules.CODE_SPAN * max(np.ptp(data["true_range_cm"]), 1.0):

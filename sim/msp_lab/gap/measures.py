@@ -31,7 +31,7 @@ class HeldOutReadings:
     Attributes
     ----------
     reading_cm
-        (n,) whole centimetres, no NaN.
+        (n,) multiples of the model's resolution, no NaN.
     contexts
         Columns of length n.
     unit

@@ -25,7 +25,9 @@ from msp_lab.gap.runs import previous
 from msp_lab.gap.selection import Selection, select, settled
 from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
-from msp_lab.readings.intake import PREVIOUS, whole_cm
+from msp_lab.readings.intake import PREVIOUS
+from msp_lab.readings.resolution import to_step
+from msp_range.reading_model.kernel import is_on_grid
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -170,7 +172,8 @@ def name_effects(
     report
         Reports what is being done, and which share of it is done.
     """
-    reading_cm = whole_cm(reading_cm)
+    if not is_on_grid(reading_cm, model.sensor.resolution_cm).all():
+        reading_cm = to_step(reading_cm, model.sensor.resolution_cm)
     if PREVIOUS not in contexts:
         contexts = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)

@@ -43,7 +43,7 @@ class Prepared:
     rows
         The given model's distribution of each reading.
     reading_cm
-        Readings, whole centimetres.
+        Readings, multiples of the model's resolution.
     spacing_s
         The time to which the correlation of the hits' errors refers [s]; None: it is not fitted.
     """

@@ -26,8 +26,10 @@ from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
 from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
+from msp_sim.effects.codes import Coarser
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term
+from msp_sim.model.rows import log_prob
 
 _Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -157,13 +159,15 @@ class Problem:
     def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
         """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
 
-        A sensor before a wall that stands still repeats itself, whether it reports old readings or not.
+        A sensor before a wall that stands still repeats itself, whether it reports old readings or not. A reading
+        counts for `rules.ROW_NATS` at most: where the truth jumps by an error of its own, one would decide.
         """
         true_cm = np.asarray(self.contexts[TRUE_RANGE], dtype=np.float64)
         moved_cm = np.abs(true_cm - previous(self.contexts, true_cm))[_thin(true_cm.size)]
         with np.errstate(invalid="ignore"):
             moves = moved_cm >= self.some.rows.sigma_cm
-        return self.scale * float((larger.here.log_p - smaller.here.log_p)[moves].sum())
+        gained = np.clip(larger.here.log_p - smaller.here.log_p, -rules.ROW_NATS, rules.ROW_NATS)
+        return self.scale * float(gained[moves].sum())
 
     def candidate_nats(self, smaller: JointFit, larger: JointFit, candidate: CandidateEffect, by_run: bool) -> float:
         """Evidence for a candidate, the last effect of the larger fit [nat], without the cost of the search."""
@@ -174,7 +178,22 @@ class Problem:
         # What befalls most readings shows by those that it spares, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
             gained /= self._clumping(larger, candidate)
-        return gained
+        return gained - self._gain_between_steps(smaller, larger)
+
+    def _gain_between_steps(self, smaller: JointFit, larger: JointFit) -> float:
+        """What rounding, the last effect of the larger fit, gains most at values between its steps, at least 0 [nat].
+
+        Nothing rounds to them. Where values come again for another reason, some of them are multiples of any step.
+        """
+        fault = larger.effects[-1].change(self.some.scene).fault
+        if not isinstance(fault, Coarser):
+            return 0.0
+        rows, most = larger.here.rows, 0.0
+        for other in fault.between():
+            faults = tuple(each._replace(fault=other) if each.fault == fault else each for each in rows.faults)
+            log_p = log_prob(replace(rows, faults=faults), self.some.reading_cm)
+            most = max(most, float((log_p - smaller.here.log_p).sum()))
+        return self.scale * most
 
     def _clumping(self, fit: JointFit, candidate: CandidateEffect) -> float:
         """How far the readings come in clumps that the last effect of a fit explains."""

@@ -416,8 +416,9 @@ MIN_SPEAKING = 5.0
 """Of a number of which fewer readings speak, a part knows nothing by a quadratic. One 255 among the missed readings
 moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
-"""A held-out reading counts for at most so many nats for or against a term. A hit that becomes a random reading loses
-about 8; nine such rows of 700 removed a true slant range. Lower: effects that explain rare readings need more of them;
+"""A held-out reading counts for at most so many nats for or against a term, and one at which the truth moves for or
+against repeated readings. A hit that becomes a random reading loses about 8; nine such rows of 700 removed a true slant
+range. Lower: effects that explain rare readings need more of them;
 higher: single rows decide."""
 FINAL_ROWS = 60_000
 """The values that are reported are fitted to every k-th reading beyond so many. Three times those of the search. More:

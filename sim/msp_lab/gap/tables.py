@@ -66,7 +66,7 @@ def steps_table(findings: GapFindings) -> PageTable | None:
         "Each step in numbers",
         ("model", "gap [nats]", "mean log score [nats]", "gain [nats]"),
         tuple(rows),
-        "Per reading of the held-out runs; the log score is that of a whole centimetre or a code.",
+        "Per reading of the held-out runs; the log score is that of a step of the readings or a code.",
     )
 
 

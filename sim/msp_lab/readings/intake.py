@@ -179,20 +179,6 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
     return replace(loaded, data=MeasuredData(columns), messages=(*loaded.messages, message))
 
 
-def whole_cm(reading_cm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return readings in whole centimetres, same shape; halves go up.
-
-    Halves to the next even number, as `numpy.rint` has them, put a tenth of readings in millimetres on a grid of 2 cm.
-
-    Examples
-    --------
-    >>> whole_cm(np.array([120.5, 121.5, np.nan]))
-    array([121., 122.,  nan])
-    """
-    whole: NDArray[np.float64] = np.floor(np.asarray(reading_cm, dtype=np.float64) + 0.5)
-    return whole
-
-
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and contents of a folder's files, in hexadecimal."""
     if path.is_dir():

@@ -1,7 +1,13 @@
-"""The resolution of readings: the step in which a file's readings come."""
+"""The resolution of readings: the step in which a file's readings come, and the one in which they are compared."""
 
 import numpy as np
 from numpy.typing import NDArray
+
+from msp_range.reading_model.kernel import on_grid
+from msp_range.recording.csv_form import MeasuredData
+from msp_sim.model.model import Model
+
+_Array = NDArray[np.float64]
 
 STEPS_CM = (5.0, 2.54, 1.0, 0.5, 0.254, 0.2, 0.1, 0.05, 0.01)
 """Steps that are looked for, the largest first: usual resolutions of range finders and of files. The step decides how
@@ -26,3 +32,126 @@ def step_of(reading_cm: NDArray[np.float64]) -> float:
         if np.abs(steps - np.rint(steps)).max(initial=0.0) < TOLERANCE:
             return step_cm
     return 0.0
+
+
+COMPARED_CM = (0.1, 0.2, 0.5, 1.0)
+"""Steps in which readings are compared, next to the model's own. Finer ones show nothing: the finest effects of the
+catalogue are waves of 0.4 cm. Coarser ones are rounding, which is an effect (`coarse_rounding`)."""
+ON_STEP_SHARE = 0.95
+"""A file or a run comes in a step of which so many readings are multiples; a few others are means, or of another
+source. Of readings in a step half as large one in two is, by chance. Higher: one odd logger makes a file of whole
+centimetres one of millimetres, in which its values repeat for no reason; lower: steps that are none."""
+LEAST_VALUES = 8
+"""A run with fewer different readings says nothing of its step: of so many in a step half as large all are multiples
+with a probability of 0.4 %. Fewer: steps by chance; more: short runs in whole centimetres are overlooked."""
+WINDOW = 100
+"""Values are compared among so many readings in a row. A step that is corrected for a temperature is one step in these
+only, as that drifts; over a whole run drift fills the gaps, and whole centimetres that repeat are named `stale`. Fewer:
+values are farther apart, and fine readings are compared in larger steps; more: quick drift is overlooked."""
+GAP_QUANTILE = 0.1
+"""Quantile of the distances between neighbouring values, counted as often as both were read, that is their step.
+Readings that do not reach every multiple have larger ones, too; a few odd readings make smaller ones. Lower: odd
+readings count; higher: few readings over long ranges are compared in larger steps than they could be."""
+HALF = 1e-6
+"""A half is one in spite of the rounding of a division, as a share of a step."""
+NEIGHBOURS_SHARE = 0.5
+"""Readings come in a step if as many values are one step apart as this share of those that are any other number of
+steps apart. In independent readings one is the most frequent; of whole centimetres that were corrected for the
+temperature and written to 0.1 cm it is ten. Higher: few readings over long ranges, where all are as many, are compared
+in larger steps; lower: steps that are left out count."""
+MAX_GAP = 50
+"""Values that are farther apart, in steps, are not compared: 5 cm of 0.1. More: nothing; fewer: steps of that size pass
+for their parts."""
+GAPS_PER_STEP = 2.0
+"""Readings in a step that is not compared (0.017 cm: a timer's microsecond) are rounded to one that holds so many of
+theirs. With fewer, some steps hold twice as many readings as others, and readings repeat more often than the model
+says, which makes the name `stale`; more hides small effects."""
+
+
+def to_step(reading_cm: _Array, step_cm: float) -> _Array:
+    """Return readings as whole multiples of a step, same shape; halves go up.
+
+    Halves to the next even number, as `numpy.rint` has them, put a tenth of readings in millimetres on a grid of 2 cm.
+
+    Examples
+    --------
+    >>> print(to_step(np.array([120.5, 121.5, np.nan]), 1.0), to_step(np.array([12.25, 12.34]), 0.1))
+    [121. 122.  nan] [12.3 12.3]
+    """
+    nearest = np.floor(np.asarray(reading_cm, dtype=np.float64) / step_cm + (0.5 + HALF))
+    return np.asarray(on_grid(nearest * step_cm, step_cm), dtype=np.float64)
+
+
+def step_with(data: MeasuredData, model: Model) -> float:
+    """Return the step in which readings are compared with a model [cm].
+
+    It is the model's own where that has faults of the bytes of readings, which are those of whole centimetres.
+    """
+    if any("code" in each.effect.channels and not each.effect.any_step for each in model.effects):
+        return model.sensor.resolution_cm
+    reading_cm = data["reading_cm"]
+    usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
+    _, run = np.unique(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]), return_inverse=True)
+    return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm)
+
+
+def compared_step(reading_cm: _Array, run: NDArray[np.intp], model_step_cm: float) -> float:
+    """Return the step in which a file's readings are compared with a model [cm].
+
+    The smallest one that leaves out nothing in which they come: in no run are values farther apart. Readings that are
+    coarser than whole centimetres and the model are compared in the larger step of these two.
+
+    Parameters
+    ----------
+    reading_cm
+        Readings between the sensor's limits, no codes, those of a run in their order, (n,).
+    run
+        Number of the run and sensor of each, (n,).
+    model_step_cm
+        Step of the model's readings.
+
+    Examples
+    --------
+    >>> truth = np.linspace(100.0, 110.0, 500)
+    >>> steps = [compared_step(np.round(truth, digits), np.zeros(500, dtype=int), 1.0) for digits in (0, 1)]
+    >>> print(*steps)
+    1.0 0.1
+    """
+    steps = sorted({*COMPARED_CM, model_step_cm})
+    least_cm, gaps, weights = 0.0, [np.zeros(0)], [np.zeros(0)]
+    for each in np.unique(run):
+        own = np.round(reading_cm[run == each], 6)
+        for start in range(0, own.size, WINDOW):
+            values, counts = np.unique(own[start : start + WINDOW], return_counts=True)
+            gaps.append(np.diff(values))
+            weights.append(np.minimum(counts[1:], counts[:-1]).astype(np.float64))
+        if np.unique(own).size >= LEAST_VALUES:
+            least_cm = max(least_cm, _own_step(own, steps))
+    gap, weight = np.concatenate(gaps), np.concatenate(weights)
+    if not gap.size:
+        return model_step_cm
+    order = np.argsort(gap)
+    up_to = np.cumsum(weight[order])
+    gap_cm = float(gap[order][np.searchsorted(up_to, GAP_QUANTILE * up_to[-1])])
+    for step_cm in steps:
+        full = _share_on(reading_cm, step_cm) >= ON_STEP_SHARE and _has_neighbours(gap, weight, step_cm)
+        if step_cm >= least_cm and (full or step_cm >= GAPS_PER_STEP * gap_cm):
+            return step_cm
+    return steps[-1]
+
+
+def _has_neighbours(gap: _Array, weight: _Array, step_cm: float) -> bool:
+    """Whether values are one step apart about as often as any other number of steps."""
+    steps = np.rint(gap / step_cm).astype(np.intp)
+    times = np.bincount(np.minimum(steps, MAX_GAP), weight, MAX_GAP + 1)
+    return bool(times[1] > 0.0 and times[1] >= NEIGHBOURS_SHARE * times[2:MAX_GAP].max())
+
+
+def _own_step(reading_cm: _Array, steps: list[float]) -> float:
+    """The largest of the steps of which these readings are multiples; 0: none."""
+    return max((step_cm for step_cm in steps if _share_on(reading_cm, step_cm) >= ON_STEP_SHARE), default=0.0)
+
+
+def _share_on(reading_cm: _Array, step_cm: float) -> float:
+    steps = reading_cm / step_cm
+    return float((np.abs(steps - np.rint(steps)) < TOLERANCE).mean())

@@ -70,11 +70,11 @@ class EmulatedSensor:
         self._previous_cm: float | None = None
 
     def echo(self, ping_s: float) -> int:
-        """The reading [cm] of a ping at a time of the flight [s]."""
+        """The reading of a ping at a time of the flight [s], in whole centimetres, as devices answer."""
         context = self.context(ping_s)
         context["previous_reading_cm"] = self._previous_cm
         self._previous_cm = reading_cm = self._readings.sample_one(context)
-        return reading_cm
+        return round(reading_cm)
 
     def context(self, ping_s: float) -> dict[str, Any]:
         """What a ping at a time of the flight [s] meets, as the context of its reading; None where it is unknown."""

@@ -195,6 +195,8 @@ class Effect:
         Other causes that change every reading in the same way.
     media
         What the sensors range with that it happens to.
+    any_step
+        Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres.
     finding
         What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with
         the formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it.
@@ -214,7 +216,13 @@ class Effect:
     base: str | None = None
     equivalent_causes: tuple[str, ...] = ()
     media: tuple[Medium, ...] = get_args(Medium)
+    any_step: bool = False
     finding: str = ""
+
+    def happens_to(self, sensor: SensorModel) -> bool:
+        """Whether it can happen to a sensor: by what it ranges with, and by the step of its readings."""
+        has_bytes = sensor.resolution_cm == 1.0
+        return sensor.medium in self.media and ("code" not in self.channels or self.any_step or has_bytes)
 
     @property
     def columns(self) -> frozenset[str]:

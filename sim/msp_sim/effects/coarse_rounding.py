@@ -9,7 +9,8 @@ or not at all."""
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:
-    fault = Coarser(values["step_cm"], scene.sensor.minimum_cm, scene.sensor.maximum_cm)
+    sensor = scene.sensor
+    fault = Coarser(values["step_cm"], sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm)
     return Contribution(fault=fault, fault_share=values["share"])
 
 
@@ -17,7 +18,7 @@ COARSE_ROUNDING = Effect(
     name="coarse_rounding",
     sentence="Software between sensor and recording rounds the readings to inches or to steps of several centimetres.",
     finding="{share:of} readings are rounded to steps of {step_cm}",
-    physics="rounded to multiples of a step, then to whole centimetres; the sensor's limits are unchanged",
+    physics="rounded to multiples of a step, then to the sensor's resolution; the sensor's limits are unchanged",
     source="drivers and loggers that convert units",
     parameters=(
         Parameter("share", "1", "1 if every reading is rounded", 0.0, 1.0),
@@ -27,4 +28,5 @@ COARSE_ROUNDING = Effect(
     channels=("code",),
     experiment="a target moved slowly: the readings go up in steps",
     apply=_apply,
+    any_step=True,
 )

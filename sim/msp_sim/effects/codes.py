@@ -4,14 +4,20 @@ A fault affects a share of the readings. The probability of a received code is t
 turns into it, so each fault can list those (`CodeFault.origins`).
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.reading_model.kernel import on_grid
+
 _Array = NDArray[np.float64]
+PHASES = 10
+"""So many places in a step, the multiples among them, are compared. More: slower, and the largest of more gains by
+chance; fewer: chance is known less well."""
 CLOCK_FAULT = 0x8000
 """Bit 15, which reads as one if the master samples while the sensor still stretches the clock."""
 
@@ -40,36 +46,55 @@ class CodeFault(Protocol):
 
 @dataclass(frozen=True)
 class Coarser:
-    """Rounded to multiples of a step, then to whole centimetres; the sensor's limits are unchanged."""
+    """Rounded to multiples of a step, then to the sensor's resolution; the sensor's limits are unchanged.
+
+    ``from_cm`` is added to the multiples: nothing rounds to them with another number than 0, but what is read there
+    shows what multiples would gain by chance.
+    """
 
     step_cm: float
     minimum_cm: int
     maximum_cm: int
+    resolution_cm: float
+    from_cm: float = 0.0
     order = 0
 
+    def between(self) -> Iterator["Coarser"]:
+        """Rounding to the values between the multiples, at most `PHASES` - 1 of them."""
+        phases = min(int(self.step_cm / self.resolution_cm), PHASES)
+        return (replace(self, from_cm=self.step_cm * k / phases) for k in range(1, phases))
+
     def arrives(self, code: _Array) -> _Array:
-        return self._arrivals[np.clip(code - self.minimum_cm, 0, self._arrivals.size - 1).astype(np.int64)]
+        return self._arrivals[np.clip(self._place(code) - 1, 0, self._arrivals.size - 1)]
 
     def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
-        return [(self._first_above[self._place(first - 1.0)], self._first_above[self._place(last)] - 1.0)]
+        above = self._above[self._place(first - self.resolution_cm)], self._above[self._place(last)]
+        return [(self._code(above[0]), self._code(above[1] - 1))]
 
     def _place(self, code: _Array) -> NDArray[np.intp]:
-        return np.clip(code - (self.minimum_cm - 1.0), 0, self._first_above.size - 1).astype(np.intp)
+        """Number of each code, from 0 for one below the shortest."""
+        place = np.rint((code - self.minimum_cm) / self.resolution_cm) + 1.0
+        return np.clip(place, 0, self._arrivals.size).astype(np.intp)
+
+    def _code(self, number: NDArray[np.intp]) -> _Array:
+        """The sensor's code of this number, from 0 for the shortest."""
+        code: _Array = on_grid(self.minimum_cm + self.resolution_cm * number, self.resolution_cm)
+        return code
 
     @cached_property
-    def _first_above(self) -> _Array:
-        """First of the sensor's codes that is received as more than each code, from one below the shortest."""
-        code = np.arange(self.minimum_cm - 1.0, self.maximum_cm + 1.0)
-        return self.minimum_cm + np.searchsorted(self._arrivals, code, "right").astype(np.float64)
+    def _above(self) -> NDArray[np.intp]:
+        """Number of the first of the sensor's codes that is received as more than each code of `_place`."""
+        return np.searchsorted(self._arrivals, self._code(np.arange(-1, self._arrivals.size)), "right")
 
     @cached_property
     def _arrivals(self) -> _Array:
         """Received code for each of the sensor's codes; never decreasing."""
-        code = np.arange(self.minimum_cm, self.maximum_cm + 1.0)
-        arrivals = np.rint(np.floor(code / self.step_cm + 0.5) * self.step_cm)
+        code = self._code(np.arange(round((self.maximum_cm - self.minimum_cm) / self.resolution_cm) + 1))
+        steps = np.floor((code - self.from_cm) / self.step_cm + 0.5)
+        arrivals = on_grid(steps * self.step_cm + self.from_cm, self.resolution_cm)
         arrivals = np.clip(arrivals, self.minimum_cm, self.maximum_cm)
         arrivals[[0, -1]] = code[[0, -1]]
-        return arrivals
+        return np.asarray(arrivals)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Additional components of the mixture: distributions of readings that are neither hits nor the base model's outliers.
 
-Each kind can draw readings and give their probabilities, in whole centimetres and within the sensor's limits.
+Each kind can draw readings and give their probabilities, in the sensor's steps and within its limits.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.kernel import Hit, Short
+from msp_range.reading_model.kernel import Hit, Short, on_grid
 from msp_range.reading_model.rows import take
 
 _Array = NDArray[np.float64]
@@ -17,12 +17,13 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Hits:
-    """Centre and standard deviation of n hits [cm], all effects included, and the sensor's limits."""
+    """Centre and standard deviation of n hits [cm], all effects included, and the sensor's limits and step."""
 
     centre_cm: _Array
     sigma_cm: _Array
     minimum_cm: int
     maximum_cm: int
+    step_cm: float
 
 
 class Component(Protocol):
@@ -59,7 +60,7 @@ class Normal:
     wider: float = 1.0
 
     def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
-        hit = Hit(first_cm, last_cm, last_cm == hits.maximum_cm, *self._place(hits), hits.minimum_cm, 1.0)
+        hit = Hit(first_cm, last_cm, last_cm == hits.maximum_cm, *self._place(hits), hits.minimum_cm, hits.step_cm)
         if not slopes:
             return hit.p[None]
         # Derivatives are zero unless location or spread is that of the hits.
@@ -67,7 +68,7 @@ class Normal:
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         centre_cm, sigma_cm = self._place(hits)
-        reading_cm: _Array = np.rint(Hit.draw(rng.standard_normal(centre_cm.size), centre_cm, sigma_cm))
+        reading_cm: _Array = on_grid(Hit.draw(rng.standard_normal(centre_cm.size), centre_cm, sigma_cm), hits.step_cm)
         return np.maximum(np.fmin(reading_cm, hits.maximum_cm), hits.minimum_cm)
 
     def take(self, rows: Any) -> "Normal":
@@ -93,13 +94,13 @@ class FirstBefore:
 
     def prob(self, first_cm: _Array, last_cm: _Array, hits: Hits, slopes: bool = False) -> _Array:
         lowest, highest = hits.minimum_cm, hits.maximum_cm
-        short = Short(first_cm, last_cm, hits.centre_cm, self._rate_per_cm, lowest, highest, 1.0)
+        short = Short(first_cm, last_cm, hits.centre_cm, self._rate_per_cm, lowest, highest, hits.step_cm)
         return np.stack([short.p, short.by_end, np.zeros(first_cm.size)]) if slopes else short.p[None]
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> _Array:
         share, lowest, highest = rng.random(hits.centre_cm.size), hits.minimum_cm, hits.maximum_cm
         drawn_cm = Short.draw(share, hits.centre_cm, self._rate_per_cm, lowest, highest)
-        reading_cm: _Array = np.minimum(np.rint(drawn_cm), hits.maximum_cm)
+        reading_cm: _Array = np.minimum(on_grid(drawn_cm, hits.step_cm), hits.maximum_cm)
         return reading_cm
 
     def take(self, rows: Any) -> "FirstBefore":

@@ -2,15 +2,16 @@
 
 import numpy as np
 
+from msp_range.reading_model.kernel import is_on_grid
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 from msp_sim.effects.component import Code
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:
     previous_cm = scene["previous_reading_cm"]
-    whole = np.rint(previous_cm) == previous_cm
+    is_reading = is_on_grid(previous_cm, scene.sensor.resolution_cm)
     within = (previous_cm >= scene.sensor.minimum_cm) & (previous_cm <= scene.sensor.maximum_cm)
-    return Contribution(component=Code(previous_cm), share=np.where(whole & within, values["share"], 0.0))
+    return Contribution(component=Code(previous_cm), share=np.where(is_reading & within, values["share"], 0.0))
 
 
 STALE = Effect(

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chisquare, kstest
 
+from msp_range.reading_model.kernel import on_grid
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, Channel, Effect
+from msp_sim.effects.codes import CLOCK_FAULT
 from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, slopes
@@ -23,10 +25,15 @@ from msp_sim.model.sampler import Sampler
 from msp_sim.model.streams import RandomStreams
 from msp_sim.model.trial import VISIBLE_NATS, Columns, Trial
 
-CODES = np.concatenate([np.arange(766.0), 32768.0 + np.arange(766.0)])
-"""Every number that an MB1242 or a fault of its bus can send [cm]; probabilities over them sum to one."""
 UNLIKELY = 1e-4
 """p-value below which draws do not follow the probabilities: a correct effect fails one check in ten thousand."""
+
+
+def codes(sensor: SensorModel) -> NDArray[np.float64]:
+    """Every number that a sensor or a fault of its bus can send [cm]; probabilities over them sum to one."""
+    step_cm = sensor.resolution_cm
+    sent = on_grid(np.arange(round(sensor.maximum_cm / step_cm) + 1) * step_cm, step_cm)
+    return np.concatenate([sent, CLOCK_FAULT + sent])
 
 
 @dataclass(frozen=True)
@@ -127,9 +134,9 @@ def _requires_context(trial: Trial) -> str | None:
 
 
 def _sums(trial: Trial) -> str | None:
-    rows = 24
-    each = {column: np.repeat(values, CODES.size) for column, values in trial.contexts(rows, 5).items()}
-    p = np.exp(trial.on(trial.base).log_prob(np.tile(CODES, rows), each)).reshape(rows, CODES.size)
+    rows, every = 24, codes(trial.base.sensor)
+    each = {column: np.repeat(values, every.size) for column, values in trial.contexts(rows, 5).items()}
+    p = np.exp(trial.on(trial.base).log_prob(np.tile(every, rows), each)).reshape(rows, every.size)
     off = np.abs(p.sum(axis=1) - 1.0).max()
     return None if off < 1e-9 else f"the probabilities of all codes sum to 1 {off:+.2g} in some context"
 
@@ -138,8 +145,8 @@ def _slopes(trial: Trial) -> str | None:
     n = 2000
     rows = trial.on(trial.base).rows(trial.contexts(n, 4))
     rng = np.random.default_rng(6)
-    reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(CODES, n))
-    reading_cm[:10] += 0.5
+    reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(codes(trial.base.sensor), n))
+    reading_cm[:10] += 0.5 * trial.base.sensor.resolution_cm
     log_p, by = slopes(rows, reading_cm)
     if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(MIN_PROBABILITY))).max() > 1e-9:
         return "log probabilities with and without slopes differ"
@@ -189,7 +196,7 @@ def uniformity(model: Model, given: Columns) -> float:
 
 def _draws_of_one(trial: Trial) -> str | None:
     """Chi-square, code by code, in four contexts in which the effect acts."""
-    model, n = trial.on(trial.base), 20_000
+    model, n, every = trial.on(trial.base), 20_000, codes(trial.base.sensor)
     few = trial.contexts(500, 8)
     before_cm = few["previous_reading_cm"].astype(float)
     acting = np.flatnonzero(model.log_prob(before_cm, few) != trial.base.log_prob(before_cm, few))[:4]
@@ -197,9 +204,9 @@ def _draws_of_one(trial: Trial) -> str | None:
         given = {column: np.repeat(values[row], n) for column, values in few.items()}
         given["run"] = np.arange(n).astype(str) if trial.effect.per is None else given["run"]
         readings_cm = model.sample(given, np.random.default_rng(int(row)))
-        one = {column: np.repeat(values[row], CODES.size) for column, values in few.items()}
-        expected = n * np.exp(model.log_prob(CODES, one))
-        observed = np.bincount(np.searchsorted(CODES, readings_cm), minlength=CODES.size)
+        one = {column: np.repeat(values[row], every.size) for column, values in few.items()}
+        expected = n * np.exp(model.log_prob(every, one))
+        observed = np.bincount(np.searchsorted(every, readings_cm), minlength=every.size)
         where = ", ".join(f"{column} {few[column][row]}" for column in sorted(trial.effect.columns))
         if observed[expected == 0.0].any():
             return f"with {where} it draws readings that have no probability"

@@ -45,7 +45,7 @@ def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Genera
     off_cm = reading_cm - rows.centre_cm
     is_hit = np.abs(off_cm) < OFF_SIGMAS * rows.sigma_cm
     is_missed = ~is_hit & np.isin(reading_cm, (model.sensor.maximum_cm, SATURATED_CM))
-    variance_cm2 = np.mean(off_cm[is_hit] ** 2) - 1.0 / 12.0 - np.mean(rows.reference_cm2)
+    variance_cm2 = np.mean(off_cm[is_hit] ** 2) - model.sensor.resolution_cm**2 / 12.0 - np.mean(rows.reference_cm2)
     sigma_cm = float(np.sqrt(max(variance_cm2, model.sensor.reading_model.sigma_cm**2)))
     is_short = ~is_missed & (off_cm < -OFF_SIGMAS * sigma_cm)
     return InFlight(short=float(np.mean(is_short)), missed=float(np.mean(is_missed)), sigma_cm=sigma_cm)

@@ -83,12 +83,27 @@ class Model:
         Raises
         ------
         ConfigError
-            An entry of ``effects`` is not in the catalogue, or its parameters are invalid.
+            An entry of ``effects`` is not in the catalogue, its parameters are invalid, or it acts on whole centimetres
+        and the sensor's resolution is another.
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
         if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
             effects.append(make_term("slant_range", None, {"share": 1.0}))
+        for i, each in enumerate(effects):
+            if "code" in each.effect.channels and not each.effect.happens_to(sensor):
+                step_cm = sensor.resolution_cm
+                raise ConfigError(
+                    f"effects[{i}].name: {each.effect.name} acts on bytes of whole centimetres, and resolution_cm is "
+                    f"{step_cm:g}"
+                )
         return cls(sensor, tuple(effects))
+
+    def with_step(self, step_cm: float) -> "Model":
+        """The same model, of readings in another step [cm]."""
+        if step_cm == self.sensor.resolution_cm:
+            return self
+        content = self.sensor.model_dump() | {"resolution_cm": step_cm}
+        return replace(self, sensor=SensorModel.model_validate(content))
 
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """A copy with one more effect of the catalogue; omitted shape parameters have their defaults."""
@@ -120,7 +135,7 @@ class Model:
         Returns
         -------
         ndarray, shape (n,)
-            Readings [cm], whole numbers.
+            Readings [cm], multiples of the sensor's resolution.
 
         Raises
         ------

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.reading_model.kernel import Hit
 from msp_range.reading_model.rows import MixtureRows, Part, among, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
-from msp_sim.effects.component import Component, Hits
+from msp_sim.effects.component import Code, Component, Hits
 from msp_sim.model.history import HIT_SIGMAS, History
 from msp_sim.model.streams import RandomStreams
 
@@ -118,6 +119,11 @@ class ModelRows(MixtureRows):
             return 1.0
         return np.maximum(1.0 - (self.between_cm2 + self.reference_cm2) / self.sigma_cm**2, 0.0)
 
+    @property
+    def hits(self) -> Hits:
+        """What additional components know of the hits and the sensor."""
+        return Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm, self.step_cm)
+
     def wider(self, factor: Any) -> "ModelRows":
         """A copy with the sensor's spread within runs multiplied by a factor; the rest of the spread is unchanged."""
         within = self.within_share
@@ -139,7 +145,8 @@ class ModelRows(MixtureRows):
         error_cm = reading_cm - self.centre_cm
         with np.errstate(invalid="ignore"):
             is_hit = (np.abs(error_cm) < HIT_SIGMAS * sigma_cm) & (reading_cm < self.maximum_cm)
-        before, age_s = history.before(is_hit & (reading_cm > self.minimum_cm))
+        is_hit &= (reading_cm > self.minimum_cm) & ~self._is_code(reading_cm, error_cm / sigma_cm, sigma_cm)
+        before, age_s = history.before(is_hit)
         has = before >= 0
         over = np.where(has, history.correlation_over(age_s), 0.0)
         ratio = np.where(has, sigma_cm / sigma_cm[before], 0.0)
@@ -158,12 +165,23 @@ class ModelRows(MixtureRows):
         )
         return rows, replace(carry, log_sigma_slope=-carry.log_sigma_slope / left)
 
+    def _is_code(self, reading_cm: _Array, off_sigmas: _Array, sigma_cm: _Array) -> NDArray[np.bool_]:
+        """Readings that are rather the code of a component than hits, (n,): a repeated one has no error of its own."""
+        found = np.zeros(reading_cm.size, dtype=bool)
+        weights = self.weights()
+        for odds, component, _ in self.added:
+            if isinstance(component, Code):
+                share = weights[0] / sum(weights) * Hit.density(off_sigmas**2, 1.0) * self.step_cm / sigma_cm
+                with np.errstate(invalid="ignore"):
+                    found |= (component.code_cm == reading_cm) & (odds > share)
+        return found
+
     def log_prob(self, reading_cm: _Array) -> _Array:
         """log of the probability of each reading, after those before it; -inf for what cannot be read."""
         return super(ModelRows, self.given(reading_cm)[0]).log_prob(reading_cm)
 
     def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
-        """What ``part`` is of each reading, after those before it, (m, n); 0 for what is no whole centimetre."""
+        """What ``part`` is of each reading, after those before it, (m, n); 0 for what is no multiple of the step."""
         return super(ModelRows, self.given(reading_cm)[0]).of_readings(reading_cm, part)
 
     def take(self, rows: Any) -> Self:
@@ -181,7 +199,7 @@ class ModelRows(MixtureRows):
         """Draw one reading per row [cm]; each part uses its own random stream."""
         n = len(self)
         centre_cm, sigma_cm = self._with_run_offsets(streams)
-        hits = Hits(centre_cm, sigma_cm, self.minimum_cm, self.maximum_cm)
+        hits = replace(self.hits, centre_cm=centre_cm, sigma_cm=sigma_cm)
         normal, kind, place = streams["hit"].standard_normal(n), streams["kind"].random(n), streams["place"].random(n)
         if self.history is not None:
             normal = self.history.correlated(normal, streams)
@@ -242,7 +260,7 @@ class ModelRows(MixtureRows):
         """Add the components to the mixture's probability, or to the probability and its slopes."""
         if not self.added:
             return parts
-        hits, odds = Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm), 1.0
+        hits, odds = self.hits, 1.0
         for each, component, _ in self.added:
             odds = odds + each
             with np.errstate(invalid="ignore"):
@@ -253,9 +271,8 @@ class ModelRows(MixtureRows):
 
     def last_added(self, first: _Array, last: _Array) -> _Array:
         """Probability under the last component alone, (1, n)."""
-        hits = Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm)
         with np.errstate(invalid="ignore"):
-            found = self.added[-1].component.prob(first, last, hits)
+            found = self.added[-1].component.prob(first, last, self.hits)
         # A component without a share may have unknown parameters.
         return np.nan_to_num(found)
 

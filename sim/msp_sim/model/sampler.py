@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.reading_model.kernel import Hit, Random, Short
+from msp_range.reading_model.kernel import Hit, Random, Short, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
 from msp_sim.model.model import Model, applies
@@ -45,7 +45,7 @@ class Sampler:
             {"component", "code"} & set(each.effect.channels) or "run" in each.effect.requires for each in model.effects
         )
 
-    def sample_one(self, context: Mapping[str, Any]) -> int:
+    def sample_one(self, context: Mapping[str, Any]) -> float:
         """Draw one reading [cm].
 
         Parameters
@@ -56,9 +56,9 @@ class Sampler:
         if self._plain:
             return self._draw(context)
         columns = {name: _column(name, context.get(name)) for name in self._columns}
-        return int(self._model.sample(columns, self._streams)[0])
+        return float(self._model.sample(columns, self._streams)[0])
 
-    def _draw(self, context: Mapping[str, Any]) -> int:
+    def _draw(self, context: Mapping[str, Any]) -> float:
         base, streams = self._model.base, self._streams
         range_cm = context.get(TRUE_RANGE)
         centre_cm = math.nan if range_cm is None else base.calibration.forward(float(range_cm))
@@ -87,8 +87,9 @@ class Sampler:
         place: float,
         saturated: bool,
         log_weights: tuple[float, float, float, float],
-    ) -> int:
+    ) -> float:
         minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
+        step_cm = self._model.sensor.resolution_cm
         most = max(log_weights)
         hit, short, missed, random = [math.exp(each - most) for each in log_weights]
         kind *= hit + short + missed + random
@@ -99,10 +100,10 @@ class Sampler:
             elif kind < hit + short + missed or random == 0.0:
                 drawn_cm = maximum_cm
             else:
-                drawn_cm = float(Random.draw(place, minimum_cm, maximum_cm))
+                drawn_cm = float(Random.draw(place, minimum_cm, maximum_cm, step_cm))
         if not drawn_cm < maximum_cm:
             drawn_cm = maximum_cm
-        reading_cm = max(round(drawn_cm), minimum_cm)
+        reading_cm = max(float(on_grid(drawn_cm, step_cm)), float(minimum_cm))
         return SATURATED_CM if reading_cm == maximum_cm and saturated else reading_cm
 
 

@@ -20,7 +20,7 @@ from msp_lab.characterise.page.draw.mixture import (
 )
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
-from msp_lab.readings.intake import whole_cm
+from msp_lab.readings.resolution import to_step
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.page import PageTable
@@ -76,12 +76,13 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     mean_cm = float(np.mean(rows.apparent_cm[chosen]))
     steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
     apparent_cm = mean_cm + placement_error_cm(findings, condition, true_cm)
-    whole = ReadingModel.of(rows.model)
+    # Drawn, and counted, in whole centimetres, whatever the step of the model.
+    whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm.tolist()]
     *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
     by_kind = dict(zip(KINDS, by_each_kind, strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
-    readings = whole_cm(rows.reading_cm[chosen])
+    readings = to_step(rows.reading_cm[chosen], 1.0)
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
     counts = np.bincount(readings, minlength=k.size).astype(np.float64)
     peak_cm = float(np.sum(k * by_kind["hit"]))
