@@ -46,6 +46,19 @@ def test_units_signs_codes_and_constants(tmp_path: Path) -> None:
     assert data["time_s"].tolist() == [0.0, 1.0, 2.0]
 
 
+def test_decimal_commas(tmp_path: Path) -> None:
+    """Words keep theirs, also where most of a column are numbers."""
+    table = "dist;true;note;volts\n100,5;1,01;left, wet;4,9\n;2;dry;-5,0e-1\n"
+    columns = "{reading_cm: dist, true_range_cm: {column: 'true', unit: m}, note: note, supply_v: volts}"
+    data = mapped(tmp_path, table, f"delimiter: ';'\ndecimal: ','\ncolumns: {columns}\n")
+    assert data["reading_cm"] == pytest.approx([100.5, np.nan], nan_ok=True)
+    assert data["true_range_cm"] == pytest.approx([101.0, 200.0])
+    assert data["note"].tolist() == ["left, wet", "dry"]
+    assert data["supply_v"] == pytest.approx([4.9, -0.5])
+    with pytest.raises(RecordingError, match=r"expected a number, or nothing\. With decimal commas"):
+        mapped(tmp_path, table, f"delimiter: ';'\ncolumns: {columns}\n")
+
+
 def test_tables_side_by_side_and_compressed(tmp_path: Path) -> None:
     path = tmp_path / "two.csv.gz"
     path.write_bytes(gzip.compress(b"a,d,,a,d\n1,10,,2,20\n3,11,,,\n"))
@@ -112,6 +125,7 @@ def test_user_errors_in_options(tmp_path: Path, options: list[str], message: str
         ("columns: {reading_cm: word}", "theirs.csv:2: column 'word': found 'x', expected a number"),
         ("columns: {reading_cm: dist}\nleave_out: {throttle: [1]}", "leaves out rows by throttle"),
         ("columns: {reading_cm: dist}\ncode: {no_echo: [1]}", "Did you mean 'codes'"),
+        ("columns: {reading_cm: dist}\ndecimal: ','", "found decimal and delimiter ',', expected two different ones"),
     ],
 )
 def test_user_errors_in_a_map_file(tmp_path: Path, column_map: str, message: str) -> None:

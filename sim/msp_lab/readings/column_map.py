@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
@@ -126,6 +126,15 @@ class ColumnMap(Part):
     delimiter: str = Field(",", min_length=1, max_length=1)
     """Between the cells."""
 
+    decimal: Literal[".", ","] = "."
+    """Before the decimals of a number."""
+
+    @model_validator(mode="after")
+    def _is_readable(self) -> "ColumnMap":
+        if self.decimal == self.delimiter:
+            raise ValueError(f"found decimal and delimiter {self.decimal!r}, expected two different ones")
+        return self
+
 
 def check(name: str, place: MappedColumn) -> None:
     """Check that a column's name is none of the CSV form's misspelt, and that the unit is of its kind.
@@ -217,7 +226,7 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     parts = parts or [_Part(path, header, shared)]
     while block := list(itertools.islice(rows, BLOCK)):
         for part in parts:
-            part.read(block, column_map.codes, maximum_cm)
+            part.read(block, column_map, maximum_cm)
     names = dict.fromkeys(name for part in parts for name in part.places)
     sizes = [part.size for part in parts]
     joined: dict[str, Column] = {}
@@ -262,7 +271,7 @@ class _Part:
             return pieces
         return [_converted(name, self.places[name], np.where(each == "", "nan", each).astype(float)) for each in pieces]
 
-    def read(self, block: list[tuple[int, list[str]]], codes: Codes, maximum_cm: float) -> None:
+    def read(self, block: list[tuple[int, list[str]]], column_map: ColumnMap, maximum_cm: float) -> None:
         """Read some rows, each with the number of its line."""
         # A table next to a longer one ends where all its cells are empty.
         used = {index for index in self._where.values() if index is not None}
@@ -274,6 +283,8 @@ class _Part:
                 self._columns[name].append(_constant(self._path, name, place, len(rows)))
                 continue
             cells = [row[index].strip() if index < len(row) else "" for _, row in rows]
+            if column_map.decimal == "," and name not in WORD_COLUMNS:
+                cells = [_with_point(cell) if is_number(_with_point(cell)) else cell for cell in cells]
             if name in WORD_COLUMNS or name not in KNOWN:
                 # Whether a column of one's own holds words is known when all of it is read.
                 self._columns[name].append(word_column(str(self._path), name, cells))
@@ -285,8 +296,8 @@ class _Part:
             )
             converted = _converted(name, place, numbers)
             if name == "reading_cm":
-                converted[np.isin(numbers, codes.no_echo)] = maximum_cm
-                converted[np.isin(numbers, codes.no_answer)] = math.nan
+                converted[np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
+                converted[np.isin(numbers, column_map.codes.no_answer)] = math.nan
             self._columns[name].append(converted)
 
 
@@ -333,7 +344,12 @@ def _units(name: str) -> dict[str, tuple[float, float]]:
 def _number(path: Path, line: int, column: str, cell: str) -> float:
     number = (float(cell) if cell else math.nan) if is_number(cell) else math.inf
     if abs(number) > LARGEST_NUMBER:
+        hint = '. With decimal commas: a map file with decimal: ","' if is_number(_with_point(cell)) else ""
         raise RecordingError(
-            f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing"
+            f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing{hint}"
         )
     return number
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".")
