@@ -64,13 +64,13 @@ def hidden(channel: str, contexts: Columns, seed: int) -> Array:
         return read(contexts, seed, np.where(above, 0.8, 0.0))
     if channel == "spread":
         return read(contexts, seed, 1.5 * SIGMA_CM * above * rng.standard_normal(N))
-    befallen = above & (rng.random(N) < 0.12)
+    is_changed = above & (rng.random(N) < 0.12)
     instead = {
         "short": np.rint(rng.uniform(20.0, np.maximum(true_cm - 20.0, 25.0))),
         "missed": np.full(N, 765.0),
         "random": rng.integers(20, 766, N).astype(float),
     }[channel]
-    return np.where(befallen, instead, read(contexts, seed))
+    return np.where(is_changed, instead, read(contexts, seed))
 
 
 @pytest.mark.parametrize("by_run", [False, True])

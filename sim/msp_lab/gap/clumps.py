@@ -1,9 +1,9 @@
 """How far the readings that a candidate explains come in clumps: fewer pieces of evidence than readings.
 
-A component or a fault of the code befalls each reading with its share, whatever befell the one before. Then the slopes
-of the readings' log probabilities by that share are independent about 0, where the share is fitted and whatever its
-contexts. Where an object stands in the beam for a while, or a few values come again and again, slopes of one sign are
-next to each other: their sums over blocks of neighbours scatter by more than their own squares, and the candidate's
+A component or a fault of the code changes each reading with its share, whatever happened to the one before. Then the
+slopes of the readings' log probabilities by that share are independent about 0, where the share is fitted and whatever
+its contexts. Where an object stands in the beam for a while, or a few values come again and again, slopes of one sign
+are next to each other: their sums over blocks of neighbours scatter by more than their own squares, and the candidate's
 gain counts by that ratio less (the variance of a sum of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 """
 

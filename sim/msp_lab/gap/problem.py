@@ -175,7 +175,7 @@ class Problem:
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
         share = larger.effects[-1].values[candidate.parameter.name]
-        # What befalls most readings shows by those that it spares, and these are too few to say how they come.
+        # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
             gained /= self._clumping(larger, candidate)
         return gained - self._gain_between_steps(smaller, larger)
