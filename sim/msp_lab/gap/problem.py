@@ -19,7 +19,6 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats
-from msp_lab.gap.fixed_echo import fixed_echo
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
@@ -92,10 +91,8 @@ class Problem:
         thin = _thin(reading_cm.size)
         some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
         some = Prepared.of(model, some_contexts, reading_cm[thin])
-        base = fit_base(some)
-        candidates += fixed_echo(some, base)
         if some.spacing_s is None:
-            neighbours = dependence(base.here.by[:, 0], unit[thin], _time_s(some_contexts))
+            neighbours = dependence(fit_base(some).here.by[:, 0], unit[thin], _time_s(some_contexts))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in some_contexts:
                 some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))

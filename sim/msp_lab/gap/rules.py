@@ -178,13 +178,6 @@ gains half a nat more than with one, and the best of several shapes a little mor
 PLACE_COST_NATS = 2.0
 """The same for the place at which a component gathers readings. About the logarithm of the number of places that
 differ. Lower: components are named for a few readings at one place."""
-ECHO_NATS = 10.0
-"""The search for an object in front of the sensor also begins at the place that explains most readings, if it explains
-them by so many nats more than the base. What a name needs, and what the best of 150 places has by random variation
-(5). Lower: more is tried in vain; higher: legs of which few readings are are not found."""
-ECHO_SIGMAS = 5.0
-"""Readings that many standard deviations short of the surface may be of an object in front of it. Lower: tails of the
-hits are taken for objects; higher: objects near the surface are not seen."""
 COLLINEAR = 1e-3
 """A candidate of which the base and the accepted terms leave a smaller share of its information is not tested. Its
 number would rest on rounding. Lower: names that are the base's own."""
