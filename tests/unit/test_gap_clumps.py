@@ -145,3 +145,18 @@ def test_a_fault_that_leaves_the_hits_as_they_are_is_not_what_all_readings_have(
         candidate = next(each for each in problem.candidates if each.key[0] == name)
         fit = replace(problem.base, effects=(candidate.at(0.999),))
         assert _replaces_base(problem, fit, candidate) == replaced
+
+
+def test_four_readings_are_no_dead_zone_whatever_they_gain() -> None:
+    """All four missed echoes of a table came from near surfaces."""
+    contexts, _ = flight(5)
+    true_cm = np.linspace(22.0, 350.0, N)[np.random.default_rng(5).permutation(N)]
+    contexts["true_range_cm"] = true_cm
+    reading_cm = np.rint(true_cm + np.random.default_rng(6).normal(0.0, 1.9, N))
+    near = np.flatnonzero(true_cm < 40.0)
+    for count, is_named in ((4, False), (12, True)):
+        changed = reading_cm.copy()
+        changed[near[:: near.size // count][:count]] = 765.0
+        evidence, gained = nats("dead_zone_maximum", contexts, changed)
+        assert gained > 6.0
+        assert (evidence > 6.0) == is_named

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve, curves_of, scan
 from msp_lab.gap.curves import add_curves
+from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.findings import FoundEffect
 from msp_lab.gap.formula import formula
 from msp_lab.gap.naming import name_effects
@@ -301,3 +302,29 @@ def test_what_varies_inside_runs_is_found_where_few_runs_differ() -> None:
     state = first_state(problem)
     assert state.by_run
     assert [each.label for each in add_curves(problem, state, 6.0, 6).terms] == ["bias over throttle"]
+
+
+def test_hits_so_far_off_that_they_count_as_outliers_are_a_curve_of_the_bias() -> None:
+    """A drone that flies over a box twice in a flight: 40 cm nearer, where the model has no hit and no slope."""
+    contexts = flown(31)
+    place = np.abs(np.mod(np.arange(N) / 250.0, 2.0) - 1.0)
+    contexts["x_m"] = place
+    over = (place > 0.6) & (number(contexts, "true_range_cm") > 80.0)
+    reading_cm = read(contexts, 31, np.where(over, -40.0, 0.0))
+    rng = np.random.default_rng(1)
+    problem = Problem.of(MODEL, contexts, reading_cm, np.arange(N) * 20 // N, rng)
+    best = far_curves(problem, first_state(problem))[0]
+    assert best.form.variables == ("x_m",)
+    assert min(best.start_cm) == pytest.approx(-40.0, abs=1.0)
+    assert best.start_cm[0] == pytest.approx(0.0, abs=1.0)
+    found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    assert ("bias", ("x_m",)) in {(each.channel, each.variables) for each in found.unknown}
+
+
+def test_short_readings_here_and_there_are_no_far_hits() -> None:
+    contexts = flown(32)
+    reading_cm = read(contexts, 32)
+    short = np.random.default_rng(32).random(N) < 0.3 * (number(contexts, "throttle") > 0.6)
+    reading_cm = np.where(short, np.rint(0.5 * reading_cm), reading_cm)
+    problem = Problem.of(MODEL, contexts, reading_cm, np.arange(N) * 20 // N, np.random.default_rng(1))
+    assert far_curves(problem, first_state(problem)) == []

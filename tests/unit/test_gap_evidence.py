@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import evidence_nats, lead_nats, offset_nats, share_between, wander_inflation
+from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, share_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.run_offsets import p_beyond_wander
 
@@ -154,3 +154,23 @@ def test_offsets_of_runs_do_not_hide_by_how_much_one_of_two_names_is_ahead() -> 
     inside = lead_nats(fit(noise(11)), fit(noise(11) + (slope[:, None] * along).ravel()), UNIT)
     assert inside > 7.0
     assert lead_nats(fit(noise(11) + offset), fit(noise(11) + offset + difference), UNIT) == pytest.approx(inside, 0.3)
+
+
+def test_an_offset_of_one_run_counts_by_what_the_others_scatter() -> None:
+    """With runs that differ as slow noise makes them, one of them is always the farthest off."""
+    scores = np.zeros((12 * ROWS, 8))
+    unit = np.repeat(np.arange(12), ROWS)
+    alike, apart = (
+        np.random.default_rng(1).standard_normal(12 * ROWS) + size * np.repeat(np.resize([1.0, -1.0], 12), ROWS)
+        for size in (0.0, 0.2)
+    )
+    nats = {}
+    for name, slope in (("alike", alike), ("apart", apart)):
+        scores[:, 0] = slope
+        made: Any = SimpleNamespace(here=SimpleNamespace(by=scores.copy()))
+        nats[name] = of_one_run(12.0, cast(JointFit, made), unit, unit == 3)
+    # Student's t of 14 degrees of freedom: of the ten other runs and of four more by the model.
+    expected = 0.5 * norm.isf(student.sf(np.sqrt(24.0), 14)) ** 2
+    assert nats["alike"] == pytest.approx(expected, abs=1.5)
+    assert nats["apart"] < 0.5 * nats["alike"]
+    assert of_one_run(-1.0, cast(JointFit, made), unit, unit == 3) <= 0.0

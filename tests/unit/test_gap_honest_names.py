@@ -64,6 +64,22 @@ def test_what_the_runs_leave_open_is_suggested() -> None:
             assert (each.verdict == "suggested") == contains(value, 0.0)
 
 
+def test_growth_with_range_is_named_where_it_is_more_than_a_bench_leaves_open() -> None:
+    """A fifth more scatter a metre is an effect; a twentieth, however sure, is what another bench might have said."""
+    rng = np.random.default_rng(12)
+    n = 6_000
+    true_cm = rng.uniform(30.0, 400.0, n)
+    contexts = {"true_range_cm": true_cm, "run": np.array([f"run{k:02d}" for k in np.arange(n) * RUNS // n])}
+    sigma_cm = MODEL.sensor.reading_model.sigma_cm
+    given = MODEL.sensor.reading_model.sigma_growth_cm_per_m / sigma_cm
+    for growth, verdicts in ((0.2, ["named"]), (0.06, [])):
+        spread_cm = sigma_cm * (1.0 + given * true_cm / 100.0) * (1.0 + growth * true_cm / 100.0)
+        found = named(contexts, np.rint(true_cm + spread_cm * rng.standard_normal(n)))
+        assert [each.verdict for each in found.effects if each.name == "spread_with_range"] == verdicts
+        calibrated = "sigma_growth_cm_per_m" in " ".join(each.name for each in found.calibration)
+        assert calibrated == (not verdicts)
+
+
 def test_readings_in_half_centimetres_are_on_no_coarse_grid() -> None:
     contexts = flown(6)
     heard_cm = contexts["true_range_cm"] + np.random.default_rng(6).normal(0.0, 1.9, N)

@@ -4,6 +4,7 @@ A state enters, a state with curves among its terms leaves. A curve is taken whe
 an effect goes when a free curve on its channel gains clearly more than it does.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -16,6 +17,7 @@ from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.evidence import share_between, wanders
 from msp_lab.gap.exchange import eliminate
+from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
@@ -35,6 +37,7 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
         forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.some_unit))
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
+        found = _better(problem, state, found, _far_curve(problem, state, singles))
         if found is None and state.by_run:
             found = _curve_between_runs(problem, state, singles)
         if found is None:
@@ -63,6 +66,24 @@ def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve]
         if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
             return there
     return None
+
+
+def _far_curve(problem: Problem, state: State, asked: int) -> State | None:
+    """With the likeliest curve of hits that are so far off that they count as outliers."""
+    for far in far_curves(problem, state)[: rules.FAR_REFITTED]:
+        there = _with_curve(problem, state, far.form, far.start_cm)
+        if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, far.form):
+            continue
+        statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
+        if _is_unlikely(replace(far.form, log_p=log_p_of(statistic, far.form.degrees)), asked):
+            return there
+    return None
+
+
+def _better(problem: Problem, state: State, one: State | None, other: State | None) -> State | None:
+    """Of two states with one more curve that which gains more."""
+    found = [each for each in (one, other) if each is not None]
+    return max(found, key=lambda each: loss(problem, state.fit, each), default=None)
 
 
 def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCurve:
@@ -186,9 +207,9 @@ def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
     return form.degrees > 0 and form.log_p + form.cost_nats < np.log(rules.CURVE_P) - np.log(asked)
 
 
-def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
+def _with_curve(problem: Problem, state: State, form: CandidateCurve, start: Sequence[float] | None = None) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
-    values = [0.0] * int(np.prod([len(each) for each in form.knots]))
+    values = start or [0.0] * int(np.prod([len(each) for each in form.knots]))
     active = make_curve_term(form.channel, form.variables, form.knots, values)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]

@@ -104,8 +104,8 @@ def found_terms(
             if is_small or _is_of_all(term.candidate, values[name].value):
                 values[name] = _by_likelihood(term, active, final)
         base = active.effect.base
-        if base is not None and not near:
-            number = next(iter(values.values()))
+        number = next(iter(values.values()))
+        if base is not None and not near and not _is_beyond_bench(base, number, final.width):
             if number.low is not None and number.high is not None and not number.low <= 0.0 <= number.high:
                 calibration.append(_calibration(base, 0.0, number.value, number.low, number.high, number.unit))
             continue
@@ -131,6 +131,14 @@ def found_terms(
             )
         )
     return effects, unknown, calibration
+
+
+def _is_beyond_bench(base: str, number: FittedValue, width: float) -> bool:
+    """Whether a number of the base has grown by more than a bench leaves open: then its effect is missing."""
+    if base not in rules.BENCH_ERROR or number.low is None or number.high is None:
+        return False
+    error = np.hypot((number.high - number.low) / (2.0 * width), rules.BENCH_ERROR[base])
+    return bool(number.value > rules.BEYOND_BENCH_Z * error)
 
 
 def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedValue:

@@ -195,6 +195,33 @@ def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> 
     return float(np.copysign(_by_scatter(abs(nats) / _inflation_of(gain, unit), runs), nats))
 
 
+def of_one_run(nats: float, fit: JointFit, unit: NDArray[np.intp], run: NDArray[np.bool_]) -> float:
+    """A gain by an offset of one run, by what the other runs scatter next to it [nat].
+
+    Of many runs one is always the farthest off, and slow noise that the model misses moves the means of all. Their
+    variance, relative to what the model says, is averaged with the model's own as `rules.RUN_SCATTER_FREEDOM` further
+    runs, and the gain counts by Student's t (a moderated t; Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3).
+
+    Parameters
+    ----------
+    nats
+        Gain of readings, as the model has them.
+    fit
+        With the offset.
+    unit
+        Run of each reading.
+    run
+        Readings that are of the run with the offset.
+    """
+    slope, others = fit.here.by[:, 0], np.unique(unit[~run])
+    sums, squares = (np.bincount(unit, each)[others] for each in (slope, slope**2))
+    own, freedom = rules.RUN_SCATTER_FREEDOM, others.size - 1
+    if nats <= 0.0 or freedom < 1:
+        return min(nats, 0.0)
+    scatter = (own + float((sums**2 / np.maximum(squares, 1e-300)).sum())) / (own + freedom)
+    return _by_scatter(nats / max(scatter, 1.0), int(own) + freedom + 2)
+
+
 def _between(nats: float, runs: int) -> float:
     """A gain between runs as that of one number whose error is known from so many runs.
 

@@ -18,7 +18,7 @@ from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
-from msp_lab.gap.evidence import evidence_nats
+from msp_lab.gap.evidence import evidence_nats, of_one_run
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
@@ -171,10 +171,15 @@ class Problem:
         gained = self.evidence_nats(smaller, larger, by_run)
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
+        if candidate.effect.per == "run" and not by_run:
+            gained = of_one_run(gained, larger, self.some_unit, np.asarray(self.some_contexts["run"]) == candidate.of)
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
-            gained /= self._clumping(larger, candidate)
+            slope = larger.scores[:, larger.names.index(f"{len(larger.effects) - 1}.{candidate.parameter.name}")]
+            if self.scale * share * slope[slope > 0.0].sum() < rules.MIN_EXPLAINED:
+                return 0.0
+            gained /= self._clumping(larger, slope)
         return gained - self._gain_between_steps(smaller, larger)
 
     def _gain_between_steps(self, smaller: JointFit, larger: JointFit) -> float:
@@ -192,9 +197,8 @@ class Problem:
             most = max(most, float((log_p - smaller.here.log_p).sum()))
         return self.scale * most
 
-    def _clumping(self, fit: JointFit, candidate: CandidateEffect) -> float:
-        """How far the readings come in clumps that the last effect of a fit explains."""
-        slope = fit.scores[:, fit.names.index(f"{len(fit.effects) - 1}.{candidate.parameter.name}")]
+    def _clumping(self, fit: JointFit, slope: _Array) -> float:
+        """How far the readings come in clumps that the last effect of a fit explains, by their slopes by its share."""
         fault, alike = fit.effects[-1].change(self.some.scene).fault, None
         if fault is not None:
             received = fault.arrives(self.some.reading_cm)

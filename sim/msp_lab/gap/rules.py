@@ -248,6 +248,10 @@ CLUMP_MAX_SHARE = 0.6
 """Clumps are looked for in what a smaller share of the readings has. A table that is rounded to inches throughout has a
 share of 1, at which slopes rest on readings that never came. Lower: an object in the beam of half of the readings is
 taken for a part of the sensor; higher: whole tables of something count for too little."""
+MIN_EXPLAINED = 5.0
+"""A component or a fault of the code explains at least so many readings. Any three readings that the model thinks
+impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_KNOT`. Lower: names for
+single readings; higher: rare faults in short tables have no name."""
 SHAPE_STARTS = 25
 """A refit starts at the best of so many values of a shape's parameter. Ripples and places have many local maxima.
 Fewer: shapes end in the wrong one."""
@@ -280,6 +284,14 @@ number of pairs. Lower: pairs hide single causes."""
 CURVE_P = 0.004
 """A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.01 in
 all and curves a share of it. Higher: false curves."""
+FAR_SIGMAS = 4.0
+"""Hits that are off by more sigma are far: most of what the model says of them is that they are outliers. At four the
+likelihood of a hit is that of an outlier of one in 3,000. Lower: curves that the scores see as well are refitted twice;
+higher: what is far is found as scatter or short readings.
+"""
+FAR_REFITTED = 2
+"""So many of the likeliest curves of far hits are refitted. The first is right where they are over one column. More:
+slower."""
 RIPPLE_CYCLES = 5.0
 """Ripples are asked up to a period of which the readings hold so many. Curves of 12 knots see what is slower. Lower:
 bends and a slow wander are named ripples."""
@@ -359,6 +371,11 @@ TAILS_START = 0.05
 
 # Offsets between runs.
 
+RUN_SCATTER_FREEDOM = 4.0
+"""That runs scatter as the model says counts as so many runs when one of them is said to be off. With ten runs it is
+then a third of what is known. Higher: slow noise makes a run of nothing odd; lower: of few runs none is found.
+"""
+
 RUN_OFFSETS_P = 1e-4
 """Runs differ by more than the model says if random variation shows it with a smaller probability. Stricter than a
 name, since it has no variable that could be checked. Higher: drifts are named run offsets."""
@@ -419,6 +436,14 @@ slower, and narrower intervals."""
 CALIBRATION_Z = 4.0
 """A number of the base is reported as calibration if it moved by so many standard errors, and in the same direction on
 the training runs alone. Eight numbers are asked. Lower: calibration of nothing."""
+BENCH_ERROR = {"reading_model.sigma_growth_cm_per_m": 0.03, "reading_model.missed_growth_per_m": 0.1}
+"""Standard errors of what a bench says of growth with range: of the spread in shares of sigma per metre, of missed
+echoes in log odds per metre. On 18 benches of 48 ranges and 2,400 readings (`tests/second_hand`) the first scattered by
+0.02 about a straight line through the true growths, which have another form; 50 missed readings say the second to 0.1.
+Higher: growth is calibration; lower: growth that the bench had, too, is named."""
+BEYOND_BENCH_Z = 3.0
+"""Growth with range is named, and no calibration, where it is larger by so many standard errors, those of the bench
+included. Of 100 tables without an effect two had grown by two of these. As `BENCH_ERROR`."""
 POWER_Z = 0.84
 """The smallest effect that would have been found is taken at this normal quantile. Four of five effects of that size
 are found. Higher: larger sizes are reported."""

@@ -1,0 +1,71 @@
+"""Curves of the bias for hits so far off that the model takes them for outliers, which have no slope.
+
+A fit enters, curves leave with the values at which their refit starts: the medians of the readings near each knot.
+Where most readings of a place are far from their hits, as over a box on the floor, the likelihood of each is flat: no
+score says that they would all be hits of a surface elsewhere.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap import rules
+from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
+from msp_lab.gap.problem import Problem, State
+from msp_sim.effects.curve import MAX_VALUE, Knots, hats
+from msp_sim.model.model import make_curve_term
+
+_Array = NDArray[np.float64]
+
+
+class FarCurve(NamedTuple):
+    """A curve of the bias, and its values where a refit starts [cm]."""
+
+    form: CandidateCurve
+    start_cm: tuple[float, ...]
+
+
+def far_curves(problem: Problem, state: State) -> list[FarCurve]:
+    """Curves over one column with a knot whose readings are far off, the least likely by random variation first."""
+    rows, reading_cm = problem.some.at(state.fit.base, state.fit.effects), problem.some.reading_cm
+    with np.errstate(invalid="ignore"):
+        usual = (reading_cm > rows.minimum_cm) & (reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
+    off_cm = (reading_cm - rows.centre_cm)[usual]
+    far = np.abs(off_cm) > rules.FAR_SIGMAS * np.broadcast_to(rows.sigma_cm, reading_cm.shape)[usual]
+    if far.sum() < rules.CELL_MIN_HITS:
+        return []
+    now = float(state.fit.here.log_p.sum())
+    found = []
+    for variables, knots in problem.curves.curves:
+        if len(variables) > 1:
+            continue
+        column = np.asarray(problem.some_contexts[variables[0]])
+        start_cm = _medians(column[usual], knots[0], off_cm, far)
+        if start_cm is None:
+            continue
+        term = make_curve_term("bias", variables, knots, start_cm)
+        gain = float(problem.some.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
+        if gain > 0.0:
+            form = CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p_of(2.0 * gain, len(start_cm)))
+            found.append(FarCurve(form, start_cm))
+    return sorted(found, key=lambda each: each.form.log_p)
+
+
+def _medians(
+    column: NDArray[np.generic], knots: Knots, off_cm: _Array, far: NDArray[np.bool_]
+) -> tuple[float, ...] | None:
+    """Median of the readings nearest to each knot, 0 where there are few or it is beyond any curve's.
+
+    None where no knot's readings are mostly far off.
+    """
+    weights = hats({"column": column}, ["column"], [knots])
+    nearest = np.where(weights.max(axis=1) > 0.0, weights.argmax(axis=1), -1)
+    medians, is_far = np.zeros(weights.shape[1]), False
+    for k in range(medians.size):
+        own = nearest == k
+        median_cm = float(np.median(off_cm[own])) if own.sum() >= rules.CELL_MIN_HITS else np.inf
+        if abs(median_cm) < MAX_VALUE["bias"]:
+            medians[k] = median_cm
+            is_far |= bool(far[own].mean() > 0.5)
+    return tuple(medians.tolist()) if is_far else None
