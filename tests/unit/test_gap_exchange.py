@@ -152,6 +152,27 @@ def test_a_bend_that_begins_before_the_nearest_reading_is_no_alternative_to_a_sc
     assert "bend" not in [each.active.effect.name for each in selection.alternatives["range_scale", None]]
 
 
+def test_what_another_column_explains_as_well_is_an_alternative_whatever_its_numbers() -> None:
+    """Rotors that are on or off: vibration and throttle are the same column, and rotor noise has an exponent more."""
+    rng = np.random.default_rng(4)
+    run = np.arange(N) * RUNS // N
+    on = (rng.random(RUNS) < 0.5)[run]
+    true_cm = rng.uniform(60.0, 350.0, N)
+    contexts = {
+        "run": np.array([f"run{k:02d}" for k in run]),
+        "true_range_cm": true_cm,
+        "throttle": np.where(on, 0.55, 0.0),
+        "vibration_hz": np.where(on, 68.0, 0.0),
+    }
+    sigma_cm = MODEL.sensor.reading_model.sigma_cm * np.where(on, 1.5, 1.0)
+    reading_cm = np.rint(true_cm + sigma_cm * rng.standard_normal(N))
+    problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), rng)
+    selection = after_exchange(problem, "vibration")
+    (term,) = selection.state.terms
+    others = [each.active.effect.name for each in selection.alternatives[term.key]]
+    assert {"vibration", "rotor_noise"} <= {term.key[0], *others}
+
+
 def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:
     """Next to the effect the spread is small; from there nearly every hit would end as a random reading."""
     rng = np.random.default_rng(3)

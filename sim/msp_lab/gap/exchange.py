@@ -155,8 +155,14 @@ def _in_its_place(
         for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
         if nats <= rules.ALTERNATIVE_NATS
         and other.term.active.effect.name != term.active.effect.name
-        and not (_numbers(other.term) > _numbers(term) and abs(correlation) > rules.IMITATES)
+        and not _imitates(other.term, term, correlation)
     )
+
+
+def _imitates(other: SelectedTerm, term: SelectedTerm, correlation: float) -> bool:
+    """Whether another effect over the same columns says the same with more numbers."""
+    same = set(other.active.effect.requires) == set(term.active.effect.requires)
+    return same and _numbers(other) > _numbers(term) and abs(correlation) > rules.IMITATES
 
 
 def _numbers(term: SelectedTerm) -> int:

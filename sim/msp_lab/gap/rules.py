@@ -357,9 +357,10 @@ ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
 IMITATES = 0.9999
-"""An effect with more numbers whose score correlates by more with the named one's is no alternative: its numbers make
-it the same statement, as a bend does that begins at the nearest reading and so is a scale. A bend after 3 % of the
-range has 0.99995, after 5 % 0.9998. Higher: such a bend is an alternative; lower: bends near the end are scales."""
+"""An effect over the same columns with more numbers whose score correlates by more with the named one's is no
+alternative: its numbers make it the same statement, as a bend does that begins at the nearest reading and so is a
+scale. A bend after 3 % of the range has 0.99995, after 5 % 0.9998. Higher: such a bend is an alternative; lower: bends
+near the end are scales."""
 SEPARABLE_Z = 3.0
 """Two effects are distinguishable if their scores differ by so many standard errors. Never wrong in a trial with known
 effects. Lower: pairs are resolved wrongly; higher: more alternatives."""
