@@ -91,7 +91,7 @@ def test_arducopter(tmp_path: Path) -> None:
         set_compare_undo(copter, airframe)
         assert doctor(airframe)["distances"] == ("right", "1.00 m was sent, and the autopilot has 1.00 m")
         copter.station.command_until_accepted("arming", 60.0, 400, 1, 21196)
-        refused = params(airframe, "--write", "--restore", next(tmp_path.glob("undo-*")).name, answers="y\n" * 20)
+        refused = params(airframe, "--restore", next(tmp_path.glob("undo-*")).name, answers="y\n" * 20)
         assert refused.returncode == 3
         assert "the vehicle is armed" in refused.stderr
         copter.station.command_until_accepted("disarming", 10.0, 400, 0, 21196)

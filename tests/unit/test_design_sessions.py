@@ -300,7 +300,8 @@ def test_what_a_number_of_the_model_absorbed_is_planned_as_strong_as_it_explains
     wash, nothing = fit_answers(old, question)
     assert not wash.assumed
     assert 1.5 < wash.terms[-1].values["log_odds"] < 3.0
-    assert abs(wash.base[2]) < 0.2 < nothing.base[2]
+    # Between the number and the wash, which a steady throttle does not tell apart, their priors decide.
+    assert abs(wash.base[2]) < 0.35 < nothing.base[2]
     # What the run named itself is not in the model twice.
     named, _ = fit_answers(replace(old, terms=washed.effects), question)
     assert [each.values for each in named.terms] == [each.values for each in wash.terms]

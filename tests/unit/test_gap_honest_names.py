@@ -64,6 +64,21 @@ def test_what_the_runs_leave_open_is_suggested() -> None:
             assert (each.verdict == "suggested") == contains(value, 0.0)
 
 
+def test_echoes_that_are_never_there_are_a_finding() -> None:
+    """Beyond the breakaway angle every echo is missed: likely, and not certain for the next one."""
+    contexts = flown(7)
+    contexts["incidence_deg"] = np.abs(np.random.default_rng(7).normal(0.0, 7.0, N))
+    half_angle_deg = np.degrees(MODEL.sensor.beam.half_angle_rad(contexts["true_range_cm"] / 100.0))
+    beyond = contexts["incidence_deg"] > 1.02 * half_angle_deg
+    assert 20 < beyond.sum() < 300
+    found = named(contexts, np.where(beyond, 765.0, read(contexts, 7)))
+    (effect,) = [each for each in found.effects if each.name == "beyond_field_of_view"]
+    log_odds = effect.parameters["log_odds"]
+    assert effect.verdict == "named"
+    assert log_odds.low is not None
+    assert 4.0 < log_odds.low < log_odds.value < 15.0
+
+
 def test_growth_with_range_is_named_where_it_is_more_than_a_bench_leaves_open() -> None:
     """A fifth more scatter a metre is an effect; a twentieth, however sure, is what another bench might have said."""
     rng = np.random.default_rng(12)

@@ -25,6 +25,7 @@ from msp_lab.gap.validation import Gain, Validated
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import Ripple, hats
+from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
@@ -162,9 +163,11 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
 
 
-def _is_of_all(candidate: CandidateEffect, share: float) -> bool:
-    """Whether it is a fault of the code that all readings have: a bound at which its share may well be."""
-    return "code" in candidate.effect.channels and share > candidate.parameter.high - AT_BOUND
+def _is_of_all(candidate: CandidateEffect, value: float) -> bool:
+    """Whether all readings have it, a bound at which its strength may well be: a fault of the code, or certain odds."""
+    if candidate.odds is not None and candidate.parameter.unit == "1":
+        return value > np.log(MOST_TIMES)
+    return "code" in candidate.effect.channels and value > candidate.parameter.high - AT_BOUND
 
 
 def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:

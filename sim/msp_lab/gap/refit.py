@@ -19,6 +19,7 @@ from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
+ODDS = frozenset({"short", "missed", "random"})
 ROUNDS = 12
 """Newton steps at most; usual fits take three to six."""
 ENOUGH_NATS = 0.03
@@ -202,8 +203,8 @@ def refit(
     low[7], high[7] = (0.0, 0.0) if prepared.spacing_s is None else (-known, MAX_CORRELATION - known)
     if prepared.spacing_s is not None and start is None:
         base[7] = max(FIRST_CORRELATION - known, 0.0)
-    of_curves = [rules.CURVE_PRECISION if effects[k].shape is not None else 0.0 for k, _ in numbers]
-    precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_curves])
+    of_numbers = [rules.CURVE_PRECISION if _is_open_ended(effects[k], p) else 0.0 for k, p in numbers]
+    precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_numbers])
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
     def placed(at: _Array) -> tuple[Term, ...]:
@@ -246,6 +247,11 @@ def refit(
             break
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
     return JointFit(theta[:nb], placed(theta), best, names, theta, here, partial(slopes, theta, here))
+
+
+def _is_open_ended(term: Term, number: Parameter) -> bool:
+    """Whether no reading may hold a number: the value of a curve, and log odds where all readings are of one kind."""
+    return term.shape is not None or (number.name == "log_odds" and set(term.effect.channels) <= ODDS)
 
 
 def _off_neutral(each: Term) -> Term:

@@ -206,8 +206,9 @@ BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0])
 a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration; wider: what the readings
 cannot tell drifts."""
 CURVE_PRECISION = 0.05
-"""Precision of the prior about 0 for the values of curves. It holds a knot that no reading is near; one reading has as
-much. Larger: curves are flattened."""
+"""Precision of the prior about 0 for the values of curves and for log odds. It holds a knot that no reading is near,
+and odds where all readings are of one kind: else misses beyond an angle are certain, and a single echo there, in runs
+that were not fitted, contradicts it by 20 nats. One reading has as much. Larger: curves are flattened."""
 WIDE_LOG_SPREAD = 0.4
 """Readings that are wider than the model by more, in the logarithm, start their base fit at their own spread. From the
 model's spread they look like outliers and have no slope. Lower: two fits where one would do."""
