@@ -93,7 +93,11 @@ def test_blank_cells_of_what_does_nothing_leave_nothing_out(tmp_path: Path) -> N
     contexts["humidity_pct"] = np.where(np.arange(N) < 100, 50.0, np.nan)
     write_csv(tmp_path / "flights.csv", contexts | {"reading_cm": reading_cm})
     comparison = Comparison.of(read_readings([tmp_path / "flights.csv"], MODEL), MODEL, Settings("model.yaml"))
-    findings, models = name(comparison, compare(comparison, "2026-01-01", quiet), quiet)
+    shares: list[float] = []
+    before = compare(comparison, "2026-01-01", quiet)
+    findings, models = name(comparison, before, lambda what, share: shares.append(share))
+    # It names twice, the second time without that column, and the progress does not go back.
+    assert shares == sorted(shares)
     assert "slant_range" in {each.name for each in findings.effects}
     assert comparison.known_to(models.training_fit) is comparison
     assert not any("left out" in each for each in findings.messages)

@@ -3,6 +3,7 @@
 Validated terms and the fit of all runs enter, records leave.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -166,7 +167,7 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
 def _is_of_all(candidate: CandidateEffect, value: float) -> bool:
     """Whether all readings have it, a bound at which its strength may well be: a fault of the code, or certain odds."""
     if candidate.odds is not None and candidate.parameter.unit == "1":
-        return value > np.log(MOST_TIMES)
+        return value > math.log(MOST_TIMES)
     return "code" in candidate.effect.channels and value > candidate.parameter.high - AT_BOUND
 
 

@@ -18,7 +18,7 @@ from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
 from msp_lab.gap.intake import Comparison
 from msp_lab.gap.prepared import BASE, Prepared
-from msp_lab.gap.problem import Problem, Progress, State
+from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import previous
@@ -99,6 +99,7 @@ class NamedModel:
 
 def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:
     """Name what is missing, with alternatives; splits of the runs validate it."""
+    report = forward_only(report)
     known = KnownRows.of(comparison.model, comparison.data)
     named = _name_rows(comparison, known.rows, known.unasked, report)
     needed = known.needed(named.models.final_fit, comparison.data)

@@ -35,6 +35,18 @@ Progress = Callable[[str, float], None]
 """Reports what is being done, and which share of the whole is done."""
 
 
+def forward_only(report: Progress) -> Progress:
+    """Reports progress that never goes back: a search that begins again says what it does, and stays where it was."""
+    furthest = 0.0
+
+    def forward(what: str, share: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, share)
+        report(what, furthest)
+
+    return forward
+
+
 @dataclass(frozen=True)
 class Problem:
     """The readings with all that the steps of naming ask of them; it never changes.
