@@ -44,6 +44,8 @@ class Bar:
 
 def make_folder(folder: Path) -> None:
     """Create a folder for results unless it exists; ConfigError if that fails, or nothing can be written into it."""
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder}: is a file; expected a folder for results, which is made if it does not exist")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -91,6 +91,8 @@ def test_the_readings_of_the_session_decide_between_air_and_clock(
     assert "air_temperature" not in names
 
     assert "give --force" in run(*design, code=3)
+    Path("taken").write_text("")
+    assert "taken: is a file" in run(*design, "--out", "taken", code=3)
 
 
 @pytest.mark.slow

@@ -163,6 +163,13 @@ def test_a_model_that_changed_between_steps_is_reported(tmp_path: Path) -> None:
     assert "given.yaml: has changed since 'msp-lab compare'" in named.output
 
 
+def test_readings_in_place_of_a_folder_of_findings_are_reported(tmp_path: Path) -> None:
+    write_csv(tmp_path / "flights.csv", readings(400, 4))
+    result = CliRunner().invoke(app, ["show", str(tmp_path / "flights.csv")])
+    assert result.exit_code == 3
+    assert "is a file; expected the folder" in " ".join(result.output.split())
+
+
 def test_a_folder_that_is_a_file_is_reported(tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(400, 4))
     taken = tmp_path / "taken"
@@ -171,7 +178,7 @@ def test_a_folder_that_is_a_file_is_reported(tmp_path: Path) -> None:
         app, ["gap", str(tmp_path / "flights.csv"), "--model", str(MODEL), "--out", str(taken), "--until", "compare"]
     )
     assert result.exit_code == 3
-    assert "this folder cannot be created" in result.output
+    assert "is a file; expected a folder" in " ".join(result.output.split())
 
 
 def test_what_an_earlier_comparison_left_does_not_stay(tmp_path: Path) -> None:

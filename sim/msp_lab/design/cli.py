@@ -49,13 +49,15 @@ def _design(
 ) -> None:
     require("lab", "msp-lab design")
     from msp_lab.design.designing import Options, plan_sessions
-    from msp_lab.design.files import check_free, write_plans
+    from msp_lab.design.files import prepare_folder, write_plans
     from msp_lab.design.show import print_plans
+    from msp_lab.gap.findings_file import read_findings
     from msp_lab.gap.terminal import ProgressBar
     from msp_sim.effects.own import add_own_effects
 
     out = out or gap / "design"
-    check_free(out, force)
+    read_findings(gap)  # An error in it comes before a folder is made.
+    prepare_folder(out, force)
     add_own_effects(effects or ())
     with ProgressBar() as progress:
         options = Options(bench, max_minutes, power, sessions, seed, airframe)

@@ -23,16 +23,17 @@ CAMPAIGN = "campaign.yaml"
 PICTURE = "session.png"
 
 
-def check_free(out: Path, force: bool) -> None:
-    """Refuse a folder with an earlier design.
+def prepare_folder(out: Path, force: bool) -> None:
+    """Make the folder; one with an earlier design is refused.
 
     Raises
     ------
     ConfigError
-        There is one, and `force` is not given.
+        There is one, and `force` is not given; or nothing can be written into the folder.
     """
     if (out / DESIGN).exists() and not force:
         raise ConfigError(f"{out}: found an earlier design; give --force to replace it, or another --out")
+    make_folder(out)
 
 
 def folder_of(plan: Plan, number: int, out: Path) -> Path:
@@ -64,7 +65,6 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
             (folder / name).write_text(heading + text, encoding="utf-8")
         with style():
             save(draw_session(plan.design), folder / PICTURE)
-    make_folder(out)
     content = {"questions": [_entry(plan, number, findings, out) for number, plan in enumerate(plans, start=1)]}
     (out / DESIGN).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

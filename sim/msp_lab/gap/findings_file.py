@@ -80,6 +80,8 @@ def read_findings(folder: Path) -> GapFindings:
         return from_json(read_text(path, LARGEST_BYTES))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; 'msp-lab compare' or 'msp-lab gap' makes it") from None
+    except NotADirectoryError:
+        raise ConfigError(f"{folder}: is a file; expected the folder that 'msp-lab gap' wrote (--out)") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
