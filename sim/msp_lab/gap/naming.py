@@ -22,7 +22,7 @@ from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import previous
-from msp_lab.gap.selection import Selection, select, settled
+from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
 from msp_lab.readings.intake import PREVIOUS
@@ -181,13 +181,16 @@ def name_effects(
     problem = Problem.of(model, contexts, reading_cm, splits.unit, rng, alpha, report)
     selection = select(problem, max_terms)
     report("validating on splits of the runs", 0.85)
-    selection, kept = _validated(problem, selection, splits)
+    selection, kept = _validated(problem, selection, splits, max_terms)
     report("fitting all runs", 0.92)
     return _named(problem, selection, kept, splits)
 
 
-def _validated(problem: Problem, selection: Selection, splits: Splits) -> tuple[Selection, Validated]:
-    """The terms that validate; where one does not, another may be the better name for what it stood next to."""
+def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms: int) -> tuple[Selection, Validated]:
+    """The terms that validate; where one does not, another may be the better name for what it stood next to.
+
+    Where the search had ended for want of room, it goes on in the place of what was dropped.
+    """
 
     def refitted(state: State) -> State:
         """From the base before validation, so that the order in which terms were dropped has no part in the fit."""
@@ -197,7 +200,11 @@ def _validated(problem: Problem, selection: Selection, splits: Splits) -> tuple[
     kept = validated(problem, selection.state, splits)
     if not kept.dropped:
         return selection, kept
-    selection = settled(problem, replace(selection, state=refitted(kept.state)))
+    left = replace(selection, state=refitted(kept.state))
+    if selection.is_full:
+        selection = select_more(problem, left, {label for label, _ in kept.dropped}, max_terms)
+    else:
+        selection = settled(problem, left)
     if selection.state.keys == kept.state.keys:
         return selection, replace(kept, state=selection.state)
     again = validated(problem, selection.state, splits)

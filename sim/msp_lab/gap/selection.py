@@ -5,6 +5,7 @@ gain passes what the best of all candidates gains by random variation. Where an 
 `_next_term`.
 """
 
+from collections.abc import Set
 from dataclasses import dataclass, replace
 
 from msp_lab.gap import rules
@@ -63,7 +64,13 @@ def select(problem: Problem, max_terms: int) -> Selection:
     # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
     seen = screened(problem, state, by_run=False, sums=sums)
     first = screened(problem, state, sums=sums) if state.by_run else seen
-    needed_nats = seen.needed_nats
+    state = _search(problem, state, seen, seen.needed_nats, max_terms)
+    is_full = 0 < max_terms <= len(state.terms)
+    return settled(problem, Selection(base, state, first, {}, seen.needed_nats, is_full=is_full))
+
+
+def _search(problem: Problem, state: State, seen: Screen, needed_nats: float, max_terms: int) -> State:
+    """Add effects, and curves for what they leave, twice: a curve may show an effect that it hid."""
     for turn in range(2):
         state = add_effects(problem, state, seen, needed_nats, max_terms)
         with_curves = add_curves(problem, state, needed_nats, max_terms - len(state.terms))
@@ -72,8 +79,17 @@ def select(problem: Problem, max_terms: int) -> Selection:
             break
         state = reinformed(problem, state)
         seen = screened(problem, state, by_run=False)
-    is_full = 0 < max_terms <= len(state.terms)
-    return settled(problem, Selection(base, state, first, {}, needed_nats, is_full=is_full))
+    return state
+
+
+def select_more(problem: Problem, selection: Selection, without: Set[str], max_terms: int) -> Selection:
+    """Go on where the search had ended for want of room, without effects of these names, which did not hold."""
+    problem = replace(problem, candidates=tuple(each for each in problem.candidates if each.effect.name not in without))
+    state = reinformed(problem, selection.state)
+    seen = screened(problem, state, by_run=False)
+    state = _search(problem, state, seen, selection.needed_nats, max_terms)
+    is_full = max_terms <= len(state.terms)
+    return settled(problem, replace(selection, state=state, is_full=is_full))
 
 
 def settled(problem: Problem, selection: Selection) -> Selection:
