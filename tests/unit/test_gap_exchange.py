@@ -1,5 +1,7 @@
 """A wrong name is given up for the right one, a needless one goes, and one that does as well is a rival."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.problem import Problem, first_state, screened, without
 from msp_lab.gap.runs import numbered
-from msp_lab.gap.selection import Selection, settled
+from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
@@ -171,6 +173,16 @@ def test_what_another_column_explains_as_well_is_an_alternative_whatever_its_num
     (term,) = selection.state.terms
     others = [each.active.effect.name for each in selection.alternatives[term.key]]
     assert {"vibration", "rotor_noise"} <= {term.key[0], *others}
+
+
+def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
+    problem = problem_of((200.0, 240.0), 25.0)
+    full = select(problem, 1)
+    assert (full.is_full, names_of(full)) == (True, ["latency"])
+    more = select_more(problem, replace(full, state=full.base), {"latency"}, 2)
+    (name,) = names_of(more)
+    assert name != "latency"
+    assert "range_rate_cm_s" in name
 
 
 def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:
