@@ -160,8 +160,8 @@ def _in_its_place(
 
 
 def _imitates(other: SelectedTerm, term: SelectedTerm, correlation: float) -> bool:
-    """Whether another effect over the same columns says the same with more numbers."""
-    same = set(other.active.effect.requires) == set(term.active.effect.requires)
+    """Whether another effect says the same with more numbers, and over no other column."""
+    same = set(other.active.effect.requires) <= set(term.active.effect.requires)
     return same and _numbers(other) > _numbers(term) and abs(correlation) > rules.IMITATES
 
 

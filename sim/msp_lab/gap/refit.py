@@ -250,8 +250,12 @@ def refit(
 
 
 def _is_open_ended(term: Term, number: Parameter) -> bool:
-    """Whether no reading may hold a number: the value of a curve, and log odds where all readings are of one kind."""
-    return term.shape is not None or (number.name == "log_odds" and set(term.effect.channels) <= ODDS)
+    """Whether no reading may hold a number: the value of a curve, and log odds where all readings are of one kind.
+
+    Log odds of all readings alike are a number of the base, which has a prior of its own.
+    """
+    of_some = number.name == "log_odds" and set(term.effect.channels) <= ODDS and term.effect.base is None
+    return term.shape is not None or of_some
 
 
 def _off_neutral(each: Term) -> Term:
