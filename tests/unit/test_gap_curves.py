@@ -314,9 +314,9 @@ def test_hits_so_far_off_that_they_count_as_outliers_are_a_curve_of_the_bias() -
     rng = np.random.default_rng(1)
     problem = Problem.of(MODEL, contexts, reading_cm, np.arange(N) * 20 // N, rng)
     best = far_curves(problem, first_state(problem))[0]
-    assert best.form.variables == ("x_m",)
-    assert min(best.start_cm) == pytest.approx(-40.0, abs=1.0)
-    assert best.start_cm[0] == pytest.approx(0.0, abs=1.0)
+    assert best.variables == ("x_m",)
+    assert min(best.start) == pytest.approx(-40.0, abs=1.0)
+    assert best.start[0] == pytest.approx(0.0, abs=1.0)
     found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
     assert ("bias", ("x_m",)) in {(each.channel, each.variables) for each in found.unknown}
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
+from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.readings.others import OTHERS
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Effect, Parameter, Scene
@@ -79,7 +79,7 @@ class CandidateEffect:
     @property
     def odds(self) -> int | None:
         """Which of the three odds it changes, if that is all it does: 1 short, 2 missed, 3 random."""
-        found = [i for i, channel in enumerate(("short", "missed", "random"), 1) if channel in self.effect.channels]
+        found = [i for i, channel in enumerate(ODDS_CHANNELS, 1) if channel in self.effect.channels]
         return found[0] if len(found) == 1 and len(self.effect.channels) == 1 else None
 
     @property

@@ -15,7 +15,7 @@ from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
 from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, KnotWeights, Variables
-from msp_lab.gap.prepared import CHANNELS, ChannelSlopes
+from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
@@ -24,7 +24,6 @@ _Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
 STEP_HALF = 1e-4
 """Half the distance of the two knots of a step, as a share of the column's span: hardly a reading is between them."""
-ODDS_CHANNELS = ("short", "missed", "random")
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,8 @@ class CandidateCurve:
         log of the probability of as much where nothing is missing, not corrected for the number of curves.
     search_nats
         What the search over periods gains by random variation [nat].
+    start
+        Values at which its refit starts; empty: 0 at each knot.
     """
 
     channel: CurveChannel
@@ -52,6 +53,7 @@ class CandidateCurve:
     degrees: int
     log_p: float
     search_nats: float = 0.0
+    start: tuple[float, ...] = ()
 
     @property
     def cost_nats(self) -> float:

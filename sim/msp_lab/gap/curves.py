@@ -4,7 +4,6 @@ A state enters, a state with curves among its terms leaves. A curve is taken whe
 an effect goes when a free curve on its channel gains clearly more than it does.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -37,7 +36,8 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
         forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.some_unit))
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
-        found = _better(problem, state, found, _far_curve(problem, state, singles))
+        far = far_curves(problem, state)[: rules.FAR_REFITTED]
+        found = _better(problem, state, found, _likeliest_curve(problem, state, far, singles))
         if found is None and state.by_run:
             found = _curve_between_runs(problem, state, singles)
         if found is None:
@@ -57,25 +57,14 @@ def _likeliest_ripple(problem: Problem, state: State) -> State | None:
 def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve], asked: int) -> State | None:
     """With the first of the likeliest curves that gains after a refit what its score promises."""
     for form in forms[: rules.CURVES_REFITTED]:
-        if not _is_unlikely(form, asked):
+        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
+        if not (form.start or _is_unlikely(form, asked)):
             return None
         there = _with_curve(problem, state, _placed(problem, state, form))
         if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, form):
             continue
         statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
         if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
-            return there
-    return None
-
-
-def _far_curve(problem: Problem, state: State, asked: int) -> State | None:
-    """With the likeliest curve of hits that are so far off that they count as outliers."""
-    for far in far_curves(problem, state)[: rules.FAR_REFITTED]:
-        there = _with_curve(problem, state, far.form, far.start_cm)
-        if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, far.form):
-            continue
-        statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
-        if _is_unlikely(replace(far.form, log_p=log_p_of(statistic, far.form.degrees)), asked):
             return there
     return None
 
@@ -87,9 +76,9 @@ def _better(problem: Problem, state: State, one: State | None, other: State | No
 
 
 def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCurve:
-    """A step at the likeliest place between the two that were asked next to it; other curves as they are."""
+    """A step at the likeliest place between the two that were asked next to it by their scores; others as they are."""
     column = np.asarray(problem.some_contexts[form.variables[0]])
-    if column.dtype.kind != "f" or not curve_scan.is_step(form, column):
+    if form.start or column.dtype.kind != "f" or not curve_scan.is_step(form, column):
         return form
     at = float(np.mean(column[np.isfinite(column)] <= np.mean(np.asarray(form.knots[0]))))
     near = curve_scan.steps_of(column, max(at - 1.0 / rules.STEPS, 0.0), min(at + 1.0 / rules.STEPS, 1.0))
@@ -207,9 +196,9 @@ def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
     return form.degrees > 0 and form.log_p + form.cost_nats < np.log(rules.CURVE_P) - np.log(asked)
 
 
-def _with_curve(problem: Problem, state: State, form: CandidateCurve, start: Sequence[float] | None = None) -> State:
+def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
-    values = start or [0.0] * int(np.prod([len(each) for each in form.knots]))
+    values = form.start or [0.0] * int(np.prod([len(each) for each in form.knots]))
     active = make_curve_term(form.channel, form.variables, form.knots, values)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]

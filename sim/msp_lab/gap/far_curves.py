@@ -5,8 +5,6 @@ Where most readings of a place are far from their hits, as over a box on the flo
 score says that they would all be hits of a surface elsewhere.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,14 +17,7 @@ from msp_sim.model.model import make_curve_term
 _Array = NDArray[np.float64]
 
 
-class FarCurve(NamedTuple):
-    """A curve of the bias, and its values where a refit starts [cm]."""
-
-    form: CandidateCurve
-    start_cm: tuple[float, ...]
-
-
-def far_curves(problem: Problem, state: State) -> list[FarCurve]:
+def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
     """Curves over one column with a knot whose readings are far off, the least likely by random variation first."""
     rows, reading_cm = problem.some.at(state.fit.base, state.fit.effects), problem.some.reading_cm
     with np.errstate(invalid="ignore"):
@@ -47,9 +38,9 @@ def far_curves(problem: Problem, state: State) -> list[FarCurve]:
         term = make_curve_term("bias", variables, knots, start_cm)
         gain = float(problem.some.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
         if gain > 0.0:
-            form = CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p_of(2.0 * gain, len(start_cm)))
-            found.append(FarCurve(form, start_cm))
-    return sorted(found, key=lambda each: each.form.log_p)
+            log_p = log_p_of(2.0 * gain, len(start_cm))
+            found.append(CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p, start=start_cm))
+    return sorted(found, key=lambda each: each.log_p)
 
 
 def _medians(

@@ -24,6 +24,7 @@ _Array = NDArray[np.float64]
 BASE = (*FREE, "correlation")
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
+ODDS_CHANNELS = CHANNELS[2:]
 CHUNK = 1 << 13
 """Rows of which all scores are computed at a time: what fits into a processor's cache."""
 LEAST_SHARE = 1e-6

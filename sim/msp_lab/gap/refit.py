@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared
+from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term
 
 _Array = NDArray[np.float64]
-ODDS = frozenset({"short", "missed", "random"})
 ROUNDS = 12
 """Newton steps at most; usual fits take three to six."""
 ENOUGH_NATS = 0.03
@@ -254,7 +253,7 @@ def _is_open_ended(term: Term, number: Parameter) -> bool:
 
     Log odds of all readings alike are a number of the base, which has a prior of its own.
     """
-    of_some = number.name == "log_odds" and set(term.effect.channels) <= ODDS and term.effect.base is None
+    of_some = number.name == "log_odds" and set(term.effect.channels) <= set(ODDS_CHANNELS) and term.effect.base is None
     return term.shape is not None or of_some
 
 

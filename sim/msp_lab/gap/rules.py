@@ -288,8 +288,7 @@ all and curves a share of it. Higher: false curves."""
 FAR_SIGMAS = 4.0
 """Hits that are off by more sigma are far: most of what the model says of them is that they are outliers. At four the
 likelihood of a hit is that of an outlier of one in 3,000. Lower: curves that the scores see as well are refitted twice;
-higher: what is far is found as scatter or short readings.
-"""
+higher: what is far is found as scatter or short readings."""
 FAR_REFITTED = 2
 """So many of the likeliest curves of far hits are refitted. The first is right where they are over one column. More:
 slower."""
@@ -358,10 +357,10 @@ ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
 IMITATES = 0.9999
-"""An effect over the same columns with more numbers whose score correlates by more with the named one's is no
-alternative: its numbers make it the same statement, as a bend does that begins at the nearest reading and so is a
-scale. A bend after 3 % of the range has 0.99995, after 5 % 0.9998. Higher: such a bend is an alternative; lower: bends
-near the end are scales."""
+"""An effect with more numbers, over no column that the named one lacks, is no alternative if their scores correlate by
+more: its numbers make it the same statement, as a bend does that begins at the nearest reading and so is a scale. A
+bend after 3 % of the range has 0.99995, after 5 % 0.9998. Higher: such a bend is an alternative; lower: bends near the
+end are scales."""
 SEPARABLE_Z = 3.0
 """Two effects are distinguishable if their scores differ by so many standard errors. Never wrong in a trial with known
 effects. Lower: pairs are resolved wrongly; higher: more alternatives."""
@@ -375,9 +374,7 @@ TAILS_START = 0.05
 
 RUN_SCATTER_FREEDOM = 4.0
 """That runs scatter as the model says counts as so many runs when one of them is said to be off. With ten runs it is
-then a third of what is known. Higher: slow noise makes a run of nothing odd; lower: of few runs none is found.
-"""
-
+then a third of what is known. Higher: slow noise makes a run of nothing odd; lower: of few runs none is found."""
 RUN_OFFSETS_P = 1e-4
 """Runs differ by more than the model says if random variation shows it with a smaller probability. Stricter than a
 name, since it has no variable that could be checked. Higher: drifts are named run offsets."""
@@ -430,8 +427,7 @@ moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
 """A held-out reading counts for at most so many nats for or against a term, and one at which the truth moves for or
 against repeated readings. A hit that becomes a random reading loses about 8; nine such rows of 700 removed a true slant
-range. Lower: effects that explain rare readings need more of them;
-higher: single rows decide."""
+range. Lower: effects that explain rare readings need more of them; higher: single rows decide."""
 FINAL_ROWS = 60_000
 """The values that are reported are fitted to every k-th reading beyond so many. Three times those of the search. More:
 slower, and narrower intervals."""
