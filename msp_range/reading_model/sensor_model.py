@@ -153,6 +153,11 @@ class MixtureParameters(Section):
         return content
 
 
+WIDEST_IN_FLIGHT_CM = 100.0
+"""Hits of a flight scatter by so much at most [cm]: no sensor that scatters by a metre is worth watching. Larger: the
+bridge watches what says nothing; smaller: models of poor sensors are not watched."""
+
+
 class InFlight(Section):
     """Means over a flight of what all effects together make of the readings; the bridge watches the sensor by them."""
 
@@ -162,7 +167,7 @@ class InFlight(Section):
     missed: Probability
     """share of readings of the maximum or of its damaged form while the surface is in range"""
 
-    sigma_cm: float = Field(ge=0.01, le=100.0)
+    sigma_cm: float = Field(ge=0.01, le=WIDEST_IN_FLIGHT_CM)
     """standard deviation of a hit before it is rounded [cm]"""
 
 

@@ -13,6 +13,7 @@ from msp_sim.model.model import Model
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 BASE = Model.of(SENSOR.model_copy(update={"effects": ()}))
+BEYOND = "beyond_field_of_view"
 CHANNELS = ("bias", "spread", "short", "missed", "random")
 Context = dict[str, Any]
 
@@ -30,6 +31,8 @@ NUMBERS: list[tuple[str, str | None, dict[str, float], Context, str, float]] = [
     # found later, so farther.
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0}, {}, "bias", 0.88),
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0}, {"incidence_deg": 18.0}, "bias", 0.88 + 0.6),
+    # Its amplitude is less by a factor of 2.754, and a linear rise takes so much longer: 1.754 / (ln(10) / 2) cm.
+    ("threshold_walk", None, {"walk_cm_per_10db": 1.0, "exponent": 1.0}, {}, "bias", 1.52),
     ("spread_with_range", None, {"growth_per_m": 0.5}, {}, "spread", math.log(2.0)),
     ("spread_with_incidence", None, {"growth_per_10deg": 0.5}, {"incidence_deg": -20.0}, "spread", math.log(2.0)),
     ("rotor_noise", None, {"growth": 2.0, "exponent": 1.0}, {"throttle": 0.5}, "spread", math.log(2.0)),
@@ -39,10 +42,26 @@ NUMBERS: list[tuple[str, str | None, dict[str, float], Context, str, float]] = [
     ("missed", None, {"log_odds": 1.2}, {}, "missed", 1.2),
     ("missed_with_range", None, {"log_odds_per_m": 0.7, "from_cm": 100.0}, {}, "missed", 0.7),
     # The breakaway angle at 2 m is 12.6 deg.
-    ("beyond_field_of_view", None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": -15.6}, "missed", 3.0),
-    ("beyond_field_of_view", None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": 30.0}, "missed", 4.0),
-    ("beyond_field_of_view", None, {"log_odds": 4.0, "breakaway": 0.5}, {"incidence_deg": 7.3}, "missed", 4.0),
-    ("beyond_field_of_view", None, {"log_odds": 4.0}, {"incidence_deg": 12.0}, "missed", 0.0),
+    (BEYOND, None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": -15.6}, "missed", 3.0),
+    (BEYOND, None, {"log_odds": 4.0, "over_deg": 4.0}, {"incidence_deg": 30.0}, "missed", 4.0),
+    (
+        BEYOND,
+        None,
+        {"log_odds": 4.0, "breakaway": 0.5, "narrowing": 0.0},
+        {"incidence_deg": 8.9},
+        "missed",
+        0.0,
+    ),
+    (
+        BEYOND,
+        None,
+        {"log_odds": 4.0, "breakaway": 0.5, "narrowing": 0.0},
+        {"incidence_deg": 10.1},
+        "missed",
+        4.0,
+    ),
+    (BEYOND, None, {"log_odds": 4.0, "breakaway": 0.5}, {"incidence_deg": 7.3}, "missed", 4.0),
+    (BEYOND, None, {"log_odds": 4.0}, {"incidence_deg": 12.0}, "missed", 0.0),
     ("missed_by_target", "grass", {"log_odds": 1.2}, {"target": "grass"}, "missed", 1.2),
     ("missed_by_target", "grass", {"log_odds": 1.2}, {"target": "asphalt"}, "missed", 0.0),
     ("unexpected_objects", None, {"log_odds": 1.2}, {}, "short", 1.2),

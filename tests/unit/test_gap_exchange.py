@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap.candidate_fits import CandidateFit
 from msp_lab.gap.candidates import SelectedTerm
+from msp_lab.gap.exchange import _at_others
 from msp_lab.gap.problem import Problem, first_state, screened, without
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled
@@ -78,6 +80,44 @@ def test_a_slip_is_named_next_to_tails_and_not_in_their_place(share: float, star
     reading_cm = np.rint(true_cm + off_cm)
     problem = Problem.of(MODEL, {"true_range_cm": true_cm}, reading_cm, np.arange(2 * N) * RUNS // (2 * N), rng)
     assert names_of(after_exchange(problem, start)) == found
+
+
+def test_a_slip_of_which_offset_and_spread_have_taken_most_is_found() -> None:
+    """A quarter of the echoes is 1.6 cm late: more scatter, 0.4 cm too far, and nothing that a small share improves."""
+    rng = np.random.default_rng(5)
+    true_cm = rng.uniform(60.0, 500.0, 3 * N)
+    off_cm = 0.9 * rng.standard_normal(3 * N) + np.where(rng.random(3 * N) < 0.25, 1.63, 0.0)
+    unit = np.arange(3 * N) * RUNS // (3 * N)
+    fine = MODEL.with_step(0.1)
+    problem = Problem.of(fine, {"true_range_cm": true_cm}, np.round(true_cm + off_cm, 1), unit, rng)
+    base = first_state(problem)
+    seen = screened(problem, base)
+    of_slips = [gain for gain, each in zip(seen.gain, problem.candidates, strict=True) if each.key[0] == "cycle_slip"]
+    assert max(of_slips) < seen.needed_nats
+    (term,) = [each for each in select(problem, 6).state.terms if each.key[0] == "cycle_slip"]
+    assert term.active.values["share"] == pytest.approx(0.25, abs=0.06)
+    assert term.active.values["cycles"] == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_slip_is_no_name_for_noise_that_is_only_wider_and_off() -> None:
+    rng = np.random.default_rng(6)
+    true_cm = rng.uniform(60.0, 500.0, 3 * N)
+    reading_cm = np.rint(true_cm + 0.5 + 2.2 * rng.standard_normal(3 * N))
+    unit = np.arange(3 * N) * RUNS // (3 * N)
+    problem = Problem.of(MODEL, {"true_range_cm": true_cm}, reading_cm, unit, rng)
+    assert "cycle_slip" not in names_of(select(problem, 6))
+
+
+def test_alternatives_stand_next_to_the_other_terms_as_the_name_does() -> None:
+    """Where the others settle elsewhere without the name, a fit of an alternative from there ends lower, by itself."""
+    problem = problem_of((60.0, 700.0), 25.0)
+    state = after_exchange(problem, "latency").state
+    less = without(problem, state, 0)
+    elsewhere = less.having(problem.refit([], less.fit.base + np.array([3.0, 1.0, 0, 0, 0, 0, 0, 0])), [])
+    (motion,) = [each for each in problem.candidates if each.key == ("motion_during_ping", None)][:1]
+    lower = problem.refit([motion.at(0.0)], elsewhere.fit.base)
+    tried = CandidateFit(0.0, SelectedTerm(lower.effects[0], motion), lower)
+    assert _at_others(problem, state, 0, less, tried).fit.log_likelihood >= lower.log_likelihood
 
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap.candidate_fits import _less_correlated, with_candidate
 from msp_lab.gap.extended_model import extended, to_sensor
 from msp_lab.gap.prepared import BASE, Prepared
-from msp_lab.gap.problem import Problem, _less_correlated, first_state, with_candidate
+from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model, Term, make_curve_term, make_term

@@ -40,6 +40,13 @@ def test_effects_that_change_the_mean_need_no_numbers_nor_does_a_flight_out_of_r
     assert flown(Model.of(SENSOR).adding("prop_wash", log_odds=4.0), true_range_cm=700.0).in_flight is None
 
 
+def test_hits_that_scatter_by_metres_have_no_numbers_by_which_to_watch_them() -> None:
+    """As of sensors in all directions that are compared with the height."""
+    poor = SENSOR.reading_model.model_copy(update={"sigma_cm": 90.0})
+    wide = Model.of(SENSOR.model_copy(update={"reading_model": poor})).adding("rotor_noise", growth=2.0)
+    assert flown(wide, true_range_cm=500.0).in_flight is None
+
+
 def test_a_model_file_with_the_numbers_switches_the_watch_on() -> None:
     model = Model.of(SENSOR).adding("prop_wash", log_odds=4.0)
     without = SENSOR.model_copy(update={"effects": ({"name": "prop_wash", "parameters": {"log_odds": 4.0}},)})

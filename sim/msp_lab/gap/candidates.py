@@ -6,7 +6,7 @@ code act linearly on the probability.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -18,6 +18,7 @@ from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.readings.others import OTHERS
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import ModelRows, score_of_component, score_of_fault
@@ -102,6 +103,12 @@ class CandidateEffect:
         """What the search over its shapes gains by random variation [nat]."""
         searched = sum(len(parameter.grid) > 1 for parameter in self.effect.parameters)
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
+
+    def moved_by(self, moved_cm: float, scene: Scene) -> "CandidateEffect":
+        """The candidate whose shape moves a part of the hits by so much; it is one that moves hits."""
+        component = replace(self, shape=((self.effect.moves, 1.0),)).at(1.0).change(scene).component
+        assert isinstance(component, Normal)
+        return replace(self, shape=((self.effect.moves, moved_cm / float(np.mean(component.location_cm))),))
 
     def at(self, value: float) -> Term:
         """The effect with this value of its number."""

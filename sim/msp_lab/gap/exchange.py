@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msp_lab.gap import rules
+from msp_lab.gap.candidate_fits import CandidateFit, trials, with_candidate
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.evidence import lead_nats
-from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
-from msp_lab.gap.refit import JointFit
+from msp_lab.gap.problem import Problem, State, loss, screened, without
+from msp_lab.gap.refit import ENOUGH_NATS, JointFit
 from msp_sim.model.model import Term
 
 TAILS = "heavy_tails"
@@ -113,8 +114,11 @@ def _in_its_place(
     seen = screened(problem, less, by_run=False)
     found = trials(problem, less, seen, max(within_nats, within_share * own), rules.EXCHANGE_KEEPS * needed_nats)
 
-    same = [state.fit, *(each.fit for each in found if each.term.key == term.key)]
-    own_fit = max(same, key=lambda each: each.log_likelihood)
+    again = [each.fit for each in found if each.term.key == term.key]
+    own_fit = max([state.fit, *again], key=lambda each: each.log_likelihood)
+    if not again or again[0].log_likelihood < state.fit.log_likelihood - ENOUGH_NATS:
+        # The other terms have settled elsewhere without this one: there no candidate is what it can be in its place.
+        found = [_at_others(problem, state, k, less, each) for each in found]
     # What counts for less than its likelihood, as repeats do where nothing moves, does not count for more here.
     enough_nats = rules.EXCHANGE_KEEPS * needed_nats
     others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
@@ -157,6 +161,16 @@ def _in_its_place(
         and other.term.active.effect.name != term.active.effect.name
         and not _imitates(other.term, term, correlation)
     )
+
+
+def _at_others(problem: Problem, state: State, k: int, less: State, tried: CandidateFit) -> CandidateFit:
+    """A candidate in place of the k-th term, fitted from the values of the state's other terms too."""
+    others = [each for i, each in enumerate(state.fit.effects) if i != k]
+    fit, candidate = problem.refit([*others, tried.term.active], tried.fit.base), tried.term.candidate
+    if candidate is None or fit.log_likelihood <= tried.fit.log_likelihood:
+        return tried
+    gained = problem.candidate_nats(less.fit, fit, candidate, state.by_run) - candidate.cost_nats
+    return CandidateFit(gained, SelectedTerm(fit.effects[-1], candidate), fit)
 
 
 def _imitates(other: SelectedTerm, term: SelectedTerm, correlation: float) -> bool:

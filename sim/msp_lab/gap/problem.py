@@ -1,12 +1,12 @@
 """What naming works on: the readings, prepared once, and the state that each step hands to the next.
 
 A model and readings enter `Problem`, which never changes. A `State` is a joint fit with its terms; what can be asked of
-both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is left.
-Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination (`exchange.py`) are functions from
-State to State.
+both is a function here: a screen of all candidates, refits without a term, and curves for what is left. Refits with one
+more term are in `candidate_fits.py`. Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination
+(`exchange.py`) are functions from State to State.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -312,129 +312,6 @@ def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
             for name, value in problem.candidates[j].shape
         ),
     )
-
-
-@dataclass(frozen=True)
-class CandidateFit:
-    """A state refitted with one more candidate, the last of its terms.
-
-    Attributes
-    ----------
-    gain_nats
-        Evidence of all readings, less the cost of the search.
-    term, fit
-        The new term, and the joint fit with it.
-    """
-
-    gain_nats: float
-    term: SelectedTerm
-    fit: JointFit
-
-
-def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[CandidateFit]:
-    """Refits of the candidates that gain most, the best first.
-
-    Parameters
-    ----------
-    problem, state
-        To which one candidate at a time is added.
-    seen
-        The screen at this state.
-    within_nats, least_nats
-        A candidate is refitted if its screened gain is within so much of the best, and at least so much.
-    """
-    best: dict[tuple[str, str | None], int] = {}
-    for j, candidate in enumerate(problem.candidates):
-        if candidate.key not in state.keys and seen.gain[j] > seen.gain[best.get(candidate.key, j)] - 1e-12:
-            best[candidate.key] = j
-    order = sorted(best.values(), key=lambda j: -seen.gain[j])
-    found: list[CandidateFit] = []
-    top = 0.0
-    for j in order[: rules.REFITS_PER_STEP]:
-        candidate = problem.candidates[j]
-        near = top - max(within_nats, rules.REFIT_WITHIN_SHARE * top)
-        if seen.gain[j] < least_nats or (found and seen.gain[j] < near):
-            break
-        fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
-        if candidate.linear and _replaces_base(problem, fit, candidate):
-            continue
-        gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run)
-        found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
-        # A screen may promise too much, and of what is large it promises too little, of one as of the other.
-        top = max(top, min(found[-1].gain_nats, float(seen.gain[j])))
-    return sorted(found, key=lambda each: -each.gain_nats)
-
-
-def _replaces_base(problem: Problem, fit: JointFit, candidate: CandidateEffect) -> bool:
-    """Whether nearly all readings have the last effect of a fit, and it is none of what they are: a component has
-    replaced the base, or a fault leaves most hits as they are."""
-    if fit.effects[-1].values[candidate.parameter.name] <= rules.MAX_COMPONENT_SHARE:
-        return False
-    fault = fit.effects[-1].change(problem.some.scene).fault
-    if fault is None:
-        return True
-    hit_cm = np.rint(np.nan_to_num(problem.some.rows.centre_cm))
-    return float(np.mean(fault.arrives(hit_cm) != hit_cm)) < 0.5
-
-
-def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
-    """The value at which a candidate's refit starts."""
-    parameter, neutral = candidate.parameter, candidate.neutral
-    if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
-        return float(np.clip(neutral + seen.best[j], parameter.low, parameter.high))
-    size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
-    return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
-
-
-def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:
-    """A joint fit with one more effect, from the best of some values and shapes."""
-    starts = [
-        replace(candidate, shape=shape).at(start * part)
-        for shape in _shapes(candidate)
-        for part in ((1.0, 0.25) if shape == candidate.shape else (1.0,))
-    ]
-    bases = (fit.base, *_less_correlated(problem, candidate, fit))
-    return max((_from_best_start(problem, fit, starts, base) for base in bases), key=lambda each: each.log_likelihood)
-
-
-def _from_best_start(problem: Problem, fit: JointFit, starts: Sequence[Term], base: _Array) -> JointFit:
-    heights = [float(problem.some.log_prob(base, [*fit.effects, each]).sum()) for each in starts]
-    return problem.refit([*fit.effects, starts[int(np.argmax(heights))]], base)
-
-
-def _less_correlated(problem: Problem, candidate: CandidateEffect, fit: JointFit) -> Iterator[_Array]:
-    """A second start where noise follows the errors so closely that it stands in for an effect on the bias.
-
-    A late reading errs as the one before it: correlated noise explains that as well, one reading at a time, and from
-    there no small step leads to the effect. With half the correlation and the same scatter from one reading to the
-    next, what is slow is the effect's to explain.
-    """
-    history = problem.some.rows.history
-    if history is None or "bias" not in candidate.effect.channels:
-        return
-    now = history.correlation + float(fit.base[BASE.index("correlation")])
-    if now > rules.RESTART_CORRELATION:
-        base = fit.base.copy()
-        base[BASE.index("correlation")] -= now / 2.0
-        base[BASE.index("log_sigma")] += 0.5 * float(np.log((1.0 - now**2) / (1.0 - (now / 2.0) ** 2)))
-        yield base
-
-
-def _shapes(candidate: CandidateEffect) -> list[tuple[tuple[str, float], ...]]:
-    """Its shape, and those with one number of it moved between and beyond the values on its grid."""
-    shapes = [candidate.shape]
-    for parameter in candidate.effect.parameters:
-        if parameter.neutral is not None or len(parameter.grid) < 2:
-            continue
-        low, high = min(parameter.grid), max(parameter.grid)
-        beyond = (high - low) / 2.0
-        places = np.linspace(max(low - beyond, parameter.low), min(high + beyond, parameter.high), rules.SHAPE_STARTS)
-        places = np.array(parameter.grid) if parameter.jumps else places
-        shapes += [
-            tuple((name, float(f"{place:.4g}") if name == parameter.name else value) for name, value in candidate.shape)
-            for place in places
-        ]
-    return shapes
 
 
 def without(problem: Problem, state: State, k: int) -> State:

@@ -249,6 +249,15 @@ CLUMP_MAX_SHARE = 0.6
 """Clumps are looked for in what a smaller share of the readings has. A table that is rounded to inches throughout has a
 share of 1, at which slopes rest on readings that never came. Lower: an object in the beam of half of the readings is
 taken for a part of the sensor; higher: whole tables of something count for too little."""
+MOVED_SHARES = (0.1, 0.3, 0.7)
+"""Hits of which a part is moved are fitted from the best of these shares. A fit finds the right one from any of the
+same half. More: slower."""
+MOVED_SIGMAS = (1.0, 2.0)
+"""And from moves by so many sigma, with a spread that leaves the variance of all hits as it was. Of moves by more than
+three sigma the screen sees the most. More: slower."""
+MOVED_LEAST_SIGMAS = 1.0
+"""A part of the hits that is moved by less than so many sigma is no name: two such peaks are one, and any noise that is
+not quite normal is fitted by them. Higher: small slips are lost; lower: the form of the noise is a slip."""
 MIN_EXPLAINED = 5.0
 """A component or a fault of the code explains at least so many readings. Any three readings that the model thinks
 impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_KNOT`. Lower: names for

@@ -8,19 +8,20 @@ gain passes what the best of all candidates gains by random variation. Where an 
 from collections.abc import Set
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from msp_lab.gap import rules
+from msp_lab.gap.candidate_fits import CandidateFit, trials
 from msp_lab.gap.candidates import Key
 from msp_lab.gap.curves import add_curves, merge_cancelling, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
-    CandidateFit,
     Problem,
     State,
     first_state,
     reinformed,
     scores_at,
     screened,
-    trials,
 )
 from msp_lab.gap.run_offsets import run_offset_cm
 from msp_lab.gap.screen import Screen
@@ -131,9 +132,9 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
 
 def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> CandidateFit | None:
     """The candidate that gains most after its refit, if it gains enough."""
-    if seen.largest < seen.critical and not state.by_run:
-        return None
-    for trial in trials(problem, state, seen, rules.REFIT_WITHIN_NATS, rules.SCREEN_KEEPS * needed_nats):
+    nothing_seen = seen.largest < seen.critical and not state.by_run
+    least_nats = np.inf if nothing_seen else rules.SCREEN_KEEPS * needed_nats
+    for trial in trials(problem, state, seen, rules.REFIT_WITHIN_NATS, least_nats):
         if trial.gain_nats < needed_nats:
             break
         # Of runs that all differ one is always the farthest off: an offset of it alone must leave the others alike.

@@ -195,6 +195,8 @@ class Effect:
         Other causes that change every reading in the same way.
     media
         What the sensors range with that it happens to.
+    moves
+        Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not.
     any_step
         Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres.
     finding
@@ -216,6 +218,7 @@ class Effect:
     base: str | None = None
     equivalent_causes: tuple[str, ...] = ()
     media: tuple[Medium, ...] = get_args(Medium)
+    moves: str = ""
     any_step: bool = False
     finding: str = ""
 

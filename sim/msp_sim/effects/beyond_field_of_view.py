@@ -6,7 +6,9 @@ from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:
-    half_angle_deg = values["breakaway"] * np.degrees(scene.sensor.beam.half_angle_rad(scene.range_cm / 100.0))
+    beam = scene.sensor.beam
+    narrower = beam.half_angle_rad(scene.range_cm / 100.0) / beam.half_angle_rad(1.0)
+    half_angle_deg = values["breakaway"] * np.degrees(beam.half_angle_rad(1.0)) * narrower ** values["narrowing"]
     beyond_deg = np.maximum(np.abs(scene["incidence_deg"]) - half_angle_deg, 0.0)
     return Contribution(log_odds_missed=values["log_odds"] * np.minimum(beyond_deg / values["over_deg"], 1.0))
 
@@ -17,7 +19,8 @@ BEYOND_FIELD_OF_VIEW = Effect(
     finding="tilt beyond {breakaway:number} of the breakaway angle makes missed echoes come {log_odds:times}",
     physics=(
         "log odds of a missed echo grow linearly with the angle beyond the breakaway angle at that range, up to what a "
-        "rough surface scatters; with log_odds 10 a single echo there is nearly impossible"
+        "rough surface scatters; with log_odds 10 a single echo there is nearly impossible. A gain that rises with "
+        "range keeps the angle the same at all ranges"
     ),
     source="report 4.3.3 (figures 4.9-4.12); the breakaway table of the sensor model; the growth is assumed",
     parameters=(
@@ -30,7 +33,17 @@ BEYOND_FIELD_OF_VIEW = Effect(
             3.0,
             None,
             1.0,
-            (0.5, 0.75, 1.0, 1.25),
+            (0.3, 0.5, 0.75, 1.0, 1.25),
+        ),
+        Parameter(
+            "narrowing",
+            "1",
+            "1: the angle falls with range as in the sensor model; 0: it is that at 1 m at all ranges",
+            0.0,
+            1.0,
+            None,
+            1.0,
+            (0.0, 1.0),
         ),
         Parameter("over_deg", "deg", "angle over which the log odds grow", 0.1, 45.0, None, 1.0, (1.0, 8.0)),
     ),

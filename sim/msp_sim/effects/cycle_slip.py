@@ -18,11 +18,12 @@ CYCLE_SLIP = Effect(
     source="zero-crossing and threshold detectors on tone bursts",
     parameters=(
         Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
-        Parameter("cycles", "1", "periods that are missed", -40.0, 40.0, None, 6.0, (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)),
+        Parameter("cycles", "1", "periods that are missed", 1.0, 40.0, None, 6.0, (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)),
     ),
     requires=("true_range_cm",),
     channels=("component",),
     experiment="a histogram of ten thousand readings of one target: a second peak next to the first",
     apply=_apply,
     media=("sound",),
+    moves="cycles",
 )

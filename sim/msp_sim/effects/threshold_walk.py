@@ -16,7 +16,9 @@ def _apply(scene: Scene, values: Values) -> Contribution:
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG
     # Relative to a wall at 1 m on the axis: spreading as from a mirror image, two-way absorption, two-way directivity.
     weaker_db = 20.0 * np.log10(range_m) + 2.0 * absorption * (range_m - 1.0) + 6.0 * off_axis**2
-    return Contribution(bias_cm=values["walk_cm_per_10db"] * weaker_db / 10.0)
+    # (A^-e - 1) / e of the amplitude A, in units of 10 dB; at e = 0 it is the loss in dB / 10.
+    rising = max(values["exponent"], 1e-6) * np.log(10.0) / 20.0
+    return Contribution(bias_cm=values["walk_cm_per_10db"] * np.expm1(rising * weaker_db) / (10.0 * rising))
 
 
 THRESHOLD_WALK = Effect(
@@ -24,12 +26,17 @@ THRESHOLD_WALK = Effect(
     sentence="A weak echo rises slowly and is detected late, so far and tilted surfaces read a little too far.",
     finding="echoes that are 10 dB weaker read {walk_cm_per_10db:too far|too near}",
     physics=(
-        "an envelope that rises exponentially crosses a fixed threshold with a delay proportional to the loss in dB; "
+        "an envelope of amplitude A that rises as A t^n crosses a fixed threshold at a time proportional to A^-e with "
+        "e = 1 / n: 1 for one resonator, 0.5 for two, and 0 for an "
+        "exponential rise, with a delay proportional to the loss in dB; "
         "loss for a wall: 20 log z, absorption, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
     ),
     source="time walk of leading-edge discriminators; levels: msp_range.acoustics",
     parameters=(
-        Parameter("walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker", 0.0, 5.0),
+        Parameter(
+            "walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker than at 1 m", 0.0, 5.0
+        ),
+        Parameter("exponent", "1", "e: how the delay grows as the amplitude falls", 0.0, 1.0, None, 0.0, (0.0, 1.0)),
     ),
     requires=("true_range_cm",),
     channels=("bias",),

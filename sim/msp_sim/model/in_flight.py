@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.reading_model.sensor_model import SATURATED_CM, InFlight
+from msp_range.reading_model.sensor_model import SATURATED_CM, WIDEST_IN_FLIGHT_CM, InFlight
 from msp_sim.model.model import Model
 from msp_sim.model.streams import RandomStreams
 
@@ -22,7 +22,9 @@ OFF_SIGMAS = 4.0
 
 
 def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Generator) -> InFlight | None:
-    """Shares and spread of a model's readings; None where its effects change the mean only, or no surface is in range.
+    """Shares and spread of a model's readings.
+
+    None where its effects change the mean only, no surface is in range, or hits scatter too much to be watched.
 
     Parameters
     ----------
@@ -44,8 +46,12 @@ def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Genera
     reading_cm = np.array([rows.sample(streams) for _ in range(-(-FEWEST_DRAWN // near.size))])
     off_cm = reading_cm - rows.centre_cm
     is_hit = np.abs(off_cm) < OFF_SIGMAS * rows.sigma_cm
+    if not is_hit.any():
+        return None
     is_missed = ~is_hit & np.isin(reading_cm, (model.sensor.maximum_cm, SATURATED_CM))
     variance_cm2 = np.mean(off_cm[is_hit] ** 2) - model.sensor.resolution_cm**2 / 12.0 - np.mean(rows.reference_cm2)
     sigma_cm = float(np.sqrt(max(variance_cm2, model.sensor.reading_model.sigma_cm**2)))
+    if sigma_cm > WIDEST_IN_FLIGHT_CM:
+        return None
     is_short = ~is_missed & (off_cm < -OFF_SIGMAS * sigma_cm)
     return InFlight(short=float(np.mean(is_short)), missed=float(np.mean(is_missed)), sigma_cm=sigma_cm)
