@@ -122,14 +122,18 @@ def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> Non
     assert "Independent references in the log: barometer, simulator" in done.output
 
 
-def test_an_invalid_signal_of_px4_is_no_answer() -> None:
+def test_an_invalid_signal_of_px4_or_a_reading_below_its_minimum_is_no_answer() -> None:
     topic = {
         "timestamp": np.arange(3) * 10**6,
-        "current_distance": np.full(3, 2.0),
+        "current_distance": np.array([2.0, 2.0, 0.2]),
+        "min_distance": np.full(3, 0.4),
         "max_distance": np.full(3, 7.0),
         "signal_quality": np.array([100, 0, -1]),
     }
     (ranger,) = px4._rangers({"distance_sensor": topic})
+    assert np.isnan(ranger.series.values).tolist() == [False, True, True]
+    assert ranger.too_near == 1
+    (ranger,) = px4._rangers({"distance_sensor": {key: topic[key] for key in topic if key != "min_distance"}})
     assert np.isnan(ranger.series.values).tolist() == [False, True, False]
 
 

@@ -23,15 +23,17 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    make_ranger,
     negative,
     readings_cm,
+    rounded_cm,
     series,
     tilt_deg,
 )
 from msp_range.mavlink.orientation import DOWN
 
-_NO_DATA, _TOO_FAR = 1, 3
-"""RangeFinder::Status: nothing was read; out of range, far (AP_RangeFinder.h)."""
+_NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3
+"""RangeFinder::Status: nothing was read; nearer than RNGFNDx_MIN; beyond RNGFNDx_MAX (AP_RangeFinder.h)."""
 
 WANTED = {
     "RFND": ("TimeUS", "TimeMS", "Instance", "I", "Dist", "Stat", "Orient", "Dist1", "Orient1", "Dist2", "Orient2"),
@@ -110,20 +112,24 @@ def _ranger(
     facing: int,
     parameters: Mapping[str, float],
 ) -> Ranger:
-    maximum_m = _maximum_m(number, parameters)
+    maximum_m = _limit_m("MAX", number, parameters, np.inf)
     reading_cm = readings_cm(range_m, maximum_m)
-    if status is not None:
+    if status is None:
+        is_too_near = rounded_cm(range_m) < rounded_cm(_limit_m("MIN", number, parameters, 0.0))
+    else:
+        is_too_near = status == _TOO_NEAR
         if np.isfinite(maximum_m):
-            reading_cm[status == _TOO_FAR] = 100.0 * maximum_m
+            reading_cm[status == _TOO_FAR] = rounded_cm(maximum_m)
         reading_cm[status <= _NO_DATA] = np.nan
-    return Ranger(f"RNGFND{number}", series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
+    found = Series("RFND.Dist", time_s, reading_cm)
+    return make_ranger(f"RNGFND{number}", found, facing == DOWN, maximum_m, is_too_near)
 
 
-def _maximum_m(number: int, parameters: Mapping[str, float]) -> float:
-    """The largest distance [m] of a range finder: metres from 4.7 on, before 4.0 the first one has no number."""
-    maximum_cm = parameters.get("RNGFND_MAX_CM", np.inf) if number == 1 else np.inf
-    maximum_cm = parameters.get(f"RNGFND{number}_MAX_CM", maximum_cm)
-    return parameters.get(f"RNGFND{number}_MAX", maximum_cm / 100.0)
+def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise_m: float) -> float:
+    """MIN or MAX of a range finder [m]: metres from 4.7 on, before 4.0 the first one has no number."""
+    value_cm = parameters.get(f"RNGFND_{limit}_CM", 100.0 * otherwise_m) if number == 1 else 100.0 * otherwise_m
+    value_cm = parameters.get(f"RNGFND{number}_{limit}_CM", value_cm)
+    return parameters.get(f"RNGFND{number}_{limit}", value_cm / 100.0)
 
 
 def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource]:

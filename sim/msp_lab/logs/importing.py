@@ -19,6 +19,7 @@ from msp_lab.logs.truth import OTHERS, Truth, choose
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
+from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.runs import file_names
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
@@ -68,8 +69,14 @@ class FoundRanger:
         What it is called, where the log has it, how often it was logged, and how often in all.
     silent
         Readings without an answer.
+    too_near
+        Readings nearer than the minimum that the log states; they are empty in the dataset.
+    no_echo
+        Readings at or beyond the maximum that the log states.
+    maximum_cm
+        That maximum; None: the log states none.
     low_cm, high_cm
-        Smallest and largest reading.
+        Smallest and largest reading of the other ones.
     is_down
         Whether it looks down.
     with_truth
@@ -95,6 +102,9 @@ class FoundRanger:
     rate_hz: float | None
     readings: int
     silent: int
+    too_near: int
+    no_echo: int
+    maximum_cm: float | None
     low_cm: float | None
     high_cm: float | None
     is_down: bool
@@ -304,6 +314,7 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     columns = dict.fromkeys(name for each in down for name in each.data.columns)
     whole = MeasuredData({name: np.concatenate([_column(each.data, name) for each in down]) for name in columns})
     recording = Recording(path) if kind_of(path) == ".mcap" else None
+    whole, _ = in_code_of(sensor, whole)
     data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
     found = [Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name))) for each in down]
     listed = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
@@ -351,18 +362,23 @@ def _account(
 
 def _found(each: Joined) -> FoundRanger:
     reading_cm, alignment, error = each.data["reading_cm"], each.alignment, each.error
-    known = reading_cm[np.isfinite(reading_cm)]
+    answered = np.isfinite(reading_cm)
+    is_no_echo = answered & (reading_cm == each.data[NO_ECHO] if NO_ECHO in each.data else False)
+    known = reading_cm[answered & ~is_no_echo]
     return FoundRanger(
         each.ranger.name,
         each.ranger.series.source,
         _or_none(each.ranger.series.rate_hz),
         reading_cm.size,
-        reading_cm.size - known.size,
+        int(reading_cm.size - answered.sum()) - each.ranger.too_near,
+        each.ranger.too_near,
+        int(is_no_echo.sum()),
+        _or_none(each.ranger.maximum_cm),
         float(known.min()) if known.size else None,
         float(known.max()) if known.size else None,
         each.ranger.is_down,
         int(np.isfinite(each.data[TRUE_RANGE]).sum()) if TRUE_RANGE in each.data else 0,
-        _repeated(known),
+        _repeated(reading_cm[answered]),
         None
         if alignment is None or not alignment.has_lag
         else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),

@@ -13,6 +13,7 @@ import numpy as np
 from msp_lab.logs.alignment import Alignment, align, reference_std_cm
 from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.truth import second
+from msp_lab.readings.no_echo import NO_ECHO
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 
@@ -86,6 +87,7 @@ def _join(
         "time_s": time_s,
         "sensor": np.full(time_s.size, ranger.name),
         "reading_cm": ranger.series.values,
+        NO_ECHO: np.full(time_s.size, ranger.maximum_cm),
     }
     for name in CONTEXT:
         if name in log.context and name not in (TILT, CLIMB):

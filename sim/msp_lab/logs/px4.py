@@ -28,7 +28,9 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_ranger,
     readings_cm,
+    rounded_cm,
     series,
 )
 from msp_range.input_file import open_input
@@ -148,15 +150,10 @@ def _rangers(found: _Topics) -> list[Ranger]:
         # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
         reading_cm[data.get("signal_quality", np.full(reading_cm.size, -1)) == 0] = np.nan
         facing = int(np.median(data["orientation"])) if "orientation" in data else DOWN
-        source = f"{name}.current_distance"
-        rangers.append(
-            Ranger(
-                name.replace("[", "_").rstrip("]"),
-                series(source, _time_s(data), reading_cm),
-                facing == DOWN,
-                100.0 * maximum_m,
-            )
-        )
+        is_too_near = rounded_cm(data["current_distance"]) < rounded_cm(data.get("min_distance", np.zeros(1)))
+        found_cm = Series(f"{name}.current_distance", _time_s(data), reading_cm)
+        plain_name = name.replace("[", "_").rstrip("]")
+        rangers.append(make_ranger(plain_name, found_cm, facing == DOWN, maximum_m, is_too_near))
     return rangers
 
 

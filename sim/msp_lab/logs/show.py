@@ -108,6 +108,10 @@ def _readings(ranger: FoundRanger) -> str:
     words = [f"{ranger.readings:,} readings"]
     if ranger.silent:
         words.append(f"{ranger.silent:,} without an answer")
+    if ranger.too_near:
+        words.append(f"{ranger.too_near:,} too near")
+    if ranger.no_echo:
+        words.append(f"{ranger.no_echo:,} without an echo within {ranger.maximum_cm:g} cm")
     if ranger.low_cm is not None:
         words.append(f"{ranger.low_cm:g} to {ranger.high_cm:g} cm")
     words.append(f"{ranger.with_truth:,} with a true range" if ranger.with_truth else "no true range")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
+from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
@@ -192,9 +193,11 @@ def sha256(path: Path) -> str:
 def _read_table(
     path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str], runs: Sequence[str]
 ) -> tuple[MeasuredData, Recording | None]:
-    """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
+    """Read one file, and the recording that it is; what was lost or changed is added to ``messages``."""
     if is_dataset(path):
-        return read_dataset(path, runs=runs), None
+        data, changed = in_code_of(sensor, read_dataset(path, runs=runs))
+        messages += changed
+        return MeasuredData({name: column for name, column in data.columns.items() if name != NO_ECHO}), None
     if path.suffix.lower() in FLIGHT_LOGS:
         raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
     if column_map is not None:
