@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
+from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -73,3 +74,6 @@ def test_an_imported_log_with_another_maximum_has_the_misses_of_the_model(tmp_pa
     assert (loaded.data["reading_cm"] == 765.0).sum() == 12
     assert not (loaded.data["reading_cm"] == 650.0).any()
     assert NO_ECHO not in loaded.data
+    # Next to others it had the code of the model while they were compared, so that no echo was no distance.
+    kept = read_dataset(tmp_path / "set")
+    assert set(kept[NO_ECHO]) == {650.0 if truth == "ekf" else 765.0}
