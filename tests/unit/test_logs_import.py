@@ -12,8 +12,8 @@ from typer.testing import CliRunner, Result
 from msp_lab.cli import app
 from msp_lab.logs import px4
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
-from msp_lab.logs.join import join
-from msp_lab.logs.log import Ranger, Series, TruthSource, VehicleLog
+from msp_lab.logs.join import Joined, join
+from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
@@ -264,6 +264,87 @@ def test_without_a_datum_and_too_few_readings_there_is_no_truth() -> None:
     altitude = TruthSource("rtk", Series("GPS.Alt", time_s, np.full(30, 584.0)))
     (joined,) = join(VehicleLog(Path("a"), "", (ranger,), {}, (altitude,)), altitude, np.random.default_rng(1))
     assert "true_range_cm" not in joined.data
+    assert joined.notes == (
+        "no true range: found 30 readings with GPS.Alt, expected at least 50 to find the constant between the two",
+    )
+
+
+def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
+    """Of a log of 2 s: what was asked for is missing; without --truth the readings are imported without one."""
+    short = write_telemetry(tmp_path / "short.tlog", [each for each in telemetry() if each[0] < 2.0])
+    done = run("import", short, "--truth", "ekf", "--out", tmp_path / "asked")
+    assert done.exit_code == 3, done.output
+    assert "--truth ekf: distance_sensor_10: no true range: found 39 readings with GLOBAL_POSITION_INT" in done.output
+    shown = run("import", short, "--out", tmp_path / "set")
+    assert shown.exit_code == 0
+    printed = " ".join(shown.output.split())
+    assert "true range: none" in printed
+    assert "distance_sensor_10: no true range: found 39 readings" in printed
+    (found,) = imported(short, "--out", tmp_path / "json")
+    assert (found["truth"], found["truth_source"]) == ("", "")
+    forward = write_telemetry(
+        tmp_path / "forward.tlog", [each for each in telemetry() if getattr(each[2], "orientation", 0) != 25]
+    )
+    done = run("import", forward, "--truth", "ekf", "--out", tmp_path / "asked")
+    assert done.exit_code == 3
+    assert "no range finder looks down" in done.output
+
+
+def flown(
+    tilt_deg: Array, reference: Series, kind: str = "ekf", *, is_down: tuple[bool, ...] = (True,)
+) -> list[Joined]:
+    """Readings at 10 Hz for 30 s over a climb of 1 to 5 m, at these tilts, compared with a reference."""
+    time_s = np.arange(300) / 10.0
+    rangers = [
+        Ranger(f"r{number}", Series("a", time_s, 100.0 * height_of(time_s)), down)
+        for number, down in enumerate(is_down)
+    ]
+    source = TruthSource(kind, reference)
+    context = {TILT: Series("ATT", time_s, tilt_deg)}
+    return join(VehicleLog(Path("a"), "", tuple(rangers), context, (source,)), source, np.random.default_rng(1))
+
+
+def height_of(time_s: Array) -> Array:
+    return 3.0 + 2.0 * np.sin(time_s / 3.0)
+
+
+def height_at(time_s: Array) -> Series:
+    return Series("XKF1.PD", time_s, height_of(time_s))
+
+
+def test_an_overturned_sensor_has_no_true_range_and_a_steep_one_a_line() -> None:
+    """As before the attitude is known, and in a crash; 'gap' refuses an incidence above 90 deg."""
+    tilt_deg = np.full(300, 5.0)
+    tilt_deg[:2], tilt_deg[-3:], tilt_deg[100:104] = 90.94, 128.0, 60.0
+    (joined,) = flown(tilt_deg, height_at(np.arange(300) / 10.0))
+    assert np.flatnonzero(np.isnan(joined.data["true_range_cm"])).tolist() == [0, 1, 297, 298, 299]
+    assert np.nanmax(joined.data["incidence_deg"]) == 60.0
+    overturned, steep = joined.notes
+    assert overturned.startswith("no true range and no incidence_deg for 5 readings at a tilt of 90 deg or more")
+    assert steep.startswith("the height is the true range of 4 readings at tilts above 45 deg too")
+
+
+def test_readings_that_lose_their_truth_in_holes_of_the_reference_are_counted() -> None:
+    time_s = np.arange(300) / 10.0
+    there = (time_s > 1.95) & ~((time_s > 10.05) & (time_s < 12.95)) & (time_s < 28.95)
+    (joined,) = flown(np.zeros(300), height_at(time_s[there]))
+    (note,) = joined.notes
+    # 0 to 1.9 s and 29 to 29.9 s are outside, 10.1 to 13.0 s in the hole.
+    assert note == (
+        "no true range for 60 readings: 30 before the reference begins or after it ends, 30 in holes of the reference "
+        "of more than 1 s"
+    )
+    assert np.isnan(joined.data["true_range_cm"]).sum() == 60
+
+
+def test_a_column_is_no_truth_of_a_sensor_that_does_not_look_down_next_to_one_that_does() -> None:
+    whole = height_at(np.arange(300) / 10.0)
+    down, forward = flown(np.zeros(300), whole, "column", is_down=(True, False))
+    assert "true_range_cm" in down.data
+    assert "true_range_cm" not in forward.data
+    # Of sensors on a bench that all look forward, a column can be the distance to the wall.
+    (alone,) = flown(np.zeros(300), whole, "column", is_down=(False,))
+    assert "true_range_cm" in alone.data
 
 
 def test_the_same_sensor_of_another_log_is_a_reference(tmp_path: Path) -> None:

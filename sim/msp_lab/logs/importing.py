@@ -4,7 +4,7 @@ Paths enter; a dataset and an `Imported` for each log leave. The account is kept
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +95,8 @@ class FoundRanger:
         Standard deviation of the reference's error, and its 95 % interval; None: not known.
     reference_std_from
         What that is from.
+    notes
+        Why readings have no true range, or what is worth knowing of it.
     """
 
     name: str
@@ -116,6 +118,7 @@ class FoundRanger:
     reference_span_cm: float | None = None
     reference_std_cm: tuple[float, float, float] | None = None
     reference_std_from: str = ""
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -287,12 +290,24 @@ def import_log(common: Import, named: NamedLog) -> Imported:
         reference, difference_s = reference_of(truth.file, truth, log)
         notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
+    if reference is not None and not any(TRUE_RANGE in each.data for each in joined):
+        if truth.kind:
+            raise RecordingError(f"{path}: --truth {truth.kind}: {_why_no_truth(joined)}")
+        reference = None
     if truth.kind == OTHERS:
         joined, notes = _others(path, joined, common.sensor)
     runs = _by_run(run, joined)
     for name, tables in runs.items():
         write_tables(common.out, name, tables)
     return _account(tuple(runs), log, reference, joined, notes, truth)
+
+
+def _why_no_truth(joined: Sequence[Joined]) -> str:
+    """Why no reading of a log has the reference that it was compared with."""
+    reasons = [f"{each.ranger.name}: {note}" for each in joined for note in each.notes]
+    if not any(each.ranger.is_down for each in joined):
+        reasons = ["no range finder looks down, and of others a height says nothing"]
+    return "; ".join(reasons) or "no reading has it"
 
 
 def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:
@@ -316,7 +331,10 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     recording = Recording(path) if kind_of(path) == ".mcap" else None
     whole, _ = in_code_of(sensor, whole)
     data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
-    found = [Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name))) for each in down]
+    found = [
+        replace(each, data=data.select(np.flatnonzero(data["sensor"] == each.ranger.name)), alignment=None, error=None)
+        for each in down
+    ]
     listed = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
     return found, [f"Each sensor reads more than the others by, and this is taken off: {listed}."]
 
@@ -387,6 +405,7 @@ def _found(each: Joined) -> FoundRanger:
         _span(each.data[TRUE_RANGE]) if TRUE_RANGE in each.data else None,
         None if error is None else (error.std_cm, error.low_cm, error.high_cm),
         "" if error is None else error.source,
+        each.notes,
     )
 
 

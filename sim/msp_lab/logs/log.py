@@ -69,6 +69,12 @@ class Series:
         good = np.isfinite(self.values)
         return self if good.all() else Series(self.source, self.time_s[good], self.values[good])
 
+    @property
+    def longest_hole_s(self) -> float:
+        """Values are interpolated between samples that are no farther apart [s]; NaN for fewer than two."""
+        gaps_s = np.diff(self.known().time_s)
+        return max(LONGEST_GAP_S, 3.0 * float(np.median(gaps_s))) if gaps_s.size else float("nan")
+
     def at(self, time_s: Array) -> Array:
         """Values at other times, on straight lines between samples; NaN outside and in gaps.
 
@@ -81,8 +87,7 @@ class Series:
         series = self.known()
         if len(series) < 2:
             return np.full(time_s.shape, np.nan)
-        gaps_s = np.diff(series.time_s)
-        longest_s = max(LONGEST_GAP_S, 3.0 * float(np.median(gaps_s)))
+        gaps_s, longest_s = np.diff(series.time_s), series.longest_hole_s
         after = np.clip(np.searchsorted(series.time_s, time_s), 1, len(series) - 1)
         inside = (time_s >= series.time_s[0]) & (time_s <= series.time_s[-1]) & (gaps_s[after - 1] <= longest_s)
         return np.where(inside, np.interp(time_s, series.time_s, series.values), np.nan)

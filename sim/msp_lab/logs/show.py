@@ -92,7 +92,7 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
             f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before while the range changes: the log "
             "has more rows than there are readings"
         )
-    return lines
+    return lines + list(ranger.notes)
 
 
 def _why_no_lag(scatter_cm: float, span_cm: float | None) -> str:
