@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
-from msp_lab.logs import px4
+from msp_lab.logs import px4, show
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog
@@ -279,6 +279,8 @@ def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
     assert shown.exit_code == 0
     printed = " ".join(shown.output.split())
     assert "true range: none" in printed
+    assert "--model" not in printed
+    assert "without a true range there is nothing that 'msp-lab gap' could compare them with" in printed
     assert "distance_sensor_10: no true range: found 39 readings" in printed
     (found,) = imported(short, "--out", tmp_path / "json")
     assert (found["truth"], found["truth_source"]) == ("", "")
@@ -310,6 +312,25 @@ def height_of(time_s: Array) -> Array:
 
 def height_at(time_s: Array) -> Series:
     return Series("XKF1.PD", time_s, height_of(time_s))
+
+
+def test_a_reference_that_is_late_is_called_so() -> None:
+    """As an altitude of GNSS, which comes 0.5 s after a lidar."""
+    assert show._lag(-0.524, -0.818, -0.255, is_shifted=False) == (
+        "0.524 s earlier than the reference (0.255 to 0.818), left in: so much later than the range finder is the "
+        "reference, or its clock"
+    )
+    assert show._lag(-0.02, -0.05, 0.01, is_shifted=True) == (
+        "0.020 s earlier than the reference (-0.010 to 0.050), taken off"
+    )
+
+
+def test_a_lag_that_cannot_be_seen_has_the_numbers_that_say_why() -> None:
+    found = show._why_no_lag("its 95 % interval is -0.61 to 0.95 s", 57.0, 1216.0)
+    assert found == (
+        "its 95 % interval is -0.61 to 0.95 s; the reference changes by 1216.0 cm, the readings scatter about it by "
+        "57.0 cm"
+    )
 
 
 def test_an_overturned_sensor_has_no_true_range_and_a_steep_one_a_line() -> None:

@@ -97,6 +97,8 @@ class FoundRanger:
         What that is from.
     notes
         Why readings have no true range, or what is worth knowing of it.
+    no_lag
+        Why the lag cannot be seen; empty: it can, or there is no reference.
     """
 
     name: str
@@ -119,6 +121,7 @@ class FoundRanger:
     reference_std_cm: tuple[float, float, float] | None = None
     reference_std_from: str = ""
     notes: tuple[str, ...] = ()
+    no_lag: str = ""
 
 
 @dataclass(frozen=True)
@@ -406,6 +409,7 @@ def _found(each: Joined) -> FoundRanger:
         None if error is None else (error.std_cm, error.low_cm, error.high_cm),
         "" if error is None else error.source,
         each.notes,
+        "" if alignment is None else alignment.no_lag,
     )
 
 

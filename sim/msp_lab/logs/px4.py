@@ -101,7 +101,7 @@ def _log(path: Path, log: ULog, topic: str, field: str) -> VehicleLog:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
         lost_s = sum(each.duration for each in log.dropouts) / 1e3
-        notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.1f} s in all.")
+        notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.3g} s in all.")
     return VehicleLog(
         path,
         f"PX4 ULog, {_version(log)}",
