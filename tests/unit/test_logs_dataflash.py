@@ -9,7 +9,7 @@ import pytest
 from pymavlink.DFReader import DFReader_binary
 
 from msp_lab.logs import dataflash
-from msp_lab.logs.ardupilot import WANTED, _ranger, read_ardupilot
+from msp_lab.logs.ardupilot import WANTED, _barometer, _ranger, _version, read_ardupilot
 from msp_lab.logs.dataflash import read_messages
 from msp_range.recording.error import RecordingError
 
@@ -107,3 +107,36 @@ def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
 def test_the_second_range_finder_of_an_old_log_has_no_maximum_of_the_first() -> None:
     ranger = _ranger(2, np.arange(1.0), np.array([8.0]), None, 25, {"RNGFND_MAX_CM": 700.0})
     assert ranger.series.values.tolist() == [800.0]
+
+
+def test_the_barometer_is_the_one_that_the_autopilot_uses() -> None:
+    """Of an ArduSub, the first one is in the hull."""
+    rows = {
+        "TimeUS": np.array([0.0, 0.0, 1e6, 1e6]),
+        "I": np.array([0.0, 1.0] * 2),
+        "Alt": np.array([9.0, 1.0, 9.5, 2.0]),
+    }
+    for parameters, expected in (
+        ({}, [9.0, 9.5]),
+        ({"BARO_PRIMARY": 1.0}, [1.0, 2.0]),
+        ({"BARO_PRIMARY": 2.0}, [9.0, 9.5]),
+    ):
+        found = _barometer({"BARO": rows}, parameters)
+        assert found is not None
+        assert found.values.tolist() == expected
+        assert found.source == ("BARO[1].Alt" if expected[0] == 1.0 else "BARO.Alt")
+    old = {name: {"TimeUS": np.arange(2.0), "Alt": np.full(2, alt)} for name, alt in (("BARO", 9.0), ("BAR2", 1.0))}
+    for parameters, source in (
+        ({"GND_PRIMARY": 1.0}, "BAR2.Alt"),
+        ({"GND_PRIMARY": 0.0}, "BARO.Alt"),
+        ({}, "BARO.Alt"),
+    ):
+        found = _barometer(old, parameters)
+        assert found is not None
+        assert found.source == source
+
+
+def test_the_version_of_old_logs_too() -> None:
+    for text in ("APM:Copter V3.4.6 (e707341b)", "ArduSub V4.2.0-dev (18999a8b)"):
+        assert _version({"MSG": {"Message": np.array([b"Frame: QUAD", text.encode()])}}) == text
+    assert _version({"MSG": {"Message": np.array([b"PX4: de6b667d NuttX: 8c965992"])}}) == "unknown version"

@@ -193,6 +193,19 @@ def test_any_field_can_be_the_truth(tmp_path: Path) -> None:
     assert np.nanstd(half) == pytest.approx(0.5 * np.nanstd(read_dataset(tmp_path / "whole")["true_range_cm"]), 1e-3)
 
 
+@pytest.mark.parametrize(
+    ("column", "error"), [("BARO.Alt", "SIM.Alt"), ("SIM.Alt", "GPS.Alt"), ("XKF1.PD*-1", ""), ("GPS.Alt", "SIM.Alt")]
+)
+def test_a_column_is_not_compared_with_itself(tmp_path: Path, column: str, error: str) -> None:
+    """Nor with what is fused into it: an error of the reference is by another one."""
+    (found,) = imported(LOGS / "arducopter.BIN", "--truth", f"column:{column}", "--out", tmp_path / "set")
+    (ranger,) = found["rangers"]
+    assert (error in ranger["reference_std_from"]) if error else ranger["reference_std_from"] == ""
+    source = column.partition("*")[0]
+    assert source not in ranger["reference_std_from"]
+    assert source not in found["others"].values()
+
+
 def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
     write_csv(tmp_path / "bench.csv", readings(400, runs=2))
     found = imported(RECORDING, tmp_path / "bench.csv", "--out", tmp_path / "set")

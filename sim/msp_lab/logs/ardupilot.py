@@ -46,7 +46,9 @@ WANTED = {
     "GPA": ("TimeUS", "I", "VAcc"),
     "VISP": ("TimeUS", "PZ"),
     "SIM": ("TimeUS", "Alt"),
-    "BARO": ("TimeUS", "I", "Alt", "Temp"),
+    "BARO": ("TimeUS", "TimeMS", "I", "Alt", "Temp"),
+    "BAR2": ("TimeUS", "TimeMS", "Alt"),
+    "BAR3": ("TimeUS", "TimeMS", "Alt"),
     "ARSP": ("TimeUS", "I", "Temp"),
     "CTUN": ("TimeUS", "ThO"),
     "VIBE": ("TimeUS", "IMU", "VibeX", "VibeY", "VibeZ"),
@@ -149,9 +151,19 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
     for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):
         if (height := _up(found, message, "PD")) is not None:
             references.append(TruthSource("ekf", height, refused=refused))
-    if (pressure := _first(found, "BARO", "Alt")) is not None:
+    if (pressure := _barometer(found, parameters)) is not None:
         references.append(TruthSource("barometer", pressure))
     return references
+
+
+def _barometer(found: Messages, parameters: Mapping[str, float]) -> Series | None:
+    """The height by the barometer that the autopilot uses: of an ArduSub the one in the water, not that in the hull.
+
+    BARO_PRIMARY counts from 0 (before 4.1 GND_PRIMARY); before 4.1 the second and third one have messages of their own.
+    """
+    wanted = parameters.get("BARO_PRIMARY", parameters.get("GND_PRIMARY", 0.0))
+    own_message = {1.0: "BAR2", 2.0: "BAR3"}.get(wanted, "")
+    return _first(found, own_message, "Alt") or _first(found, "BARO", "Alt", wanted)
 
 
 def _attitude(found: Messages) -> Series | None:
@@ -176,16 +188,20 @@ def _vibration(found: Messages) -> Series | None:
     return Series("VIBE", known[0].time_s, np.sqrt(sum(each.values**2 for each in known)))
 
 
-def _first(found: Messages, message: str, field: str) -> Series | None:
-    """A field of a message, of its first instance or core where there are several."""
+def _first(found: Messages, message: str, field: str, wanted: float = 0.0) -> Series | None:
+    """A field of a message; where there are several instances or cores that of the wanted one, or else the first."""
     fields = found.get(message, {})
     if field not in fields or not _has_time(fields):
         return None
     time_s, values = _time_s(fields), fields[field]
     instance = next((fields[name] for name in ("I", "C", "IMU") if name in fields), None)
+    name = message
     if instance is not None and instance.size:
-        time_s, values = time_s[instance == instance.min()], values[instance == instance.min()]
-    return series(f"{message}.{field}", time_s, values)
+        first = instance.min()
+        taken = wanted if (instance == wanted).any() else first
+        time_s, values = time_s[instance == taken], values[instance == taken]
+        name = message if taken == first else f"{message}[{taken:g}]"
+    return series(f"{name}.{field}", time_s, values)
 
 
 def _up(found: Messages, message: str, field: str) -> Series | None:
@@ -212,4 +228,4 @@ def _parameters(found: Messages) -> dict[str, float]:
 def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
     named = (each.decode("ascii", "replace") for each in texts)
-    return next((each for each in named if re.match(r"\w+ V\d", each)), "unknown version")
+    return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")

@@ -15,7 +15,7 @@ from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
-from msp_lab.logs.truth import OTHERS, Truth, choose
+from msp_lab.logs.truth import OTHERS, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
@@ -360,7 +360,7 @@ def _account(
     others = {
         each.kind: each.refused or each.series.source
         for each in log.references
-        if reference is None or each.series is not reference.series
+        if each.refused or reference is None or not is_same(each.series, reference.series)
     }
     return Imported(
         runs,

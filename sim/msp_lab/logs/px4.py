@@ -197,8 +197,8 @@ def _rtk(found: _Topics) -> Series | None:
     if not fixed.any():
         return None
     # Millimetres before 1.14.
-    altitude_m = gps["altitude_msl_m"] if "altitude_msl_m" in gps else gps["alt"] / 1e3
-    return series("vehicle_gps_position.altitude_msl_m", _time_s(gps), np.where(fixed, altitude_m, np.nan))
+    name, factor = ("altitude_msl_m", 1.0) if "altitude_msl_m" in gps else ("alt", 1e-3)
+    return series(f"vehicle_gps_position.{name}", _time_s(gps), np.where(fixed, factor * gps[name], np.nan))
 
 
 def _tilt(found: _Topics) -> Series | None:
