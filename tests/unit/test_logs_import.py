@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
 from msp_lab.logs import px4, show
-from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
+from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot, by_px4
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog
 from msp_lab.logs.recorded import rangers_of
@@ -147,6 +147,34 @@ def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     assert "may be fused" in px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
 
 
+def old_px4(flags: list[int]) -> dict[str, dict[str, Any]]:
+    """Topics of PX4 1.9 over 10 s: all flags in one number, and no topic for the thrust."""
+    stamps = np.arange(10) * 10**6
+    return {
+        "vehicle_local_position": {"timestamp": stamps, "z": -np.arange(10.0)},
+        "estimator_status": {"timestamp": stamps, "control_mode_flags": np.array(flags, dtype=np.uint32)},
+        "actuator_controls_0": {"timestamp": stamps, "control[3]": np.full(10, 0.4, dtype=np.float32)},
+    }
+
+
+def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
+    tilted, in_range = 0b1, 0b1 | 1 << 10
+    (kept,) = px4._references(old_px4([tilted] * 7 + [in_range] * 3), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    assert (kept.kind, kept.refused) == ("ekf", "")
+    assert np.isfinite(kept.series.values).tolist() == [True] * 7 + [False] * 3
+    (refused,) = px4._references(old_px4([in_range] * 9 + [tilted]), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    assert refused.refused == (
+        "bit 10 of estimator_status.control_mode_flags is set for 90 % of the time, so the range is fused into it"
+    )
+
+
+def test_old_logs_of_px4_have_the_throttle_among_the_controls() -> None:
+    throttle = px4._throttle(old_px4([0] * 10))
+    assert throttle is not None
+    assert throttle.source == "actuator_controls_0.control[3]"
+    assert throttle.values == pytest.approx(np.full(10, 0.4))
+
+
 def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None:
     baro = {"EK3_SRC1_POSZ": 1.0, "EK3_SRC2_POSZ": 0.0, "EK3_RNG_USE_HGT": -1.0}
     assert by_any(baro) == ""
@@ -155,6 +183,10 @@ def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None
     assert "may be fused" in by_any({})
     assert "EKF2_HGT_REF is 2" in by_any({"EKF2_HGT_REF": 2.0})
     assert "may be fused" in by_any({"EKF2_HGT_REF": 0.0})
+    # PX4 before 1.14.
+    assert by_px4({"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 0}) == ""
+    assert "EKF2_RNG_AID is 1" in by_any({"EKF2_HGT_MODE": 0.0, "EKF2_RNG_AID": 1.0})
+    assert "EKF2_HGT_MODE is 2" in by_any({"EKF2_HGT_MODE": 2.0, "EKF2_RNG_AID": 0.0})
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 0.0}) == ""
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 1.0}) != ""
 

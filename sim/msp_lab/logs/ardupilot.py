@@ -159,7 +159,8 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
 def _barometer(found: Messages, parameters: Mapping[str, float]) -> Series | None:
     """The height by the barometer that the autopilot uses: of an ArduSub the one in the water, not that in the hull.
 
-    BARO_PRIMARY counts from 0 (before 4.1 GND_PRIMARY); before 4.1 the second and third one have messages of their own.
+    BARO_PRIMARY counts from 0. In old versions it is GND_PRIMARY, and the second and third one have messages of their
+    own.
     """
     wanted = parameters.get("BARO_PRIMARY", parameters.get("GND_PRIMARY", 0.0))
     own_message = {1.0: "BAR2", 2.0: "BAR3"}.get(wanted, "")
