@@ -11,7 +11,7 @@ from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
@@ -31,7 +31,7 @@ def test_the_maximum_of_the_log_becomes_that_of_the_model(maximum_cm: float) -> 
     found, (message,) = in_code_of(SENSOR, data)
     np.testing.assert_array_equal(found["reading_cm"], [765.0, 300.0, np.nan, 700.0])
     np.testing.assert_array_equal(found[NO_ECHO], [765.0, 765.0, 765.0, np.nan])
-    assert message == f"1 readings are the log's maximum ({maximum_cm:g} cm): no echo, 765 cm in the model."
+    assert message == f"No echo is {maximum_cm:g} cm in the log and 765 cm in the model: 1 readings."
 
 
 def test_where_the_log_hides_what_the_model_could_read_a_reading_is_left_out() -> None:
@@ -39,7 +39,7 @@ def test_where_the_log_hides_what_the_model_could_read_a_reading_is_left_out() -
     data = readings((700.0, 700.0, 600.0), (700.0, 700.0, 720.0), (700.0, 700.0, 900.0), (700.0, 700.0, np.nan))
     found, (message,) = in_code_of(SENSOR, data)
     np.testing.assert_array_equal(found["reading_cm"], [765.0, np.nan, 765.0, 765.0])
-    assert "1 of them are left out" in message
+    assert "Left out: 1 of these, at true ranges from 95 % of the log's maximum to the model's" in message
 
 
 def test_the_same_maximum_changes_nothing() -> None:
@@ -47,6 +47,19 @@ def test_the_same_maximum_changes_nothing() -> None:
     found, messages = in_code_of(SENSOR, data)
     assert found["reading_cm"].tolist() == [765.0, 300.0]
     assert messages == []
+
+
+def test_a_table_made_of_an_imported_log_has_it_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    true_cm = rng.uniform(100.0, 500.0, 100)
+    reading_cm = np.where(rng.random(100) < 0.2, 600.0, np.round(true_cm))
+    columns = {"time_s": np.arange(100.0), "sensor": np.full(100, "a"), "true_range_cm": true_cm}
+    write_csv(tmp_path / "a.csv", {**columns, "reading_cm": reading_cm, NO_ECHO: np.full(100, 600.0)})
+    found = load_readings([tmp_path / "a.csv"], SENSOR).data
+    assert (found["reading_cm"] == 765.0).sum() == (reading_cm == 600.0).sum() > 10
+    assert NO_ECHO not in found
+    write_csv(tmp_path / "b.csv", {**columns, "reading_cm": reading_cm, NO_ECHO: np.full(100, "none")})
+    assert load_readings([tmp_path / "b.csv"], SENSOR).data["reading_cm"].max() == 600.0
 
 
 @pytest.mark.parametrize("truth", ["ekf", "others"])

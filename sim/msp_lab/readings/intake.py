@@ -130,6 +130,9 @@ def load_readings(
     offsets_cm: list[dict[str, float]] = []
     for path in paths:
         table, recording = _read_table(path, sensor, column_map, messages, runs)
+        table, changed = in_code_of(sensor, table)
+        table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
+        messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
             offsets_cm += of_runs
@@ -193,11 +196,9 @@ def sha256(path: Path) -> str:
 def _read_table(
     path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str], runs: Sequence[str]
 ) -> tuple[MeasuredData, Recording | None]:
-    """Read one file, and the recording that it is; what was lost or changed is added to ``messages``."""
+    """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
     if is_dataset(path):
-        data, changed = in_code_of(sensor, read_dataset(path, runs=runs))
-        messages += changed
-        return MeasuredData({name: column for name, column in data.columns.items() if name != NO_ECHO}), None
+        return read_dataset(path, runs=runs), None
     if path.suffix.lower() in FLIGHT_LOGS:
         raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
     if column_map is not None:

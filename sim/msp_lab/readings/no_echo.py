@@ -37,7 +37,7 @@ def in_code_of(sensor: SensorModel, data: MeasuredData) -> tuple[MeasuredData, l
     tuple of MeasuredData and list of str
         The table, whose `NO_ECHO` is the model's maximum where it is known, and what was changed, a sentence each.
     """
-    if NO_ECHO not in data:
+    if NO_ECHO not in data or data[NO_ECHO].dtype.kind != "f":
         return data, []
     reading_cm, log_cm = data["reading_cm"], data[NO_ECHO]
     changed = (reading_cm == log_cm) & (log_cm != sensor.maximum_cm)
@@ -49,12 +49,10 @@ def in_code_of(sensor: SensorModel, data: MeasuredData) -> tuple[MeasuredData, l
     hidden = changed & (true_cm > NEAR_MAXIMUM * log_cm) & (true_cm < sensor.maximum_cm)
     columns["reading_cm"] = np.where(hidden, math.nan, np.where(changed, float(sensor.maximum_cm), reading_cm))
     maxima = ", ".join(f"{value:g}" for value in np.unique(log_cm[changed]))
-    text = (
-        f"{changed.sum()} readings are the log's maximum ({maxima} cm): no echo, {sensor.maximum_cm} cm in the model."
-    )
+    text = f"No echo is {maxima} cm in the log and {sensor.maximum_cm} cm in the model: {changed.sum()} readings."
     if hidden.any():
         text += (
-            f" {hidden.sum()} of them are left out: they are at true ranges between {100.0 * NEAR_MAXIMUM:g} % of the "
-            "log's maximum and the model's, and the log does not say what the sensor read there."
+            f" Left out: {hidden.sum()} of these, at true ranges from {100.0 * NEAR_MAXIMUM:g} % of the log's maximum "
+            "to the model's, where the log does not show what the sensor read."
         )
     return MeasuredData(columns), [text]
