@@ -187,4 +187,4 @@ def test_a_log_with_too_few_readings_for_a_height(tmp_path: Path) -> None:
     assert "cs_rng_hgt is set for 31 % of the time" in found["others"]["ekf"]
     done = CliRunner().invoke(app, ["import", str(path), "--truth", "barometer", "--out", str(tmp_path / "baro")])
     assert done.exit_code == 3
-    assert "found 46 readings with vehicle_air_data.baro_alt_meter, expected at least 50" in done.output
+    assert "found 46 readings with an echo and vehicle_air_data.baro_alt_meter, expected at least 50" in done.output

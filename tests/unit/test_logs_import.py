@@ -310,7 +310,8 @@ def test_without_a_datum_and_too_few_readings_there_is_no_truth() -> None:
     (joined,) = join(VehicleLog(Path("a"), "", (ranger,), {}, (altitude,)), altitude, np.random.default_rng(1))
     assert "true_range_cm" not in joined.data
     assert joined.notes == (
-        "no true range: found 30 readings with GPS.Alt, expected at least 50 to find the constant between the two",
+        "no true range: found 30 readings with an echo and GPS.Alt, expected at least 50 to find the constant between "
+        "the two",
     )
 
 
@@ -319,7 +320,10 @@ def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
     short = write_telemetry(tmp_path / "short.tlog", [each for each in telemetry() if each[0] < 2.0])
     done = run("import", short, "--truth", "ekf", "--out", tmp_path / "asked")
     assert done.exit_code == 3, done.output
-    assert "--truth ekf: distance_sensor_10: no true range: found 39 readings with GLOBAL_POSITION_INT" in done.output
+    assert (
+        "--truth ekf: distance_sensor_10: no true range: found 39 readings with an echo and GLOBAL_POSITION_INT"
+        in done.output
+    )
     shown = run("import", short, "--out", tmp_path / "set")
     assert shown.exit_code == 0
     printed = " ".join(shown.output.split())

@@ -128,8 +128,8 @@ def _join(
         if alignment is None and not reference.has_datum:
             there = int(np.isfinite(answered * reference.series.at(time_s)).sum())
             notes.append(
-                f"no true range: found {_readings(there)} with {reference.series.source}, expected at least "
-                f"{LEAST_READINGS} to find the constant between the two"
+                f"no true range: found {_readings(there)} with an echo and {reference.series.source}, expected at "
+                f"least {LEAST_READINGS} to find the constant between the two"
             )
         else:
             lost = np.isfinite(ranger.series.values) & ~np.isfinite(columns[TRUE_RANGE]) & ~is_overturned
@@ -168,7 +168,7 @@ def _about_lost(reference: TruthSource, at_s: Array) -> list[str]:
         (outside, "before the reference begins or after it ends"),
         (at_s.size - outside, f"in holes of {whose} of more than {found.longest_hole_s:.3g} s"),
     ]
-    listed = ", ".join(f"{count} {where}" for count, where in parts if count)
+    listed = ", ".join(f"{count:,} {where}" for count, where in parts if count)
     return [f"no true range for {_readings(at_s.size)}: {listed}"]
 
 
