@@ -105,6 +105,7 @@ ELSEWHERE = {
     "arducopter --model + ...": "tests/sitl/arducopter.py",
     "msp-lab filters --out study": "tests/unit/test_filter_study.py",
     "make gap-demo": "tests/loop/test_gap_demo.py",
+    "python -m tests.peers.fetch_flights flights/public": "tests/peers/test_public_logs.py",
     "sim_vehicle.py -N -v ArduCopter --add-param-file=range.parm ...": "tests/sitl/shown.py",
     "make px4_sitl sihsim_quadx": "tests/sitl/shown.py",
 }

@@ -48,7 +48,32 @@ def test_a_hover_has_no_lag() -> None:
     found = align(time_s, 300.0 + rng.normal(0.0, 2.0, time_s.size), lambda at: 300.0 + 0.0 * at, rng)
     assert found is not None
     assert not found.has_lag
+    assert found.no_lag == "the reference does not change"
     assert 1.5 < found.scatter_cm < 2.5
+
+
+def test_a_noisy_reference_and_one_with_holes_leave_no_lag_and_say_why() -> None:
+    rng = np.random.default_rng(1)
+    time_s = np.arange(0.0, 40.0, 0.1)
+    noisy = Series("", time_s, climbs(time_s) + rng.normal(0.0, 900.0, time_s.size))
+    found = align(time_s, climbs(time_s - 0.2), noisy.at, rng)
+    assert found is not None
+    low_s, high_s = (
+        float(each) for each in found.no_lag.removeprefix("its 95 % interval is ").split(" s")[0].split(" to ")
+    )
+    assert high_s - low_s > 0.75
+    # 2 s of every 4 s are known: no reading has 1.5 s before and after it.
+    holes = Series("", time_s[time_s % 4.0 < 2.0], climbs(time_s[time_s % 4.0 < 2.0]))
+    found = align(time_s, climbs(time_s - 0.2), holes.at, rng)
+    assert found is not None
+    assert found.no_lag == "only 0 readings have the reference throughout from 1.5 s before to 1.5 s after them"
+
+
+def test_a_lag_beyond_those_that_are_tried_is_none() -> None:
+    time_s = np.arange(0.0, 60.0, 0.1)
+    found = align(time_s, climbs(time_s - 1.7), climbs, np.random.default_rng(1))
+    assert found is not None
+    assert found.no_lag == "the best one is 1.50 s, the last that is tried"
 
 
 def test_hardly_any_readings_are_not_aligned() -> None:

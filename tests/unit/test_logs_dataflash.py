@@ -9,7 +9,7 @@ import pytest
 from pymavlink.DFReader import DFReader_binary
 
 from msp_lab.logs import dataflash
-from msp_lab.logs.ardupilot import WANTED, _ranger, read_ardupilot
+from msp_lab.logs.ardupilot import WANTED, _barometer, _ranger, _version, read_ardupilot
 from msp_lab.logs.dataflash import read_messages
 from msp_range.recording.error import RecordingError
 
@@ -75,16 +75,27 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
 @pytest.mark.parametrize(
     "parameters",
     [
-        {"RNGFND1_MAX": 7.0, "RNGFND1_MAX_CM": 9.0},
-        {"RNGFND1_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0},
-        {"RNGFND_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0},
+        {"RNGFND1_MAX": 7.0, "RNGFND1_MAX_CM": 9.0, "RNGFND1_MIN": 0.2, "RNGFND1_MIN_CM": 1.0},
+        {"RNGFND1_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0, "RNGFND1_MIN_CM": 20.0, "RNGFND2_MIN_CM": 500.0},
+        {"RNGFND_MAX_CM": 700.0, "RNGFND2_MAX_CM": 90.0, "RNGFND_MIN_CM": 20.0, "RNGFND2_MIN_CM": 500.0},
     ],
 )
-def test_out_of_range_is_the_maximum_and_no_data_is_no_answer(parameters: dict[str, float]) -> None:
-    """By the names of 4.7, of 4.0 to 4.6, and of versions before."""
+def test_beyond_the_maximum_is_no_echo_and_too_near_or_no_data_is_no_answer(parameters: dict[str, float]) -> None:
+    """By the names of 4.7, of 4.0 to 4.6, and of versions before, which log no status."""
     status = np.array([4.0, 3.0, 1.0, 2.0])
     ranger = _ranger(1, np.arange(4.0), np.array([2.0, 0.0, 1.0, 0.1]), status, 25, parameters)
-    np.testing.assert_array_equal(ranger.series.values, [200.0, 700.0, np.nan, 10.0])
+    np.testing.assert_array_equal(ranger.series.values, [200.0, 700.0, np.nan, np.nan])
+    assert (ranger.maximum_cm, ranger.too_near) == (700.0, 1)
+    without = _ranger(1, np.arange(3.0), np.array([0.2, 7.5, 0.1]), None, 25, parameters)
+    np.testing.assert_array_equal(without.series.values, [20.0, 700.0, np.nan])
+    assert without.too_near == 1
+
+
+def test_a_maximum_with_the_rounding_of_32_bits_is_the_reading_of_no_echo() -> None:
+    """Of 7.6 as a 32-bit number, 759.9999905 cm, and of another that is rounded downwards."""
+    for maximum_m in (np.float64(np.float32(7.6)), 7.6000001):
+        ranger = _ranger(1, np.arange(2.0), np.array([9.0, 8.0]), np.array([4.0, 3.0]), 25, {"RNGFND1_MAX": maximum_m})
+        assert ranger.series.values.tolist() == [ranger.maximum_cm] * 2 == [760.0, 760.0]
 
 
 def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
@@ -96,3 +107,36 @@ def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
 def test_the_second_range_finder_of_an_old_log_has_no_maximum_of_the_first() -> None:
     ranger = _ranger(2, np.arange(1.0), np.array([8.0]), None, 25, {"RNGFND_MAX_CM": 700.0})
     assert ranger.series.values.tolist() == [800.0]
+
+
+def test_the_barometer_is_the_one_that_the_autopilot_uses() -> None:
+    """Of an ArduSub, the first one is in the hull."""
+    rows = {
+        "TimeUS": np.array([0.0, 0.0, 1e6, 1e6]),
+        "I": np.array([0.0, 1.0] * 2),
+        "Alt": np.array([9.0, 1.0, 9.5, 2.0]),
+    }
+    for parameters, expected in (
+        ({}, [9.0, 9.5]),
+        ({"BARO_PRIMARY": 1.0}, [1.0, 2.0]),
+        ({"BARO_PRIMARY": 2.0}, [9.0, 9.5]),
+    ):
+        found = _barometer({"BARO": rows}, parameters)
+        assert found is not None
+        assert found.values.tolist() == expected
+        assert found.source == ("BARO[1].Alt" if expected[0] == 1.0 else "BARO.Alt")
+    old = {name: {"TimeUS": np.arange(2.0), "Alt": np.full(2, alt)} for name, alt in (("BARO", 9.0), ("BAR2", 1.0))}
+    for parameters, source in (
+        ({"GND_PRIMARY": 1.0}, "BAR2.Alt"),
+        ({"GND_PRIMARY": 0.0}, "BARO.Alt"),
+        ({}, "BARO.Alt"),
+    ):
+        found = _barometer(old, parameters)
+        assert found is not None
+        assert found.source == source
+
+
+def test_the_version_of_old_logs_too() -> None:
+    for text in ("APM:Copter V3.4.6 (e707341b)", "ArduSub V4.2.0-dev (18999a8b)"):
+        assert _version({"MSG": {"Message": np.array([b"Frame: QUAD", text.encode()])}}) == text
+    assert _version({"MSG": {"Message": np.array([b"PX4: de6b667d NuttX: 8c965992"])}}) == "unknown version"

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
-from msp_lab.logs import px4
-from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot
-from msp_lab.logs.join import join
-from msp_lab.logs.log import Ranger, Series, TruthSource, VehicleLog
+from msp_lab.logs import px4, show
+from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot, by_px4
+from msp_lab.logs.join import Joined, join
+from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
@@ -122,14 +122,18 @@ def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> Non
     assert "Independent references in the log: barometer, simulator" in done.output
 
 
-def test_an_invalid_signal_of_px4_is_no_answer() -> None:
+def test_an_invalid_signal_of_px4_or_a_reading_below_its_minimum_is_no_answer() -> None:
     topic = {
         "timestamp": np.arange(3) * 10**6,
-        "current_distance": np.full(3, 2.0),
+        "current_distance": np.array([2.0, 2.0, 0.2]),
+        "min_distance": np.full(3, 0.4),
         "max_distance": np.full(3, 7.0),
         "signal_quality": np.array([100, 0, -1]),
     }
     (ranger,) = px4._rangers({"distance_sensor": topic})
+    assert np.isnan(ranger.series.values).tolist() == [False, True, True]
+    assert ranger.too_near == 1
+    (ranger,) = px4._rangers({"distance_sensor": {key: topic[key] for key in topic if key != "min_distance"}})
     assert np.isnan(ranger.series.values).tolist() == [False, True, False]
 
 
@@ -143,6 +147,34 @@ def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     assert "may be fused" in px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
 
 
+def old_px4(flags: list[int]) -> dict[str, dict[str, Any]]:
+    """Topics of PX4 1.9 over 10 s: all flags in one number, and no topic for the thrust."""
+    stamps = np.arange(10) * 10**6
+    return {
+        "vehicle_local_position": {"timestamp": stamps, "z": -np.arange(10.0)},
+        "estimator_status": {"timestamp": stamps, "control_mode_flags": np.array(flags, dtype=np.uint32)},
+        "actuator_controls_0": {"timestamp": stamps, "control[3]": np.full(10, 0.4, dtype=np.float32)},
+    }
+
+
+def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
+    tilted, in_range = 0b1, 0b1 | 1 << 10
+    (kept,) = px4._references(old_px4([tilted] * 7 + [in_range] * 3), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    assert (kept.kind, kept.refused) == ("ekf", "")
+    assert np.isfinite(kept.series.values).tolist() == [True] * 7 + [False] * 3
+    (refused,) = px4._references(old_px4([in_range] * 9 + [tilted]), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    assert refused.refused == (
+        "bit 10 of estimator_status.control_mode_flags is set for 90 % of the time, so the range is fused into it"
+    )
+
+
+def test_old_logs_of_px4_have_the_throttle_among_the_controls() -> None:
+    throttle = px4._throttle(old_px4([0] * 10))
+    assert throttle is not None
+    assert throttle.source == "actuator_controls_0.control[3]"
+    assert throttle.values == pytest.approx(np.full(10, 0.4))
+
+
 def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None:
     baro = {"EK3_SRC1_POSZ": 1.0, "EK3_SRC2_POSZ": 0.0, "EK3_RNG_USE_HGT": -1.0}
     assert by_any(baro) == ""
@@ -151,6 +183,10 @@ def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None
     assert "may be fused" in by_any({})
     assert "EKF2_HGT_REF is 2" in by_any({"EKF2_HGT_REF": 2.0})
     assert "may be fused" in by_any({"EKF2_HGT_REF": 0.0})
+    # PX4 before 1.14.
+    assert by_px4({"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 0}) == ""
+    assert "EKF2_RNG_AID is 1" in by_any({"EKF2_HGT_MODE": 0.0, "EKF2_RNG_AID": 1.0})
+    assert "EKF2_HGT_MODE is 2" in by_any({"EKF2_HGT_MODE": 2.0, "EKF2_RNG_AID": 0.0})
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 0.0}) == ""
     assert by_ekf2_of_ardupilot({"EK2_ALT_SOURCE": 1.0}) != ""
 
@@ -187,6 +223,19 @@ def test_any_field_can_be_the_truth(tmp_path: Path) -> None:
     half = read_dataset(tmp_path / "set")["true_range_cm"]
     imported(LOGS / "arducopter.BIN", "--out", tmp_path / "whole")
     assert np.nanstd(half) == pytest.approx(0.5 * np.nanstd(read_dataset(tmp_path / "whole")["true_range_cm"]), 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("column", "error"), [("BARO.Alt", "SIM.Alt"), ("SIM.Alt", "GPS.Alt"), ("XKF1.PD*-1", ""), ("GPS.Alt", "SIM.Alt")]
+)
+def test_a_column_is_not_compared_with_itself(tmp_path: Path, column: str, error: str) -> None:
+    """Nor with what is fused into it: an error of the reference is by another one."""
+    (found,) = imported(LOGS / "arducopter.BIN", "--truth", f"column:{column}", "--out", tmp_path / "set")
+    (ranger,) = found["rangers"]
+    assert (error in ranger["reference_std_from"]) if error else ranger["reference_std_from"] == ""
+    source = column.partition("*")[0]
+    assert source not in ranger["reference_std_from"]
+    assert source not in found["others"].values()
 
 
 def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
@@ -260,6 +309,112 @@ def test_without_a_datum_and_too_few_readings_there_is_no_truth() -> None:
     altitude = TruthSource("rtk", Series("GPS.Alt", time_s, np.full(30, 584.0)))
     (joined,) = join(VehicleLog(Path("a"), "", (ranger,), {}, (altitude,)), altitude, np.random.default_rng(1))
     assert "true_range_cm" not in joined.data
+    assert joined.notes == (
+        "no true range: found 30 readings with an echo and GPS.Alt, expected at least 50 to find the constant between "
+        "the two",
+    )
+
+
+def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
+    """Of a log of 2 s: what was asked for is missing; without --truth the readings are imported without one."""
+    short = write_telemetry(tmp_path / "short.tlog", [each for each in telemetry() if each[0] < 2.0])
+    done = run("import", short, "--truth", "ekf", "--out", tmp_path / "asked")
+    assert done.exit_code == 3, done.output
+    assert (
+        "--truth ekf: distance_sensor_10: no true range: found 39 readings with an echo and GLOBAL_POSITION_INT"
+        in done.output
+    )
+    shown = run("import", short, "--out", tmp_path / "set")
+    assert shown.exit_code == 0
+    printed = " ".join(shown.output.split())
+    assert "true range: none" in printed
+    assert "--model" not in printed
+    assert "without a true range there is nothing that 'msp-lab gap' could compare them with" in printed
+    assert "distance_sensor_10: no true range: found 39 readings" in printed
+    (found,) = imported(short, "--out", tmp_path / "json")
+    assert (found["truth"], found["truth_source"]) == ("", "")
+    forward = write_telemetry(
+        tmp_path / "forward.tlog", [each for each in telemetry() if getattr(each[2], "orientation", 0) != 25]
+    )
+    done = run("import", forward, "--truth", "ekf", "--out", tmp_path / "asked")
+    assert done.exit_code == 3
+    assert "no range finder looks down" in done.output
+
+
+def flown(
+    tilt_deg: Array, reference: Series, kind: str = "ekf", *, is_down: tuple[bool, ...] = (True,)
+) -> list[Joined]:
+    """Readings at 10 Hz for 30 s over a climb of 1 to 5 m, at these tilts, compared with a reference."""
+    time_s = np.arange(300) / 10.0
+    rangers = [
+        Ranger(f"r{number}", Series("a", time_s, 100.0 * height_of(time_s)), down)
+        for number, down in enumerate(is_down)
+    ]
+    source = TruthSource(kind, reference)
+    context = {TILT: Series("ATT", time_s, tilt_deg)}
+    return join(VehicleLog(Path("a"), "", tuple(rangers), context, (source,)), source, np.random.default_rng(1))
+
+
+def height_of(time_s: Array) -> Array:
+    return 3.0 + 2.0 * np.sin(time_s / 3.0)
+
+
+def height_at(time_s: Array) -> Series:
+    return Series("XKF1.PD", time_s, height_of(time_s))
+
+
+def test_a_reference_that_is_late_is_called_so() -> None:
+    """As an altitude of GNSS, which comes 0.5 s after a lidar."""
+    assert show._lag(-0.524, -0.818, -0.255, is_shifted=False) == (
+        "0.524 s earlier than the reference (0.255 to 0.818), left in: so much later than the range finder is the "
+        "reference, or its clock"
+    )
+    assert show._lag(-0.02, -0.05, 0.01, is_shifted=True) == (
+        "0.020 s earlier than the reference (-0.010 to 0.050), taken off"
+    )
+
+
+def test_a_lag_that_cannot_be_seen_has_the_numbers_that_say_why() -> None:
+    found = show._why_no_lag("its 95 % interval is -0.61 to 0.95 s", 57.0, 1216.0)
+    assert found == (
+        "its 95 % interval is -0.61 to 0.95 s; the reference changes by 1216.0 cm, the readings scatter about it by "
+        "57.0 cm"
+    )
+
+
+def test_an_overturned_sensor_has_no_true_range_and_a_steep_one_a_line() -> None:
+    """As before the attitude is known, and in a crash; 'gap' refuses an incidence above 90 deg."""
+    tilt_deg = np.full(300, 5.0)
+    tilt_deg[:2], tilt_deg[-3:], tilt_deg[100:104] = 90.94, 128.0, 60.0
+    (joined,) = flown(tilt_deg, height_at(np.arange(300) / 10.0))
+    assert np.flatnonzero(np.isnan(joined.data["true_range_cm"])).tolist() == [0, 1, 297, 298, 299]
+    assert np.nanmax(joined.data["incidence_deg"]) == 60.0
+    overturned, steep = joined.notes
+    assert overturned.startswith("no true range and no incidence_deg for 5 readings at a tilt of 90 deg or more")
+    assert steep.startswith("the height is the true range of 4 readings at tilts above 45 deg too")
+
+
+def test_readings_that_lose_their_truth_in_holes_of_the_reference_are_counted() -> None:
+    time_s = np.arange(300) / 10.0
+    there = (time_s > 1.95) & ~((time_s > 10.05) & (time_s < 12.95)) & (time_s < 28.95)
+    (joined,) = flown(np.zeros(300), height_at(time_s[there]))
+    (note,) = joined.notes
+    # 0 to 1.9 s and 29 to 29.9 s are outside, 10.1 to 13.0 s in the hole.
+    assert note == (
+        "no true range for 60 readings: 30 before the reference begins or after it ends, 30 in holes of the reference "
+        "of more than 1 s"
+    )
+    assert np.isnan(joined.data["true_range_cm"]).sum() == 60
+
+
+def test_a_column_is_no_truth_of_a_sensor_that_does_not_look_down_next_to_one_that_does() -> None:
+    whole = height_at(np.arange(300) / 10.0)
+    down, forward = flown(np.zeros(300), whole, "column", is_down=(True, False))
+    assert "true_range_cm" in down.data
+    assert "true_range_cm" not in forward.data
+    # Of sensors on a bench that all look forward, a column can be the distance to the wall.
+    (alone,) = flown(np.zeros(300), whole, "column", is_down=(False,))
+    assert "true_range_cm" in alone.data
 
 
 def test_the_same_sensor_of_another_log_is_a_reference(tmp_path: Path) -> None:

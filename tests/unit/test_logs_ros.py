@@ -70,6 +70,15 @@ def test_messages_that_are_not_read_take_no_memory(tmp_path: Path) -> None:
     assert peak_bytes[1] - peak_bytes[0] < 5_000_000
 
 
+def test_a_range_nearer_than_the_minimum_is_no_answer() -> None:
+    topic = ros._Topic("/sonar", "sensor_msgs/msg/Range", ("range", "min_range", "max_range"))
+    for step, range_m in enumerate((0.1, -np.inf, 0.2, np.inf)):
+        topic.add(float(step), SimpleNamespace(range=range_m, min_range=0.2, max_range=7.0))
+    (ranger,) = ros._rangers({"/sonar": topic})
+    np.testing.assert_array_equal(ranger.series.values, [np.nan, np.nan, 20.0, 700.0])
+    assert ranger.too_near == 2
+
+
 def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
     topic = ros._Topic("/fix", "sensor_msgs/msg/NavSatFix", ros._FIELDS["sensor_msgs/msg/NavSatFix"])
     for time_s, (status, std_m) in enumerate([(2, 0.02), (2, 0.5), (0, 0.02), (2, 0.0)]):

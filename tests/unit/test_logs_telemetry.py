@@ -86,6 +86,18 @@ def test_a_maximum_of_zero_is_none(tmp_path: Path) -> None:
     assert down.series.values[1] == round(100 * height_m(-0.05))
 
 
+def test_a_reading_nearer_than_the_minimum_is_no_answer(tmp_path: Path) -> None:
+    messages = telemetry()
+    for _, _, message in messages:
+        if message.get_type() == "DISTANCE_SENSOR":
+            message.min_distance = 101 if message.id == 10 else 0
+    down, forward = read_telemetry(write_telemetry(tmp_path / "a.tlog", messages), nothing).rangers
+    near = sum(round(100 * height_m(0.05 * step - 0.1)) < 101 for step in range(600) if step % 50)
+    assert down.too_near == np.isnan(down.series.values).sum() == near > 5
+    assert np.nanmin(down.series.values) >= 101.0
+    assert forward.too_near == 0
+
+
 def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
     path = write_telemetry(tmp_path / "a.tlog", telemetry())
     readings, heights = [], []

@@ -31,7 +31,8 @@ MEDIAN_TO_STD = 1.4826
 LEAST_STD_CM = 0.5
 """Differences scatter at least by this [cm] where a gate is set: the rounding of readings and logs."""
 WIDEST_SHARE = 0.25
-"""A lag whose interval is a larger share of all lags that were tried is not known: the range hardly changes."""
+"""A lag whose interval is a larger share of all lags that were tried is not known: the range hardly changes, or the
+reference is noisy or has holes. Larger: lags are reported that say nothing; smaller: slow flights have none."""
 LEAST_READINGS = 50
 """Fewer readings with a reference are not aligned: a lag of them would have an interval as wide as what is tried."""
 
@@ -48,6 +49,8 @@ class Alignment:
         Median of readings minus reference at that lag.
     scatter_cm
         Standard deviation of the differences, outliers left out.
+    no_lag
+        Why the lag cannot be seen, in a few words; empty: it can.
     """
 
     lag_s: float
@@ -55,6 +58,7 @@ class Alignment:
     lag_high_s: float
     offset_cm: float
     scatter_cm: float
+    no_lag: str = ""
 
     @property
     def has_lag(self) -> bool:
@@ -90,7 +94,9 @@ def align(
     expected = np.stack([expected_cm(time_s - lag_s) for lag_s in lags_s])
     whole = np.isfinite(expected).all(axis=0)
     if whole.sum() < LEAST_READINGS:
-        return _without_lag(reading_cm - expected_cm(time_s))
+        around = f"{LARGEST_LAG_S:g} s before to {LARGEST_LAG_S:g} s after them"
+        why = f"only {whole.sum()} readings have the reference throughout from {around}"
+        return _without_lag(reading_cm - expected_cm(time_s), why)
     time_s, reading_cm, expected = time_s[whole], reading_cm[whole], expected[:, whole]
     off_cm = reading_cm - expected
     off_cm -= np.median(off_cm, axis=1, keepdims=True)
@@ -103,8 +109,13 @@ def align(
     lag_s = _lowest(lags_s, _squares(sums.sum(axis=2)))
     drawn_s = np.array([_lowest(lags_s, _squares(sums @ weight)) for weight in weights])
     low_s, high_s = np.quantile(drawn_s, (0.025, 0.975)).tolist()
-    if high_s - low_s > WIDEST_SHARE * 2.0 * LARGEST_LAG_S or abs(lag_s) > LARGEST_LAG_S - LAG_STEP_S:
-        return _without_lag(reading_cm - expected_cm(time_s))
+    off_unshifted_cm = reading_cm - expected_cm(time_s)
+    if np.ptp(expected) < LEAST_STD_CM:
+        return _without_lag(off_unshifted_cm, "the reference does not change")
+    if high_s - low_s > WIDEST_SHARE * 2.0 * LARGEST_LAG_S:
+        return _without_lag(off_unshifted_cm, f"its 95 % interval is {low_s:.2f} to {high_s:.2f} s")
+    if abs(lag_s) > LARGEST_LAG_S - LAG_STEP_S:
+        return _without_lag(off_unshifted_cm, f"the best one is {lag_s:.2f} s, the last that is tried")
     aligned_cm = reading_cm - expected_cm(time_s - lag_s)
     return Alignment(lag_s, low_s, high_s, float(np.nanmedian(aligned_cm)), _spread(aligned_cm))
 
@@ -147,8 +158,8 @@ def reference_std_cm(
     return estimate(np.arange(rows.size)), low, high
 
 
-def _without_lag(off_cm: Array) -> Alignment:
-    return Alignment(np.nan, np.nan, np.nan, float(np.nanmedian(off_cm)), _spread(off_cm))
+def _without_lag(off_cm: Array, why: str) -> Alignment:
+    return Alignment(np.nan, np.nan, np.nan, float(np.nanmedian(off_cm)), _spread(off_cm), why)
 
 
 def _spread(values: Array) -> float:

@@ -23,15 +23,17 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    make_ranger,
     negative,
     readings_cm,
+    rounded_cm,
     series,
     tilt_deg,
 )
 from msp_range.mavlink.orientation import DOWN
 
-_NO_DATA, _TOO_FAR = 1, 3
-"""RangeFinder::Status: nothing was read; out of range, far (AP_RangeFinder.h)."""
+_NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3
+"""RangeFinder::Status: nothing was read; nearer than RNGFNDx_MIN; beyond RNGFNDx_MAX (AP_RangeFinder.h)."""
 
 WANTED = {
     "RFND": ("TimeUS", "TimeMS", "Instance", "I", "Dist", "Stat", "Orient", "Dist1", "Orient1", "Dist2", "Orient2"),
@@ -44,7 +46,9 @@ WANTED = {
     "GPA": ("TimeUS", "I", "VAcc"),
     "VISP": ("TimeUS", "PZ"),
     "SIM": ("TimeUS", "Alt"),
-    "BARO": ("TimeUS", "I", "Alt", "Temp"),
+    "BARO": ("TimeUS", "TimeMS", "I", "Alt", "Temp"),
+    "BAR2": ("TimeUS", "TimeMS", "Alt"),
+    "BAR3": ("TimeUS", "TimeMS", "Alt"),
     "ARSP": ("TimeUS", "I", "Temp"),
     "CTUN": ("TimeUS", "ThO"),
     "VIBE": ("TimeUS", "IMU", "VibeX", "VibeY", "VibeZ"),
@@ -110,20 +114,24 @@ def _ranger(
     facing: int,
     parameters: Mapping[str, float],
 ) -> Ranger:
-    maximum_m = _maximum_m(number, parameters)
+    maximum_m = _limit_m("MAX", number, parameters, np.inf)
     reading_cm = readings_cm(range_m, maximum_m)
-    if status is not None:
+    if status is None:
+        is_too_near = rounded_cm(range_m) < rounded_cm(_limit_m("MIN", number, parameters, 0.0))
+    else:
+        is_too_near = status == _TOO_NEAR
         if np.isfinite(maximum_m):
-            reading_cm[status == _TOO_FAR] = 100.0 * maximum_m
+            reading_cm[status == _TOO_FAR] = rounded_cm(maximum_m)
         reading_cm[status <= _NO_DATA] = np.nan
-    return Ranger(f"RNGFND{number}", series("RFND.Dist", time_s, reading_cm), facing == DOWN, 100.0 * maximum_m)
+    found = Series("RFND.Dist", time_s, reading_cm)
+    return make_ranger(f"RNGFND{number}", found, facing == DOWN, maximum_m, is_too_near)
 
 
-def _maximum_m(number: int, parameters: Mapping[str, float]) -> float:
-    """The largest distance [m] of a range finder: metres from 4.7 on, before 4.0 the first one has no number."""
-    maximum_cm = parameters.get("RNGFND_MAX_CM", np.inf) if number == 1 else np.inf
-    maximum_cm = parameters.get(f"RNGFND{number}_MAX_CM", maximum_cm)
-    return parameters.get(f"RNGFND{number}_MAX", maximum_cm / 100.0)
+def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise_m: float) -> float:
+    """MIN or MAX of a range finder [m]: metres from 4.7 on, before 4.0 the first one has no number."""
+    value_cm = parameters.get(f"RNGFND_{limit}_CM", 100.0 * otherwise_m) if number == 1 else 100.0 * otherwise_m
+    value_cm = parameters.get(f"RNGFND{number}_{limit}_CM", value_cm)
+    return parameters.get(f"RNGFND{number}_{limit}", value_cm / 100.0)
 
 
 def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource]:
@@ -143,9 +151,20 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
     for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):
         if (height := _up(found, message, "PD")) is not None:
             references.append(TruthSource("ekf", height, refused=refused))
-    if (pressure := _first(found, "BARO", "Alt")) is not None:
+    if (pressure := _barometer(found, parameters)) is not None:
         references.append(TruthSource("barometer", pressure))
     return references
+
+
+def _barometer(found: Messages, parameters: Mapping[str, float]) -> Series | None:
+    """The height by the barometer that the autopilot uses: of an ArduSub the one in the water, not that in the hull.
+
+    BARO_PRIMARY counts from 0. In old versions it is GND_PRIMARY, and the second and third one have messages of their
+    own.
+    """
+    wanted = parameters.get("BARO_PRIMARY", parameters.get("GND_PRIMARY", 0.0))
+    own_message = {1.0: "BAR2", 2.0: "BAR3"}.get(wanted, "")
+    return _first(found, own_message, "Alt") or _first(found, "BARO", "Alt", wanted)
 
 
 def _attitude(found: Messages) -> Series | None:
@@ -170,16 +189,20 @@ def _vibration(found: Messages) -> Series | None:
     return Series("VIBE", known[0].time_s, np.sqrt(sum(each.values**2 for each in known)))
 
 
-def _first(found: Messages, message: str, field: str) -> Series | None:
-    """A field of a message, of its first instance or core where there are several."""
+def _first(found: Messages, message: str, field: str, wanted: float = 0.0) -> Series | None:
+    """A field of a message; where there are several instances or cores that of the wanted one, or else the first."""
     fields = found.get(message, {})
     if field not in fields or not _has_time(fields):
         return None
     time_s, values = _time_s(fields), fields[field]
     instance = next((fields[name] for name in ("I", "C", "IMU") if name in fields), None)
+    name = message
     if instance is not None and instance.size:
-        time_s, values = time_s[instance == instance.min()], values[instance == instance.min()]
-    return series(f"{message}.{field}", time_s, values)
+        first = instance.min()
+        taken = wanted if (instance == wanted).any() else first
+        time_s, values = time_s[instance == taken], values[instance == taken]
+        name = message if taken == first else f"{message}[{taken:g}]"
+    return series(f"{name}.{field}", time_s, values)
 
 
 def _up(found: Messages, message: str, field: str) -> Series | None:
@@ -206,4 +229,4 @@ def _parameters(found: Messages) -> dict[str, float]:
 def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
     named = (each.decode("ascii", "replace") for each in texts)
-    return next((each for each in named if re.match(r"\w+ V\d", each)), "unknown version")
+    return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")

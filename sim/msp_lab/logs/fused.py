@@ -1,13 +1,14 @@
 """Whether the range is fused into an autopilot's height, by its parameters: such a height is no reference for it.
 
 EKF3 decides by EK3_SRCn_POSZ = 2 and EK3_RNG_USE_HGT > 0 (AP_NavEKF3_PosVelFusion.cpp, selectHeightForFusion), EKF2 of
-PX4 by EKF2_HGT_REF = 2 and EKF2_RNG_CTRL > 0 (range_height_control.cpp). Each function returns the reason, or nothing.
+PX4 by EKF2_HGT_REF = 2 and EKF2_RNG_CTRL > 0 (range_height_control.cpp), before 1.14 by EKF2_HGT_MODE = 2 and
+EKF2_RNG_AID = 1. Each function returns the reason, or nothing.
 """
 
 from collections.abc import Mapping
 
 _RANGE_FINDER = 2
-"""AP_NavEKF_Source::SourceZ::RANGEFINDER, and PX4's EKF2_HGT_REF."""
+"""AP_NavEKF_Source::SourceZ::RANGEFINDER, and PX4's EKF2_HGT_REF and EKF2_HGT_MODE."""
 
 
 def by_ekf3(parameters: Mapping[str, float]) -> str:
@@ -38,16 +39,25 @@ def by_ekf2_of_ardupilot(parameters: Mapping[str, float]) -> str:
 
 
 def by_px4(parameters: Mapping[str, float]) -> str:
-    """EKF2 of PX4, where its flags are not in the log."""
-    if parameters.get("EKF2_HGT_REF") == _RANGE_FINDER:
-        return "EKF2_HGT_REF is 2, so the range is its reference"
-    if "EKF2_RNG_CTRL" not in parameters:
-        return "the log has neither cs_rng_hgt nor EKF2_RNG_CTRL, so the range may be fused into it"
-    if parameters["EKF2_RNG_CTRL"] != 0:
-        return f"EKF2_RNG_CTRL is {parameters['EKF2_RNG_CTRL']:g}, so the range may be fused into it"
+    """EKF2 of PX4, where its flags are not in the log.
+
+    Examples
+    --------
+    >>> by_px4({"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    'EKF2_RNG_AID is 1, so the range may be fused into it'
+    """
+    for name in ("EKF2_HGT_REF", "EKF2_HGT_MODE"):
+        if parameters.get(name) == _RANGE_FINDER:
+            return f"{name} is 2, so the range is its reference"
+    use = next((name for name in ("EKF2_RNG_CTRL", "EKF2_RNG_AID") if name in parameters), None)
+    if use is None:
+        return "the log has neither cs_rng_hgt nor EKF2_RNG_CTRL or EKF2_RNG_AID, so the range may be fused into it"
+    if parameters[use] != 0:
+        return f"{use} is {parameters[use]:g}, so the range may be fused into it"
     return ""
 
 
 def by_any(parameters: Mapping[str, float]) -> str:
     """Of an autopilot that is known by its parameters only."""
-    return by_px4(parameters) if "EKF2_HGT_REF" in parameters else by_ekf3(parameters)
+    is_px4 = not {"EKF2_HGT_REF", "EKF2_HGT_MODE"}.isdisjoint(parameters)
+    return by_px4(parameters) if is_px4 else by_ekf3(parameters)

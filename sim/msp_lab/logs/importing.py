@@ -4,7 +4,7 @@ Paths enter; a dataset and an `Imported` for each log leave. The account is kept
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
-from msp_lab.logs.truth import OTHERS, Truth, choose
+from msp_lab.logs.truth import OTHERS, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
+from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.runs import file_names
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
@@ -68,8 +69,14 @@ class FoundRanger:
         What it is called, where the log has it, how often it was logged, and how often in all.
     silent
         Readings without an answer.
+    too_near
+        Readings nearer than the minimum that the log states; they are empty in the dataset.
+    no_echo
+        Readings at or beyond the maximum that the log states.
+    maximum_cm
+        That maximum; None: the log states none.
     low_cm, high_cm
-        Smallest and largest reading.
+        Smallest and largest reading of the other ones.
     is_down
         Whether it looks down.
     with_truth
@@ -88,6 +95,10 @@ class FoundRanger:
         Standard deviation of the reference's error, and its 95 % interval; None: not known.
     reference_std_from
         What that is from.
+    notes
+        Why readings have no true range, or what is worth knowing of it.
+    no_lag
+        Why the lag cannot be seen; empty: it can, or there is no reference.
     """
 
     name: str
@@ -95,6 +106,9 @@ class FoundRanger:
     rate_hz: float | None
     readings: int
     silent: int
+    too_near: int
+    no_echo: int
+    maximum_cm: float | None
     low_cm: float | None
     high_cm: float | None
     is_down: bool
@@ -106,6 +120,8 @@ class FoundRanger:
     reference_span_cm: float | None = None
     reference_std_cm: tuple[float, float, float] | None = None
     reference_std_from: str = ""
+    notes: tuple[str, ...] = ()
+    no_lag: str = ""
 
 
 @dataclass(frozen=True)
@@ -277,12 +293,24 @@ def import_log(common: Import, named: NamedLog) -> Imported:
         reference, difference_s = reference_of(truth.file, truth, log)
         notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
+    if reference is not None and not any(TRUE_RANGE in each.data for each in joined):
+        if truth.kind:
+            raise RecordingError(f"{path}: --truth {truth.kind}: {_why_no_truth(joined)}")
+        reference = None
     if truth.kind == OTHERS:
         joined, notes = _others(path, joined, common.sensor)
     runs = _by_run(run, joined)
     for name, tables in runs.items():
         write_tables(common.out, name, tables)
     return _account(tuple(runs), log, reference, joined, notes, truth)
+
+
+def _why_no_truth(joined: Sequence[Joined]) -> str:
+    """Why no reading of a log has the reference that it was compared with."""
+    reasons = [f"{each.ranger.name}: {note}" for each in joined for note in each.notes]
+    if not any(each.ranger.is_down for each in joined):
+        reasons = ["no range finder looks down, and of others a height says nothing"]
+    return "; ".join(reasons) or "no reading has it"
 
 
 def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, MeasuredData]]:
@@ -304,8 +332,12 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     columns = dict.fromkeys(name for each in down for name in each.data.columns)
     whole = MeasuredData({name: np.concatenate([_column(each.data, name) for each in down]) for name in columns})
     recording = Recording(path) if kind_of(path) == ".mcap" else None
+    whole, _ = in_code_of(sensor, whole)
     data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
-    found = [Joined(each.ranger, data.select(np.flatnonzero(data["sensor"] == each.ranger.name))) for each in down]
+    found = [
+        replace(each, data=data.select(np.flatnonzero(data["sensor"] == each.ranger.name)), alignment=None, error=None)
+        for each in down
+    ]
     listed = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
     return found, [f"Each sensor reads more than the others by, and this is taken off: {listed}."]
 
@@ -328,7 +360,7 @@ def _account(
     others = {
         each.kind: each.refused or each.series.source
         for each in log.references
-        if reference is None or each.series is not reference.series
+        if each.refused or reference is None or not is_same(each.series, reference.series)
     }
     return Imported(
         runs,
@@ -351,18 +383,23 @@ def _account(
 
 def _found(each: Joined) -> FoundRanger:
     reading_cm, alignment, error = each.data["reading_cm"], each.alignment, each.error
-    known = reading_cm[np.isfinite(reading_cm)]
+    answered = np.isfinite(reading_cm)
+    is_no_echo = answered & (reading_cm == each.data[NO_ECHO] if NO_ECHO in each.data else False)
+    known = reading_cm[answered & ~is_no_echo]
     return FoundRanger(
         each.ranger.name,
         each.ranger.series.source,
         _or_none(each.ranger.series.rate_hz),
         reading_cm.size,
-        reading_cm.size - known.size,
+        int(reading_cm.size - answered.sum()) - each.ranger.too_near,
+        each.ranger.too_near,
+        int(is_no_echo.sum()),
+        _or_none(each.ranger.maximum_cm),
         float(known.min()) if known.size else None,
         float(known.max()) if known.size else None,
         each.ranger.is_down,
         int(np.isfinite(each.data[TRUE_RANGE]).sum()) if TRUE_RANGE in each.data else 0,
-        _repeated(known),
+        _repeated(reading_cm[answered]),
         None
         if alignment is None or not alignment.has_lag
         else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),
@@ -371,6 +408,8 @@ def _found(each: Joined) -> FoundRanger:
         _span(each.data[TRUE_RANGE]) if TRUE_RANGE in each.data else None,
         None if error is None else (error.std_cm, error.low_cm, error.high_cm),
         "" if error is None else error.source,
+        each.notes,
+        "" if alignment is None else alignment.no_lag,
     )
 
 

@@ -2,23 +2,33 @@
 
 A `VehicleLog` and a reference enter; for each range finder a table leaves, and how it fits the reference. A height
 above level ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the
-beam is multiplied by the cosine of the tilt.
+beam is multiplied by the cosine of the tilt. From a tilt of 90 deg on there is no true range: the beam does not meet
+the ground.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msp_lab.logs.alignment import Alignment, align, reference_std_cm
+from msp_lab.logs.alignment import LEAST_READINGS, Alignment, align, reference_std_cm
 from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.truth import second
+from msp_lab.readings.no_echo import NO_ECHO
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 
 RATE_STEP_S = 0.1
 """Without a vertical speed, the rate of the range is that of the reference over so long before and after [s]. Shorter:
 noise of the reference; longer: the ends of a climb are rounded."""
+OVERTURNED_DEG = 90.0
+"""From this tilt on a sensor that looks down does not see the ground, by geometry. Seen in logs: before the attitude is
+known, and of a copter that crashes. It is also the largest ``incidence_deg`` of the CSV form."""
+STEEP_DEG = 45.0
+"""A line says how many readings with a height as true range are at larger tilts [deg]. There the beam meets the ground
+more than 1.4 heights away, so a slope of the ground counts, and no sensor here is specified for it. Larger: fewer
+lines, of what is rare in any flight; below 30 deg a quick flight would have the line."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,8 @@ class Joined:
         How well the reference is known; None: nothing says.
     is_shifted
         Whether the lag was taken off.
+    notes
+        Why readings have no true range, or what is worth knowing of it, a sentence each without a full stop.
     """
 
     ranger: Ranger
@@ -54,6 +66,7 @@ class Joined:
     alignment: Alignment | None = None
     error: TruthAccuracy | None = None
     is_shifted: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def join(
@@ -86,26 +99,81 @@ def _join(
         "time_s": time_s,
         "sensor": np.full(time_s.size, ranger.name),
         "reading_cm": ranger.series.values,
+        NO_ECHO: np.full(time_s.size, ranger.maximum_cm),
     }
     for name in CONTEXT:
         if name in log.context and name not in (TILT, CLIMB):
             columns[name] = log.context[name].at(time_s)
+    is_overturned = np.zeros(time_s.size, dtype=bool)
+    tilt_deg = np.full(time_s.size, np.nan)
     if ranger.is_down and TILT in log.context:
-        columns["incidence_deg"] = log.context[TILT].at(time_s)
+        tilt_deg = log.context[TILT].at(time_s)
+        is_overturned = tilt_deg >= OVERTURNED_DEG
+        columns["incidence_deg"] = np.where(is_overturned, np.nan, tilt_deg)
     columns |= ranger.columns
     alignment = error = None
-    # Of a sensor that looks elsewhere a height says nothing, and a sensor is no reference for itself.
-    if reference is not None and reference.ranger != ranger.name and (ranger.is_down or reference.kind == "column"):
-        answered = np.where(ranger.series.values < ranger.maximum_cm, ranger.series.values, np.nan)
+    notes: list[str] = []
+    if (overturned := int((is_overturned & np.isfinite(ranger.series.values)).sum())) > 0:
+        notes.append(
+            f"no true range and no incidence_deg for {_readings(overturned)} at a tilt of {OVERTURNED_DEG:g} deg or "
+            "more: the beam does not meet the ground (a crash, or the attitude was not known yet)"
+        )
+    if reference is not None and _is_for(log, reference, ranger):
+        is_echo = (ranger.series.values < ranger.maximum_cm) & ~is_overturned
+        answered = np.where(is_echo, ranger.series.values, np.nan)
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
         lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
         error = _error(log, reference, time_s, answered, alignment, rng)
-        columns |= _true(log, reference, time_s - lag_s, alignment, error, shift)
+        columns |= _true(log, reference, time_s - lag_s, alignment, error, shift, ~is_overturned)
+        if alignment is None and not reference.has_datum:
+            there = int(np.isfinite(answered * reference.series.at(time_s)).sum())
+            notes.append(
+                f"no true range: found {_readings(there)} with an echo and {reference.series.source}, expected at "
+                f"least {LEAST_READINGS} to find the constant between the two"
+            )
+        else:
+            lost = np.isfinite(ranger.series.values) & ~np.isfinite(columns[TRUE_RANGE]) & ~is_overturned
+            notes += _about_lost(reference, time_s[lost] - lag_s)
+            steep = np.isfinite(ranger.series.values * columns[TRUE_RANGE]) & (tilt_deg > STEEP_DEG)
+            if steep.any() and not reference.along_beam:
+                notes.append(
+                    f"the height is the true range of {_readings(int(steep.sum()))} at tilts above {STEEP_DEG:g} deg "
+                    f"too, where the beam meets the ground more than {1.0 / np.cos(np.radians(STEEP_DEG)):.1f} heights "
+                    "away: right only if the ground is level that far"
+                )
     if ranger.is_down and CLIMB in log.context:
         columns["range_rate_cm_s"] = 100.0 * log.context[CLIMB].at(time_s)
     known = {name: column for name, column in columns.items() if column.dtype.kind != "f" or np.isfinite(column).any()}
     known.setdefault("reading_cm", columns["reading_cm"])
-    return Joined(ranger, MeasuredData(known), alignment, error, shift and alignment is not None and alignment.has_lag)
+    is_shifted = shift and alignment is not None and alignment.has_lag
+    return Joined(ranger, MeasuredData(known), alignment, error, is_shifted, tuple(notes))
+
+
+def _is_for(log: VehicleLog, reference: TruthSource, ranger: Ranger) -> bool:
+    """Whether a reference says something of a range finder: a height only of those that look down, and a sensor nothing
+    of itself. A column may be a range along the beam where none of them looks down."""
+    if reference.ranger == ranger.name:
+        return False
+    return ranger.is_down or (reference.kind == "column" and not any(each.is_down for each in log.rangers))
+
+
+def _about_lost(reference: TruthSource, at_s: Array) -> list[str]:
+    """How many readings at these times have no true range, and why; nothing for none."""
+    found = reference.series.known()
+    if not at_s.size or len(found) < 2:
+        return []
+    outside = int(((at_s < found.time_s[0]) | (at_s > found.time_s[-1])).sum())
+    whose = "the reference or of the attitude" if reference.along_beam else "the reference"
+    parts = [
+        (outside, "before the reference begins or after it ends"),
+        (at_s.size - outside, f"in holes of {whose} of more than {found.longest_hole_s:.3g} s"),
+    ]
+    listed = ", ".join(f"{count:,} {where}" for count, where in parts if count)
+    return [f"no true range for {_readings(at_s.size)}: {listed}"]
+
+
+def _readings(count: int) -> str:
+    return f"{count:,} reading{'s' if count != 1 else ''}"
 
 
 def _expected_cm(log: VehicleLog, reference: TruthSource, time_s: Array) -> Array:
@@ -144,9 +212,10 @@ def _true(
     alignment: Alignment | None,
     error: TruthAccuracy | None,
     shift: bool,
+    has_ground: NDArray[np.bool_],
 ) -> Mapping[str, Column]:
-    """Columns of the true range at these times."""
-    true_cm = _expected_cm(log, reference, at_s)
+    """Columns of the true range at these times; empty where the beam does not meet the ground."""
+    true_cm = np.where(has_ground, _expected_cm(log, reference, at_s), np.nan)
     if not reference.has_datum:  # with too few readings to align it nothing is known of the range
         true_cm = true_cm + (alignment.offset_cm if alignment is not None else np.nan)
     rate_cm_s = (

@@ -69,6 +69,12 @@ class Series:
         good = np.isfinite(self.values)
         return self if good.all() else Series(self.source, self.time_s[good], self.values[good])
 
+    @property
+    def longest_hole_s(self) -> float:
+        """Values are interpolated between samples that are no farther apart [s]; NaN for fewer than two."""
+        gaps_s = np.diff(self.known().time_s)
+        return max(LONGEST_GAP_S, 3.0 * float(np.median(gaps_s))) if gaps_s.size else float("nan")
+
     def at(self, time_s: Array) -> Array:
         """Values at other times, on straight lines between samples; NaN outside and in gaps.
 
@@ -81,8 +87,7 @@ class Series:
         series = self.known()
         if len(series) < 2:
             return np.full(time_s.shape, np.nan)
-        gaps_s = np.diff(series.time_s)
-        longest_s = max(LONGEST_GAP_S, 3.0 * float(np.median(gaps_s)))
+        gaps_s, longest_s = np.diff(series.time_s), series.longest_hole_s
         after = np.clip(np.searchsorted(series.time_s, time_s), 1, len(series) - 1)
         inside = (time_s >= series.time_s[0]) & (time_s <= series.time_s[-1]) & (gaps_s[after - 1] <= longest_s)
         return np.where(inside, np.interp(time_s, series.time_s, series.values), np.nan)
@@ -97,13 +102,16 @@ class Ranger:
     name
         What the log calls it, or what distinguishes it from its other ones.
     series
-        Readings [cm]; NaN: no answer. Readings beyond the maximum that the log states are that maximum: no echo.
+        Readings [cm]; NaN: no answer, or nearer than the minimum that the log states. Readings beyond the maximum that
+        the log states are that maximum: no echo.
     is_down
         Whether it looks down along the vehicle's axis.
     maximum_cm
         Reading of no echo; infinite where the log does not state it.
     columns
         What the log says of each reading, in the names of the CSV form.
+    too_near
+        How many readings are nearer than the minimum that the log states.
     """
 
     name: str
@@ -111,6 +119,7 @@ class Ranger:
     is_down: bool = True
     maximum_cm: float = np.inf
     columns: Mapping[str, Column] = field(default_factory=dict)
+    too_near: int = 0
 
 
 @dataclass(frozen=True)
@@ -210,8 +219,12 @@ class MessageColumns:
 
     def series(self, field: str = "", values: Array | None = None) -> Series:
         """A field, or what follows from several, as a series."""
-        found = self[field] if values is None else values
-        return series(f"{self.source}.{field}" if field else self.source, np.array(self._time_s), found)
+        found = self.unsorted(field, self[field] if values is None else values)
+        return series(found.source, found.time_s, found.values)
+
+    def unsorted(self, field: str, values: Array) -> Series:
+        """What follows from a field, in the order in which the messages were added."""
+        return Series(f"{self.source}.{field}" if field else self.source, np.array(self._time_s), values)
 
 
 def negative(found: Series) -> Series:
@@ -236,7 +249,32 @@ def longest_m(maximum_m: Array) -> float:
     return float(known.max()) if known.size else np.inf
 
 
+def rounded_cm(range_m: Array | float) -> Array:
+    """Ranges in centimetres, to a hundredth of a millimetre, since logs keep 32-bit numbers."""
+    return np.asarray(np.round(100.0 * np.asarray(range_m, dtype=float), 3))
+
+
 def readings_cm(range_m: Array, maximum_m: float = np.inf) -> Array:
-    """Ranges as readings: to a hundredth of a millimetre, since logs keep 32-bit numbers; beyond the maximum is no
-    echo, which is the maximum."""
-    return np.asarray(np.round(np.minimum(100.0 * np.asarray(range_m, dtype=float), 100.0 * maximum_m), 3), dtype=float)
+    """Ranges as readings [cm]; beyond the maximum is no echo, which is the maximum."""
+    return np.minimum(rounded_cm(range_m), rounded_cm(maximum_m))
+
+
+def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is_too_near: NDArray[np.bool_]) -> Ranger:
+    """A range finder whose log states its limits.
+
+    Parameters
+    ----------
+    name, is_down
+        As of `Ranger`.
+    readings
+        From `readings_cm`, in the order of the log.
+    maximum_m
+        The longest range that the log states; infinite: none.
+    is_too_near
+        Which readings are nearer than its shortest one. Autopilots do not use them, and what a sensor reports there
+        is another thing for each sensor, so they count as no answer.
+    """
+    is_too_near = is_too_near & ~np.isnan(readings.values)
+    reading_cm = np.where(is_too_near, np.nan, readings.values)
+    kept = series(readings.source, readings.time_s, reading_cm)
+    return Ranger(name, kept, is_down, float(rounded_cm(maximum_m)), too_near=int(is_too_near.sum()))

@@ -1,8 +1,9 @@
 """A PX4 ULog (.ulg) as a `VehicleLog`.
 
 What topics hold: https://docs.px4.io/main/en/msg_docs/. Whether EKF2 fuses the range into its height is in its flags
-(estimator_status_flags.cs_rng_hgt); where they are missing its parameters say whether it may. Its height above the
-terrain (dist_bottom) is not used: it is the range finder's wherever there is one.
+(estimator_status_flags.cs_rng_hgt, in old versions a bit of estimator_status.control_mode_flags); where they are
+missing its parameters say whether it may. Its height above the terrain (dist_bottom) is not used: it is the range
+finder's wherever there is one.
 """
 
 import contextlib
@@ -28,13 +29,19 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_ranger,
     readings_cm,
+    rounded_cm,
     series,
 )
 from msp_range.input_file import open_input
 from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 
+_RANGE_HEIGHT_BIT = 10
+"""Of estimator_status.control_mode_flags: the range is fused as height (EstimatorStatus.msg, CS_RNG_HGT)."""
+_THRUST = "control[3]"
+"""Of actuator_controls_0, before there was vehicle_thrust_setpoint: the collective thrust, 0 to 1."""
 _DEFAULT_TEMPERATURE = 0
 """vehicle_air_data.temperature_source: no thermometer, 15 deg C are assumed."""
 LARGEST_BYTES = 4 * 2**30
@@ -46,11 +53,13 @@ _TOPICS = [
     "vehicle_local_position",
     "vehicle_local_position_groundtruth",
     "estimator_status_flags",
+    "estimator_status",
     "vehicle_gps_position",
     "vehicle_visual_odometry",
     "vehicle_mocap_odometry",
     "vehicle_air_data",
     "vehicle_thrust_setpoint",
+    "actuator_controls_0",
     "vehicle_imu_status",
 ]
 MOST_READ = 20
@@ -99,7 +108,7 @@ def _log(path: Path, log: ULog, topic: str, field: str) -> VehicleLog:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
         lost_s = sum(each.duration for each in log.dropouts) / 1e3
-        notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.1f} s in all.")
+        notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.3g} s in all.")
     return VehicleLog(
         path,
         f"PX4 ULog, {_version(log)}",
@@ -148,15 +157,10 @@ def _rangers(found: _Topics) -> list[Ranger]:
         # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
         reading_cm[data.get("signal_quality", np.full(reading_cm.size, -1)) == 0] = np.nan
         facing = int(np.median(data["orientation"])) if "orientation" in data else DOWN
-        source = f"{name}.current_distance"
-        rangers.append(
-            Ranger(
-                name.replace("[", "_").rstrip("]"),
-                series(source, _time_s(data), reading_cm),
-                facing == DOWN,
-                100.0 * maximum_m,
-            )
-        )
+        is_too_near = rounded_cm(data["current_distance"]) < rounded_cm(data.get("min_distance", np.zeros(1)))
+        found_cm = Series(f"{name}.current_distance", _time_s(data), reading_cm)
+        plain_name = name.replace("[", "_").rstrip("]")
+        rangers.append(make_ranger(plain_name, found_cm, facing == DOWN, maximum_m, is_too_near))
     return rangers
 
 
@@ -171,7 +175,7 @@ def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSour
         if seen is not None:
             references.append(TruthSource("mocap", seen))
     if (height := _field(found, "vehicle_local_position", "z", -1.0)) is not None:
-        flags = _field(found, "estimator_status_flags", "cs_rng_hgt")
+        flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
         kept, refused = _without_fused(height, flags, parameters)
         references.append(TruthSource("ekf", kept, refused=refused))
     if (pressure := _field(found, "vehicle_air_data", "baro_alt_meter")) is not None:
@@ -190,8 +194,18 @@ def _without_fused(height: Series, flags: Series | None, parameters: Mapping[str
     after = np.maximum.accumulate(fused)
     if after.mean() > 0.5:
         share = 100.0 * float(fused.mean())
-        return height, f"cs_rng_hgt is set for {share:.0f} % of the time, so the range is fused into it"
+        name = flags.source.removeprefix("estimator_status_flags.")
+        return height, f"{name} is set for {share:.0f} % of the time, so the range is fused into it"
     return Series(height.source, height.time_s, np.where(after, np.nan, height.values)), ""
+
+
+def _range_height_bit(found: _Topics) -> Series | None:
+    """The flag of versions whose logs have all flags in one number."""
+    flags = _field(found, "estimator_status", "control_mode_flags")
+    if flags is None:
+        return None
+    is_set = np.floor(flags.values / 2.0**_RANGE_HEIGHT_BIT) % 2.0
+    return Series(f"bit {_RANGE_HEIGHT_BIT} of {flags.source}", flags.time_s, is_set)
 
 
 def _rtk(found: _Topics) -> Series | None:
@@ -200,8 +214,8 @@ def _rtk(found: _Topics) -> Series | None:
     if not fixed.any():
         return None
     # Millimetres before 1.14.
-    altitude_m = gps["altitude_msl_m"] if "altitude_msl_m" in gps else gps["alt"] / 1e3
-    return series("vehicle_gps_position.altitude_msl_m", _time_s(gps), np.where(fixed, altitude_m, np.nan))
+    name, factor = ("altitude_msl_m", 1.0) if "altitude_msl_m" in gps else ("alt", 1e-3)
+    return series(f"vehicle_gps_position.{name}", _time_s(gps), np.where(fixed, factor * gps[name], np.nan))
 
 
 def _tilt(found: _Topics) -> Series | None:
@@ -214,7 +228,7 @@ def _tilt(found: _Topics) -> Series | None:
 
 
 def _throttle(found: _Topics) -> Series | None:
-    thrust = _field(found, "vehicle_thrust_setpoint", "xyz[2]", -1.0)
+    thrust = _field(found, "vehicle_thrust_setpoint", "xyz[2]", -1.0) or _field(found, "actuator_controls_0", _THRUST)
     return None if thrust is None else Series(thrust.source, thrust.time_s, np.clip(thrust.values, 0.0, 1.0))
 
 

@@ -26,7 +26,9 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_ranger,
     readings_cm,
+    rounded_cm,
 )
 from msp_range.recording.error import RecordingError
 
@@ -41,7 +43,7 @@ _GBAS = 2
 _RTK_STD_M = 0.1
 """A height with a larger standard deviation is no fixed RTK solution [m]: those have 0.02."""
 _FIELDS: Mapping[str, tuple[str, ...]] = {
-    "sensor_msgs/msg/Range": ("range", "max_range"),
+    "sensor_msgs/msg/Range": ("range", "min_range", "max_range"),
     "sensor_msgs/msg/Imu": ("orientation.x", "orientation.y", "orientation_covariance.0"),
     "sensor_msgs/msg/NavSatFix": ("altitude", "status.status", "position_covariance.8"),
     "sensor_msgs/msg/Temperature": ("temperature",),
@@ -142,10 +144,11 @@ def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
         if each.kind == "Range" and each["range"].size:
             maximum_m = longest_m(each["max_range"])
             range_m = each["range"]
-            reading_cm = readings_cm(np.where(np.isneginf(range_m), np.nan, range_m), maximum_m)
-            reading_cm[np.isinf(reading_cm)] = np.nan
+            reading_cm = readings_cm(range_m, maximum_m)
+            reading_cm[np.isposinf(reading_cm)] = np.nan
             name = each.source.strip("/").replace("/", "_")
-            rangers.append(Ranger(name, each.series("range", reading_cm), True, 100.0 * maximum_m))
+            is_too_near = rounded_cm(range_m) < rounded_cm(each["min_range"])  # minus infinity too (REP 117)
+            rangers.append(make_ranger(name, each.unsorted("range", reading_cm), True, maximum_m, is_too_near))
     return rangers
 
 

@@ -25,11 +25,12 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
         count = sum(len(each.runs) for each in found)
         runs = f"{count} run{'s' if count != 1 else ''}"
         readings = sum(ranger.readings for each in found for ranger in each.rangers)
-        shown.print(
-            f"{out}: {readings:,} readings in {runs}; 'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it",
-            highlight=False,
-            soft_wrap=True,
-        )
+        rangers = [ranger for each in found for ranger in each.rangers]
+        if any(ranger.with_truth for ranger in rangers):
+            then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
+        else:
+            then = "without a true range there is nothing that 'msp-lab gap' could compare them with"
+        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", highlight=False, soft_wrap=True)
 
 
 def _show(shown: Console, found: Imported) -> None:
@@ -73,11 +74,10 @@ def _truth(found: Imported) -> str:
 def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
     lines = []
     if ranger.lag_s is not None:
-        lag_s, low_s, high_s = ranger.lag_s
-        what = "taken off" if found.is_shifted else "left in: it is the range finder's latency if both have one clock"
-        lines.append(f"{lag_s:.3f} s later than the reference ({low_s:.3f} to {high_s:.3f}), {what}")
+        lines.append(_lag(*ranger.lag_s, is_shifted=found.is_shifted))
     elif ranger.scatter_cm is not None:
-        lines.append(f"its lag cannot be seen: {_why_no_lag(ranger.scatter_cm, ranger.reference_span_cm)}")
+        why = _why_no_lag(ranger.no_lag, ranger.scatter_cm, ranger.reference_span_cm)
+        lines.append(f"its lag cannot be seen: {why}")
     if ranger.scatter_cm is not None and ranger.offset_cm is not None:
         constant = f"{ranger.offset_cm:+.1f} cm on average, " if found.has_datum else ""
         lines.append(f"{constant}differences to the reference scatter by {ranger.scatter_cm:.1f} cm, outliers left out")
@@ -92,12 +92,25 @@ def _fit(ranger: FoundRanger, found: Imported) -> list[str]:
             f"{100.0 * ranger.repeated:.0f} % of the readings repeat the one before while the range changes: the log "
             "has more rows than there are readings"
         )
-    return lines
+    return lines + list(ranger.notes)
 
 
-def _why_no_lag(scatter_cm: float, span_cm: float | None) -> str:
-    if span_cm is None or span_cm >= scatter_cm:
-        return "the range hardly changes"
+def _lag(lag_s: float, low_s: float, high_s: float, *, is_shifted: bool) -> str:
+    if lag_s < 0.0:
+        ends = f"{-high_s:.3f} to {-low_s:.3f}"
+        what = (
+            "taken off" if is_shifted else "left in: so much later than the range finder is the reference, or its clock"
+        )
+        return f"{-lag_s:.3f} s earlier than the reference ({ends}), {what}"
+    what = "taken off" if is_shifted else "left in: it is the range finder's latency if both have one clock"
+    return f"{lag_s:.3f} s later than the reference ({low_s:.3f} to {high_s:.3f}), {what}"
+
+
+def _why_no_lag(why: str, scatter_cm: float, span_cm: float | None) -> str:
+    if span_cm is None:
+        return why
+    if span_cm >= scatter_cm:
+        return f"{why}; the reference changes by {span_cm:.1f} cm, the readings scatter about it by {scatter_cm:.1f} cm"
     return (
         f"the reference changes by {span_cm:.1f} cm in all, and the readings differ from it by more. If they are "
         "right, the reference is not the distance that they measure"
@@ -108,6 +121,10 @@ def _readings(ranger: FoundRanger) -> str:
     words = [f"{ranger.readings:,} readings"]
     if ranger.silent:
         words.append(f"{ranger.silent:,} without an answer")
+    if ranger.too_near:
+        words.append(f"{ranger.too_near:,} too near")
+    if ranger.no_echo:
+        words.append(f"{ranger.no_echo:,} without an echo within {ranger.maximum_cm:g} cm")
     if ranger.low_cm is not None:
         words.append(f"{ranger.low_cm:g} to {ranger.high_cm:g} cm")
     words.append(f"{ranger.with_truth:,} with a true range" if ranger.with_truth else "no true range")

@@ -24,6 +24,7 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_ranger,
     negative,
     readings_cm,
     tilt_deg,
@@ -60,7 +61,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "VISION_POSITION_ESTIMATE": ("z",),
 }
 """Messages and fields of the flight; those of several components are taken from the first one that sends them."""
-_DISTANCE = ("current_distance", "max_distance", "orientation", "signal_quality")
+_DISTANCE = ("current_distance", "min_distance", "max_distance", "orientation", "signal_quality")
 
 
 def read_telemetry(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
@@ -181,14 +182,10 @@ def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[R
         reading_cm = readings_cm(found["current_distance"] / 100.0, maximum_m)
         # 1 is an invalid signal, 0 an unknown one (common.xml).
         reading_cm[found["signal_quality"] == 1] = np.nan
-        rangers.append(
-            Ranger(
-                name,
-                found.series("current_distance", reading_cm),
-                int(np.median(found["orientation"])) == DOWN,
-                100.0 * maximum_m,
-            )
-        )
+        is_too_near = found["current_distance"] < found["min_distance"]
+        is_down = int(np.median(found["orientation"])) == DOWN
+        readings = found.unsorted("current_distance", reading_cm)
+        rangers.append(make_ranger(name, readings, is_down, maximum_m, is_too_near))
     return rangers
 
 

@@ -128,10 +128,21 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
 
 
 def second(log: VehicleLog, first: TruthSource) -> TruthSource | None:
-    """Another reference whose errors are independent of the first one's; None where there is none."""
-    if first.kind not in INDEPENDENT:
+    """Another reference whose errors are independent of the first one's; None where there is none.
+
+    A column counts as what it is: ``column:BARO.Alt`` is the barometer, and an EKF's height has the others fused in.
+    """
+    same = {each.kind for each in log.references if is_same(each.series, first.series)}
+    if not same | {first.kind} <= INDEPENDENT:
         return None
-    return next((each for each in log.references if each.kind in INDEPENDENT - {first.kind} and not each.refused), None)
+    independent = INDEPENDENT - same - {first.kind}
+    return next((each for each in log.references if each.kind in independent and not each.refused), None)
+
+
+def is_same(one: Series, other: Series) -> bool:
+    """Whether two series are the same field of a log, as ``column:`` may name a reference that is known anyway; their
+    units may differ."""
+    return one.source == other.source and np.array_equal(one.time_s, other.time_s)
 
 
 def _other_sensor(log: VehicleLog, name: str) -> TruthSource:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
+from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
@@ -129,6 +130,9 @@ def load_readings(
     offsets_cm: list[dict[str, float]] = []
     for path in paths:
         table, recording = _read_table(path, sensor, column_map, messages, runs)
+        table, changed = in_code_of(sensor, table)
+        table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
+        messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
             offsets_cm += of_runs
