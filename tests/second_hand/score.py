@@ -40,12 +40,12 @@ def outcome(truth: dict[str, Any], found: dict[str, Any]) -> str:
     if truth["kind"].startswith("unknown"):
         return _unknown(truth["effects"][0], named, found["curves"])
     wanted = [set(effect["names"]) for effect in truth["effects"]]
-    matched = _matched(wanted, named)
-    if matched < len(named):
+    right = matched(wanted, named)
+    if right < len(named):
         return "wrong name"
-    if matched == len(wanted):
+    if right == len(wanted):
         return "exact" if not found["curves"] else "other curve"
-    if matched:
+    if right:
         return "missing"
     changed = {number for item in found["calibration"] for number in BASE_NUMBERS.values() if number in item}
     equal = {BASE_NUMBERS[name] for names in wanted for name in names if name in BASE_NUMBERS}
@@ -54,15 +54,15 @@ def outcome(truth: dict[str, Any], found: dict[str, Any]) -> str:
     return "other curve" if found["curves"] else "nothing"
 
 
-def _matched(wanted: list[set[str]], named: list[set[str]]) -> int:
+def matched(wanted: list[set[str]], named: list[set[str]]) -> int:
     """Most hidden effects that can each be given a named one of their own (there are three at most)."""
     if not wanted:
         return 0
     first, rest = wanted[0], wanted[1:]
-    best = _matched(rest, named)
+    best = matched(rest, named)
     for index, names in enumerate(named):
         if names & first:
-            best = max(best, 1 + _matched(rest, named[:index] + named[index + 1 :]))
+            best = max(best, 1 + matched(rest, named[:index] + named[index + 1 :]))
     return best
 
 

@@ -20,7 +20,7 @@ NAMED = ("named", "indistinguishable")
 """Verdicts that an effect is there; any other is a suggestion."""
 
 
-def run_case(case: Case, folder: Path) -> dict[str, Any]:
+def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, Any]:
     """Run both commands on a case.
 
     Parameters
@@ -29,6 +29,8 @@ def run_case(case: Case, folder: Path) -> dict[str, Any]:
         Its tables.
     folder
         An empty folder for the tables and what is made of them.
+    splits
+        Random seed of `gap`, by which runs are split; None: its default.
 
     Returns
     -------
@@ -44,7 +46,8 @@ def run_case(case: Case, folder: Path) -> dict[str, Any]:
     write_csv(bench, case.bench)
     write_csv(runs, case.runs)
     made = ["characterise", str(bench), "--sensor", str(SENSOR), "--out", str(model), "--date", DATE]
-    crash = command(made) or command(["gap", str(runs), "--model", str(model), "--out", str(out), "--until", "add"])
+    asked = ["gap", str(runs), "--model", str(model), "--out", str(out), "--until", "add"]
+    crash = command(made) or command(asked if splits is None else [*asked, "--seed", str(splits)])
     if crash:
         return {
             "verdict": "",

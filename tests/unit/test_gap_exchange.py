@@ -10,6 +10,7 @@ from msp_lab.gap.candidate_fits import CandidateFit
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import _at_others
 from msp_lab.gap.problem import Problem, first_state, screened, without
+from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -111,13 +112,17 @@ def test_a_slip_is_no_name_for_noise_that_is_only_wider_and_off() -> None:
 def test_alternatives_stand_next_to_the_other_terms_as_the_name_does() -> None:
     """Where the others settle elsewhere without the name, a fit of an alternative from there ends lower, by itself."""
     problem = problem_of((60.0, 700.0), 25.0)
-    state = after_exchange(problem, "latency").state
-    less = without(problem, state, 0)
-    elsewhere = less.having(problem.refit([], less.fit.base + np.array([3.0, 1.0, 0, 0, 0, 0, 0, 0])), [])
-    (motion,) = [each for each in problem.candidates if each.key == ("motion_during_ping", None)][:1]
-    lower = problem.refit([motion.at(0.0)], elsewhere.fit.base)
-    tried = CandidateFit(0.0, SelectedTerm(lower.effects[0], motion), lower)
-    assert _at_others(problem, state, 0, less, tried).fit.log_likelihood >= lower.log_likelihood
+    base = first_state(problem)
+    of_name = {candidate.key[0]: candidate for candidate in problem.candidates}
+    latency, tails, motion = (of_name[name] for name in ("latency", "heavy_tails", "motion_during_ping"))
+    fit = problem.refit([latency.at(25.0), tails.at(0.02)], base.fit.base)
+    state = base.having(fit, [SelectedTerm(latency.at(25.0), latency), SelectedTerm(tails.at(0.02), tails)])
+    elsewhere = refit(problem.some, [tails.at(0.9), motion.at(-0.5)], base.fit.base, rounds=1, fit_effects=False)
+    tried = CandidateFit(0.0, SelectedTerm(elsewhere.effects[-1], motion), elsewhere)
+    found = _at_others(problem, state, 0, without(problem, state, 0), tried)
+    assert found.fit.log_likelihood > elsewhere.log_likelihood + 20.0
+    assert found.fit.effects[0].values["share"] < 0.2
+    assert found.gain_nats > 20.0
 
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.second_hand.draws import same
 from tests.second_hand.results import make_result, result_file
 from tests.second_hand.score import failures, outcome, table, wilson
 
@@ -97,3 +98,19 @@ def test_a_case_goes_through_both_commands(tmp_path: Path) -> None:
     names = {name for each in result["found"]["effects"] for name in (each["name"], *each["alternatives"])}
     assert {"thermometer_offset", "range_scale"} & names
     assert result["outcome"] in ("exact", "wrong name")
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "alike"),
+    [
+        (found(), found(), True),
+        (found("bend range_scale"), found("range_scale bend"), True),
+        (found("bend"), found("range_scale bend"), True),
+        (found("bend", "stale"), found("bend"), False),
+        (found("bend", "stale"), found("stale", "latency"), False),
+        (found(curves=[("bias", "time_s")]), found(), False),
+        (found("bend", curves=[("bias", "time_s")]), found("bend", curves=[("bias", "time_s")]), True),
+    ],
+)
+def test_two_draws_of_the_splits_say_the_same(one: dict[str, Any], other: dict[str, Any], alike: bool) -> None:
+    assert same(one, other) == same(other, one) == alike
