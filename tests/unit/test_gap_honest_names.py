@@ -79,6 +79,32 @@ def test_echoes_that_are_never_there_are_a_finding() -> None:
     assert 4.0 < log_odds.low < log_odds.value < 15.0
 
 
+def test_an_edge_at_one_angle_is_no_curve() -> None:
+    """A step of misses beyond 6.5 deg at all ranges, a third of the angle that the sensor model has at 1 m."""
+    contexts = flown(8)
+    rng = np.random.default_rng(8)
+    contexts["incidence_deg"] = np.abs(rng.normal(0.0, 5.0, N))
+    missed = (contexts["incidence_deg"] > 6.5) & (rng.random(N) < 0.3)
+    found = named(contexts, np.where(missed, 765.0, read(contexts, 8)))
+    assert [(each.name, each.verdict) for each in found.effects] == [("beyond_field_of_view", "named")]
+    assert found.unknown == ()
+    numbers = found.effects[0].parameters
+    at_one_metre_deg = np.degrees(MODEL.sensor.beam.half_angle_rad(1.0))
+    assert numbers["breakaway"].value * at_one_metre_deg == pytest.approx(6.5, abs=0.6)
+    assert numbers["narrowing"].value < 0.3
+
+
+def test_an_echo_that_rises_linearly_is_a_late_threshold_and_no_bend() -> None:
+    """The time to a fixed level goes as one over the amplitude: range, and 1.4 dB more a metre there and back."""
+    contexts = flown(9)
+    range_m = contexts["true_range_cm"] / 100.0
+    weaker = range_m * 10.0 ** (2.0 * 1.4 / 20.0 * (range_m - 1.0))
+    found = named(contexts, read(contexts, 9, 0.5 * (weaker - 1.0)))
+    names = [{each.name, *(other.name for other in each.alternatives)} for each in found.effects]
+    assert any("threshold_walk" in each for each in names)
+    assert found.effects[0].name == "threshold_walk"
+
+
 def test_growth_with_range_is_named_where_it_is_more_than_a_bench_leaves_open() -> None:
     """A fifth more scatter a metre is an effect; a twentieth, however sure, is what another bench might have said."""
     rng = np.random.default_rng(12)
