@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.candidate_fits import CandidateFit
+from msp_lab.gap.candidate_fits import CandidateFit, _has_its_form
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import _at_others
 from msp_lab.gap.problem import Problem, first_state, screened, without
@@ -123,6 +123,26 @@ def test_alternatives_stand_next_to_the_other_terms_as_the_name_does() -> None:
     assert found.fit.log_likelihood > elsewhere.log_likelihood + 20.0
     assert found.fit.effects[0].values["share"] < 0.2
     assert found.gain_nats > 20.0
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "alike"),
+    [
+        ("thermometer_offset", {"offset_c": 3.0}, True),
+        ("threshold_walk", {"walk_cm_per_10db": 0.5, "exponent": 1.0}, True),
+        ("threshold_walk", {"walk_cm_per_10db": 0.5, "exponent": 0.0}, False),
+        ("bend", {"slope_pct": 1.0, "from_cm": 100.0}, False),
+    ],
+)
+def test_two_effects_that_shift_the_same_readings_alike_are_not_fitted_together(
+    name: str, values: dict[str, float], alike: bool
+) -> None:
+    rng = np.random.default_rng(8)
+    true_cm = rng.uniform(20.0, 180.0, N)
+    contexts = {"true_range_cm": true_cm, "air_temperature_c": rng.uniform(18.0, 22.0, N)}
+    problem = Problem.of(MODEL, contexts, np.rint(true_cm), np.arange(N) * RUNS // N, rng)
+    terms = [make_term("range_scale", None, {"scale_pct": -1.0}), make_term(name, None, values)]
+    assert _has_its_form(problem, refit(problem.some, terms, rounds=0, fit_effects=False)) == alike
 
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, score_of
 from msp_lab.gap.prepared import BASE
-from msp_lab.gap.problem import Problem, State
+from msp_lab.gap.problem import Problem, State, bias_cm
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.screen import Screen
 from msp_sim.effects.component import Normal
@@ -69,6 +69,8 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
         if candidate.linear and (_replaces_base(problem, fit, candidate) or _moves_little(problem, fit)):
             continue
+        if _has_its_form(problem, fit):
+            continue
         gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run)
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
         # A screen may promise too much, and of what is large it promises too little, of one as of the other.
@@ -95,6 +97,22 @@ def _moves_little(problem: Problem, fit: JointFit) -> bool:
         return False
     sigma_cm = float(np.median(fit.here.rows.sigma_cm))
     return float(np.mean(component.location_cm)) < rules.MOVED_LEAST_SIGMAS * sigma_cm
+
+
+def _has_its_form(problem: Problem, fit: JointFit) -> bool:
+    """Whether an earlier effect of a fit shifts these hits as the last one does: a threshold that is late in proportion
+    to the range is a scale. Together they fit what is neither, and neither number is known."""
+    *others, last = fit.effects
+    if last.effect.channels != ("bias",):
+        return False
+    own_cm = bias_cm(problem, last)
+    named = [each for each in others if each.shape is None and each.effect.channels == ("bias",)]
+    return any(abs(_correlation(own_cm, bias_cm(problem, each))) > rules.SAME_FORM for each in named)
+
+
+def _correlation(one: _Array, other: _Array) -> float:
+    spread = one.std() * other.std()
+    return float(np.mean((one - one.mean()) * (other - other.mean())) / spread) if spread > 0.0 else 0.0
 
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, fdtrc
 
 from msp_lab.gap import curve_scan, rules
@@ -19,11 +18,11 @@ from msp_lab.gap.evidence import share_between, wanders
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, with_terms
+from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, with_terms
 from msp_lab.gap.ripples import ripples
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import applies, make_curve_term
+from msp_sim.model.model import make_curve_term
 
 
 def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
@@ -170,7 +169,7 @@ def merge_cancelling(problem: Problem, state: State) -> State:
     for one, other in combinations(effects, 2):
         shared = set(one.active.effect.requires) & set(other.active.effect.requires)
         variable = next(iter(sorted(shared - {TRUE_RANGE})), TRUE_RANGE)
-        first_cm, second_cm = _bias_cm(problem, one), _bias_cm(problem, other)
+        first_cm, second_cm = (bias_cm(problem, each.active) for each in (one, other))
         smaller_cm = min(first_cm.std(), second_cm.std())
         if not shared or (first_cm + second_cm).std() > rules.CANCEL_SHARE * smaller_cm:
             continue
@@ -182,14 +181,6 @@ def merge_cancelling(problem: Problem, state: State) -> State:
             if loss(problem, there.fit, state) <= rules.ALTERNATIVE_NATS:
                 return there
     return state
-
-
-def _bias_cm(problem: Problem, term: SelectedTerm) -> NDArray[np.float64]:
-    """What a term adds to the hits of each reading that is refitted [cm]."""
-    scene = problem.some.scene
-    added_cm = term.active.change(scene).bias_cm
-    bias_cm = np.nan_to_num(np.where(applies(scene, term.active), added_cm, 0.0))
-    return np.broadcast_to(bias_cm, (len(problem.some),))
 
 
 def _is_unlikely(form: CandidateCurve, asked: int) -> bool:

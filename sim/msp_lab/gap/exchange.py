@@ -158,6 +158,7 @@ def _in_its_place(
         AlternativeTerm(other.term.active, nats, correlation, separation)
         for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
         if nats <= rules.ALTERNATIVE_NATS
+        and abs(correlation) >= rules.RELATED
         and other.term.active.effect.name != term.active.effect.name
         and not _imitates(other.term, term, correlation)
     )

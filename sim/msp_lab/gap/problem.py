@@ -27,7 +27,7 @@ from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.curve import CurveChannel
-from msp_sim.model.model import Model, Term
+from msp_sim.model.model import Model, Term, applies
 from msp_sim.model.rows import log_prob
 
 _Array = NDArray[np.float64]
@@ -337,6 +337,13 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
     """Evidence of all readings that a smaller fit loses [nat]."""
     return problem.evidence_nats(smaller, state.fit, state.by_run)
+
+
+def bias_cm(problem: Problem, term: Term) -> _Array:
+    """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
+    scene = problem.some.scene
+    added_cm = np.nan_to_num(np.where(applies(scene, term), term.change(scene).bias_cm, 0.0))
+    return np.broadcast_to(added_cm, (len(problem.some),))
 
 
 def free_curves(

@@ -258,6 +258,10 @@ three sigma the screen sees the most. More: slower."""
 MOVED_LEAST_SIGMAS = 1.0
 """A part of the hits that is moved by less than so many sigma is no name: two such peaks are one, and any noise that is
 not quite normal is fitted by them. Higher: small slips are lost; lower: the form of the noise is a slip."""
+SAME_FORM = 0.98
+"""An effect on the bias is not added next to another one if their shifts of the readings correlate by more. A bend in
+the middle of the range correlates with a scale by 0.94, a late threshold with a linear rise by 0.99 to 2 m. Higher:
+pairs that cancel, of which neither is there; lower: a scale has no bend next to it."""
 MIN_EXPLAINED = 5.0
 """A component or a fault of the code explains at least so many readings. Any three readings that the model thinks
 impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_KNOT`. Lower: names for
@@ -359,9 +363,9 @@ BASE_PREFERENCE_NATS = 3.0
 number. What calibration explains is not missing. Lower: offsets of the model and tails of its noise are named effects.
 """
 RELATED = 0.2
-"""Two effects whose scores correlate by less explain different things, and none takes the place of the other. In place
-of tails of the noise (0.01) air temperature was named for runs that wander. Higher: a better name for the same is not
-found."""
+"""Two effects whose scores correlate by less explain different things: none takes the other's place or is its
+alternative. In place of tails of the noise (0.01) air temperature was named for runs that wander. Higher: a better name
+for the same is not found."""
 ALTERNATIVE_NATS = 5.0
 """Names within so many nats of the best are listed as its alternatives. At 3, 2 of 86 pairs of the blind tables were
 resolved wrongly, at 5 none. Higher: more names in every answer."""
