@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.candidate_fits import _replaces_base, with_candidate
 from msp_lab.gap.clumps import clumping
-from msp_lab.gap.problem import Problem
+from msp_lab.gap.problem import Problem, _replaces_base, with_candidate
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, Term, make_term
 from tests.support.measured import MODEL as FILE

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.candidate_fits import CandidateFit, _has_its_form
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import _at_others
-from msp_lab.gap.problem import Problem, first_state, screened, without
+from msp_lab.gap.problem import CandidateFit, Problem, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled

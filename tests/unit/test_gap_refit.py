@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.candidate_fits import _less_correlated, with_candidate
+from msp_lab.gap.candidate_starts import _less_correlated
 from msp_lab.gap.extended_model import extended, to_sensor
 from msp_lab.gap.prepared import BASE, Prepared
-from msp_lab.gap.problem import Problem, first_state
+from msp_lab.gap.problem import Problem, first_state, with_candidate
 from msp_lab.gap.refit import JointFit, refit
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model, Term, make_curve_term, make_term
@@ -218,11 +218,11 @@ def test_noise_that_follows_the_errors_is_also_tried_with_half_of_its_correlatio
     latency, noise = (
         next(each for each in problem.candidates if each.effect.name == name) for name in ("latency", "heavy_tails")
     )
-    (start,) = _less_correlated(problem, latency, state.fit)
+    (start,) = _less_correlated(problem.some, latency, state.fit)
     assert start[correlation] == pytest.approx(state.fit.base[correlation] / 2.0)
     steps = [np.exp(2.0 * base[log_sigma]) * (1.0 - base[correlation] ** 2) for base in (start, state.fit.base)]
     assert steps[0] == pytest.approx(steps[1])
-    assert not list(_less_correlated(problem, noise, state.fit))
+    assert not list(_less_correlated(problem.some, noise, state.fit))
     found = with_candidate(problem, state.fit, latency, 50.0)
     assert found.effects[0].values["delay_ms"] == pytest.approx(350.0, abs=10.0)
     assert found.base[correlation] < 0.3

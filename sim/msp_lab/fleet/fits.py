@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.fleet.terms import FleetTerm, candidate_of
-from msp_lab.gap.candidate_fits import with_candidate
 from msp_lab.gap.intake import read_readings, with_least_weights
-from msp_lab.gap.problem import Problem
+from msp_lab.gap.problem import Problem, with_candidate
 from msp_lab.gap.refit import JointFit, fit_base
 from msp_lab.gap.runs import numbered
 from msp_range.errors import UserError

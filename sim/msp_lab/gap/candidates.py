@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.readings.others import OTHERS
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import REFERENCE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.base import REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
@@ -104,9 +105,10 @@ class CandidateEffect:
         searched = sum(len(parameter.grid) > 1 for parameter in self.effect.parameters)
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
 
-    def moved_by(self, moved_cm: float, scene: Scene) -> "CandidateEffect":
+    def moved_by(self, moved_cm: float, sensor: SensorModel) -> "CandidateEffect":
         """The candidate whose shape moves a part of the hits by so much; it is one that moves hits."""
-        component = replace(self, shape=((self.effect.moves, 1.0),)).at(1.0).change(scene).component
+        somewhere = Scene(sensor, {TRUE_RANGE: np.zeros(1)})
+        component = replace(self, shape=((self.effect.moves, 1.0),)).at(1.0).change(somewhere).component
         assert isinstance(component, Normal)
         return replace(self, shape=((self.effect.moves, moved_cm / float(np.mean(component.location_cm))),))
 

@@ -11,14 +11,13 @@ import numpy as np
 from scipy.special import chdtri, fdtrc
 
 from msp_lab.gap import curve_scan, rules
-from msp_lab.gap.candidate_fits import trials
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.evidence import share_between, wanders
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, with_terms
+from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidate_fits import CandidateFit, trials, with_candidate
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.evidence import lead_nats
-from msp_lab.gap.problem import Problem, State, loss, screened, without
+from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
 from msp_lab.gap.refit import ENOUGH_NATS, JointFit
 from msp_sim.model.model import Term
 
@@ -130,12 +129,21 @@ def _in_its_place(
     unit = problem.some_unit if state.by_run else None
     ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
 
+    # Offsets of runs excuse a worse name where runs differ, and no name that explains the readings much less.
+    lost_nats, lost_share = rules.EXCHANGE_LOSES
+    most_lost = max(lost_nats, lost_share * (own_fit.log_likelihood - less.fit.log_likelihood))
+
     def lead(other: CandidateFit, nats: float, correlation: float) -> float:
-        """By how much another does better; a number of the base comes before an effect that does as well."""
+        """By how much another does better; a number of the base comes before an effect that does as well, and of two
+        that say nearly the same that which has fewer numbers."""
         if abs(correlation) < rules.RELATED:
             # It explains something else: it is added, and takes nobody's place.
             return -np.inf
+        if own_fit.log_likelihood - other.fit.log_likelihood > most_lost:
+            return -np.inf
         nats += term.cost_nats - other.term.cost_nats
+        if abs(correlation) > rules.SAME_FORM:
+            nats += rules.SIMPLER_NATS * (_numbers(term) - _numbers(other.term))
         return nats + rules.BASE_PREFERENCE_NATS * other.term.is_base
 
     leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]

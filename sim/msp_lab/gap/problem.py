@@ -1,8 +1,8 @@
 """What naming works on: the readings, prepared once, and the state that each step hands to the next.
 
 A model and readings enter `Problem`, which never changes. A `State` is a joint fit with its terms; what can be asked of
-both is a function here: a screen of all candidates, refits without a term, and curves for what is left. Refits with one
-more term are in `candidate_fits.py`. Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination
+both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is left.
+Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination
 (`exchange.py`) are functions from State to State.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import curve_scan, rules
+from msp_lab.gap.candidate_starts import shapes_of, starts_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
@@ -22,10 +23,11 @@ from msp_lab.gap.evidence import evidence_nats, of_one_run
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
-from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_sums, screen
+from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
+from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term, applies
 from msp_sim.model.rows import log_prob
@@ -312,6 +314,126 @@ def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
             for name, value in problem.candidates[j].shape
         ),
     )
+
+
+@dataclass(frozen=True)
+class CandidateFit:
+    """A state refitted with one more candidate, the last of its terms.
+
+    Attributes
+    ----------
+    gain_nats
+        Evidence of all readings, less the cost of the search.
+    term, fit
+        The new term, and the joint fit with it.
+    """
+
+    gain_nats: float
+    term: SelectedTerm
+    fit: JointFit
+
+
+def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[CandidateFit]:
+    """Refits of the candidates that gain most, the best first.
+
+    Parameters
+    ----------
+    problem, state
+        To which one candidate at a time is added.
+    seen
+        The screen at this state.
+    within_nats, least_nats
+        A candidate is refitted if its screened gain is within so much of the best, and at least so much. One that
+        moves part of the hits is always: offset and spread take most of it, and leave it no slope.
+    """
+    best: dict[tuple[str, str | None], int] = {}
+    for j, candidate in enumerate(problem.candidates):
+        if candidate.key not in state.keys and seen.gain[j] > seen.gain[best.get(candidate.key, j)] - 1e-12:
+            best[candidate.key] = j
+    order = sorted(best.values(), key=lambda j: -seen.gain[j])
+    found: list[CandidateFit] = []
+    top = 0.0
+    for i, j in enumerate(order):
+        candidate = problem.candidates[j]
+        if not candidate.effect.moves:
+            near = top - max(within_nats, rules.REFIT_WITHIN_SHARE * top)
+            if i >= rules.REFITS_PER_STEP or seen.gain[j] < least_nats or (found and seen.gain[j] < near):
+                continue
+        fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
+        if candidate.linear and (_replaces_base(problem, fit, candidate) or _moves_little(problem, fit)):
+            continue
+        if _has_its_form(problem, fit):
+            continue
+        gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run)
+        found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
+        # A screen may promise too much, and of what is large it promises too little, of one as of the other.
+        top = max(top, min(found[-1].gain_nats, float(seen.gain[j])))
+    return sorted(found, key=lambda each: -each.gain_nats)
+
+
+def _replaces_base(problem: Problem, fit: JointFit, candidate: CandidateEffect) -> bool:
+    """Whether nearly all readings have the last effect of a fit, and it is none of what they are: a component has
+    replaced the base, or a fault leaves most hits as they are."""
+    if fit.effects[-1].values[candidate.parameter.name] <= rules.MAX_COMPONENT_SHARE:
+        return False
+    fault = fit.effects[-1].change(problem.some.scene).fault
+    if fault is None:
+        return True
+    hit_cm = np.rint(np.nan_to_num(problem.some.rows.centre_cm))
+    return float(np.mean(fault.arrives(hit_cm) != hit_cm)) < 0.5
+
+
+def _moves_little(problem: Problem, fit: JointFit) -> bool:
+    """Whether the last effect of a fit moves hits by less than their own scatter: that is a form of the noise."""
+    component = fit.effects[-1].change(problem.some.scene).component
+    if not (fit.effects[-1].effect.moves and isinstance(component, Normal)):
+        return False
+    sigma_cm = float(np.median(fit.here.rows.sigma_cm))
+    return float(np.mean(component.location_cm)) < rules.MOVED_LEAST_SIGMAS * sigma_cm
+
+
+def _has_its_form(problem: Problem, fit: JointFit) -> bool:
+    """Whether an earlier effect of a fit shifts these hits as the last one does: a threshold that is late in proportion
+    to the range is a scale. Together they fit what is neither, and neither number is known."""
+    *others, last = fit.effects
+    if last.effect.channels != ("bias",):
+        return False
+    own_cm = bias_cm(problem, last)
+    named = [each for each in others if each.shape is None and each.effect.channels == ("bias",)]
+    return any(abs(_correlation(own_cm, bias_cm(problem, each))) > rules.SAME_FORM for each in named)
+
+
+def _correlation(one: _Array, other: _Array) -> float:
+    spread = one.std() * other.std()
+    return float(np.mean((one - one.mean()) * (other - other.mean())) / spread) if spread > 0.0 else 0.0
+
+
+def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
+    """The value at which a candidate's refit starts."""
+    parameter, neutral = candidate.parameter, candidate.neutral
+    if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
+        return float(np.clip(neutral + seen.best[j], parameter.low, parameter.high))
+    size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
+    return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
+
+
+def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:
+    """A joint fit with one more effect, from the best of some values and shapes."""
+    starts = starts_of(problem.some, fit, candidate, start)
+    shapes = shapes_of(candidate)
+    if shapes and not candidate.linear:
+        placed = [replace(candidate, shape=tuple(each.items())) for each in shapes]
+        starts.append((best_by_score(problem.some, fit, placed), fit.base))
+    fits = [problem.refit([*fit.effects, term], base) for term, base in starts]
+    if shapes and not candidate.linear:
+        fits = [_to_the_end(problem, each) for each in fits]
+    return max(fits, key=lambda each: each.log_likelihood)
+
+
+def _to_the_end(problem: Problem, fit: JointFit) -> JointFit:
+    """A fit that goes on until it gains no more: along a shape the way is long."""
+    again = problem.refit(fit.effects, fit.base)
+    return again if again.log_likelihood < fit.log_likelihood + 1.0 else _to_the_end(problem, again)
 
 
 def without(problem: Problem, state: State, k: int) -> State:

@@ -352,12 +352,20 @@ opposite signs become a curve."""
 EXCHANGE_WITHIN = (8.0, 0.25)
 """Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
 `ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
+EXCHANGE_LOSES = (8.0, 0.1)
+"""A candidate takes a term's place if the readings alone lose so many nats by it at most, or this share of the term's
+gain. Where each run is at one range and has an offset of its own, a rounding to 2.54 cm took the place of a scale that
+gains seven times as much. Higher: that; lower: among runs with offsets the first name stays."""
 EXCHANGE_KEEPS = 0.3
 """They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
 EXCHANGE_LEAD_NATS = 0.3
 """A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
 second best name stays."""
+SIMPLER_NATS = 2.0
+"""Of two effects of the same form (`SAME_FORM`) one has to gain so much more for each number that it has more. A number
+that is not there gains more in one case of 20. Higher: a late threshold and a bend are scales; lower: a scale is a late
+threshold with a linear rise."""
 BASE_PREFERENCE_NATS = 3.0
 """An effect has to gain so much more than a number of the base in its place; one that does not is asked next to that
 number. What calibration explains is not missing. Lower: offsets of the model and tails of its noise are named effects.

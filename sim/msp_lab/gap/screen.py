@@ -16,7 +16,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
-from msp_lab.gap.refit import inverse, sums_by
+from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_sim.effects.base import Scene
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
@@ -270,3 +270,21 @@ def _flipped(by_unit: _Array, variance: _Array, rng: np.random.Generator) -> _Ar
     squares = np.maximum((by_unit**2).sum(axis=0) - sums**2 / units, 1e-300)
     null: _Array = sums / np.sqrt(np.maximum(squares * units / max(units - 1, 1), variance))
     return null
+
+
+def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateEffect]) -> Term:
+    """Of a candidate with several shapes, the one that gains most by one step of Newton, the fit's own numbers too.
+
+    A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
+    """
+    here, parameter = fit.here, placed[0].parameter
+    scores = [score_of(each, here.rows, prepared.scene, prepared.reading_cm, here) for each in placed]
+    own, others = fit.scores[:, ~fit.held], np.column_stack(scores)
+    left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
+    information = np.maximum((left**2).sum(axis=0), 1e-12)
+    steps = others.sum(axis=0) / information
+    if placed[0].one_sided:
+        steps = np.maximum(steps, 0.0)
+    best = int(np.argmax(steps**2 * information))
+    size = np.sign(steps[best]) * max(abs(float(steps[best])), parameter.step) ** (1.0 / parameter.power)
+    return placed[best].at(float(np.clip(placed[best].neutral + size, parameter.low, parameter.high)))

@@ -11,17 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidate_fits import CandidateFit, trials
 from msp_lab.gap.candidates import Key
 from msp_lab.gap.curves import add_curves, merge_cancelling, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
+    CandidateFit,
     Problem,
     State,
     first_state,
     reinformed,
     scores_at,
     screened,
+    trials,
 )
 from msp_lab.gap.run_offsets import run_offset_cm
 from msp_lab.gap.screen import Screen

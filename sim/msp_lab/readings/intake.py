@@ -130,9 +130,10 @@ def load_readings(
     offsets_cm: list[dict[str, float]] = []
     for path in paths:
         table, recording = _read_table(path, sensor, column_map, messages, runs)
-        table, changed = in_code_of(sensor, table)
-        table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
-        messages += changed
+        if NO_ECHO in table.columns:
+            table, changed = in_code_of(sensor, table)
+            table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
+            messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
             offsets_cm += of_runs

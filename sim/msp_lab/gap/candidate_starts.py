@@ -1,0 +1,116 @@
+"""Where refits with one more candidate start: a likelihood has many local maxima along a shape, and none near what the
+base has taken.
+
+Readings, a fit and a candidate enter; the candidate with its values leaves, each time with the base that goes with it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msp_lab.gap import rules
+from msp_lab.gap.candidates import CandidateEffect
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.refit import JointFit
+from msp_sim.model.model import Term
+
+_Array = NDArray[np.float64]
+
+
+def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, _Array]]:
+    """The candidate at the best of some values and shapes, with the base of each start.
+
+    Parameters
+    ----------
+    prepared
+        The readings that are refitted.
+    fit
+        To which the candidate is added.
+    candidate, value
+        Its shape and its strength, where the screen has them.
+    """
+    bases = (fit.base, *_less_correlated(prepared, candidate, fit))
+    starts = [(_best_start(prepared, fit, candidate, value, base), base) for base in bases]
+    if candidate.effect.moves:
+        starts.append(max(_moved_hits(prepared, candidate, fit), key=lambda each: _height(prepared, fit, *each)))
+    return starts
+
+
+def shapes_of(candidate: CandidateEffect) -> list[dict[str, float]]:
+    """Shapes that are tried: values of the first number that is searched, next to all grids of the others."""
+    lines = _lines(candidate)
+    numbers = [each for each in candidate.effect.parameters if each.name in lines]
+    values = [lines[each.name] if i == 0 else each.grid for i, each in enumerate(numbers)]
+    return [dict(zip(lines, each, strict=True)) for each in product(*values)] if numbers else []
+
+
+def _height(prepared: Prepared, fit: JointFit, term: Term, base: _Array) -> float:
+    """Log likelihood of a fit with one more effect and another base, before any refit."""
+    return float(prepared.log_prob(base, [*fit.effects, term]).sum())
+
+
+def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: _Array) -> Term:
+    """The effect at the best of some values: its shape's first number next to all grids of the others, then each."""
+    parameter, lines = candidate.parameter, _lines(candidate)
+    here = candidate.at(value)
+
+    def best(*changes: Mapping[str, float]) -> Term:
+        terms = [here, *(replace(here, values={**here.values, **each}) for each in changes)]
+        return max(terms, key=lambda each: _height(prepared, fit, each, base))
+
+    here = best(*shapes_of(candidate))
+    stronger = [np.clip(here.values[parameter.name] * each, parameter.low, parameter.high) for each in (0.25, 4.0)]
+    here = best(*({parameter.name: float(each)} for each in stronger))
+    for name in list(lines)[1:]:
+        here = best(*({name: place} for place in lines[name]))
+    return here
+
+
+def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[tuple[Term, _Array]]:
+    """Starts at which a part of the hits is moved, and mean and variance of all of them are those of the fit.
+
+    Offset and spread have taken both, and from there no small share of moved hits is any better.
+    """
+    rows = fit.here.rows
+    sigma_cm = float(np.median(rows.sigma_cm))
+    for share in rules.MOVED_SHARES:
+        for sigmas in rules.MOVED_SIGMAS:
+            moved_cm, left = sigmas * sigma_cm, 1.0 - share * (1.0 - share) * sigmas**2
+            base = fit.base.copy()
+            base[BASE.index("offset_cm")] -= share * moved_cm
+            base[BASE.index("log_sigma")] += 0.5 * float(np.log(left))
+            yield candidate.moved_by(moved_cm, prepared.scene.sensor).at(share), base
+
+
+def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[_Array]:
+    """A second start where noise follows the errors so closely that it stands in for an effect on the bias.
+
+    A late reading errs as the one before it: correlated noise explains that as well, one reading at a time, and from
+    there no small step leads to the effect. With half the correlation and the same scatter from one reading to the
+    next, what is slow is the effect's to explain.
+    """
+    history = prepared.rows.history
+    if history is None or "bias" not in candidate.effect.channels:
+        return
+    now = history.correlation + float(fit.base[BASE.index("correlation")])
+    if now > rules.RESTART_CORRELATION:
+        base = fit.base.copy()
+        base[BASE.index("correlation")] -= now / 2.0
+        base[BASE.index("log_sigma")] += 0.5 * float(np.log((1.0 - now**2) / (1.0 - (now / 2.0) ** 2)))
+        yield base
+
+
+def _lines(candidate: CandidateEffect) -> dict[str, Sequence[float]]:
+    """Values of each searched number of its shape, between and beyond those on its grid."""
+    lines: dict[str, Sequence[float]] = {}
+    for parameter in candidate.effect.parameters:
+        if parameter.neutral is not None or len(parameter.grid) < 2:
+            continue
+        low, high = min(parameter.grid), max(parameter.grid)
+        beyond = (high - low) / 2.0
+        places = np.linspace(max(low - beyond, parameter.low), min(high + beyond, parameter.high), rules.SHAPE_STARTS)
+        lines[parameter.name] = parameter.grid if parameter.jumps else [float(f"{place:.4g}") for place in places]
+    return lines
