@@ -173,8 +173,10 @@ def main() -> int:
     with TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
         flown, is_good = simulated(given.hours, given.seed, Path(folder))
     lines += [*flown, "", "## Real minutes", ""]
-    with TemporaryDirectory() as folder:
-        flown, is_good_too = real(given.minutes, given.seed, given.busy, Path(folder))
+    flown, is_good_too = ["None were flown.", ""], True
+    if given.minutes > 0.0:
+        with TemporaryDirectory() as folder:
+            flown, is_good_too = real(given.minutes, given.seed, given.busy, Path(folder))
     text = "\n".join([*lines, *flown]) + "\n"
     print(text)
     if given.write is not None:

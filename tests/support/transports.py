@@ -1,6 +1,8 @@
 """What the tests of the transports share: a clock to step, frames with numbers, and peers' small habits."""
 
 import contextlib
+import itertools
+import os
 import socket
 import struct
 import time
@@ -93,11 +95,21 @@ def read_exactly(tcp: socket.socket, count: int) -> bytes:
     return received
 
 
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_PORTS = 1_000
+"""Of each process of the tests, from 10,000 on: below those that the kernel gives to whoever asks for any, which may
+give the same one to another process before a test has bound it."""
+_next_ports = itertools.count(os.getpid())
+
+
 def free_port(kind: socket.SocketKind) -> int:
-    """A loopback port that nobody uses now."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A loopback port that nobody uses now, and no other process of the tests asks for."""
+    for number in _next_ports:
+        port = 10_000 + _PORTS * _WORKER + number % _PORTS
+        with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError
 
 
 class SendTimer:
