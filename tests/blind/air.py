@@ -19,8 +19,12 @@ def vapour_fraction(
 
 
 def speed_m_s(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Array:
+    """Speed of sound in air of this temperature and relative humidity."""
+    return _of_mixture_m_s(temperature_c, vapour_fraction(temperature_c, humidity_pct))
+
+
+def _of_mixture_m_s(temperature_c: ArrayLike, x: Array) -> Array:
     """sqrt(gamma R T / M) of an ideal mixture: dry air with 7/2 R of heat capacity, water vapour with 4 R."""
-    x = vapour_fraction(temperature_c, humidity_pct)
     heat_capacity = 3.5 * (1.0 - x) + 4.0 * x
     gamma = heat_capacity / (heat_capacity - 1.0)
     molar_mass = 0.0289647 * (1.0 - x) + 0.0180153 * x
@@ -29,13 +33,16 @@ def speed_m_s(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Array
 
 
 def mean_slowness_s_m(near_c: ArrayLike, far_c: ArrayLike, humidity_pct: ArrayLike = 50.0) -> Array:
-    """Mean of 1 / c along a path whose temperature changes evenly from one end to the other."""
+    """Mean of 1 / c along a path whose temperature changes evenly from one end to the other.
+
+    The humidity is that at the near end. Air that the ground warms keeps its water, and its relative humidity falls.
+    """
     near, far = np.broadcast_arrays(np.asarray(near_c, dtype=float), np.asarray(far_c, dtype=float))
     places, weights = np.polynomial.legendre.leggauss(4)
-    total = np.zeros(near.shape)
+    water, total = vapour_fraction(near, humidity_pct), np.zeros(near.shape)
     for place, weight in zip(places, weights, strict=True):
         share = 0.5 * (place + 1.0)
-        total = total + 0.5 * weight / speed_m_s(near + share * (far - near), humidity_pct)
+        total = total + 0.5 * weight / _of_mixture_m_s(near + share * (far - near), water)
     return total
 
 

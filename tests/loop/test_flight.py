@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.image import imread
 from mcap.reader import make_reader
 from pymavlink.dialects.v20 import common
@@ -300,6 +301,23 @@ def test_another_model_flies(tmp_path: Path, resolution_cm: float) -> None:
     for sensor in summary["sensors"].values():
         assert sensor["rejected"].keys() <= {"unconfirmed"}
         assert sensor["error_before"]["rms_cm"] < 1.5
+
+
+@pytest.mark.parametrize("effect", ["lost_high_byte", "clock_fault"])
+def test_words_that_are_no_range_of_the_sensor_arrive_on_the_bus(tmp_path: Path, effect: str) -> None:
+    """300 cm without its high byte is 44, and 268 is 12: a word that an MB1242 never ranges."""
+    model = yaml.safe_load((SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text())
+    model["effects"].append({"name": effect, "parameters": {"share": 0.3}})
+    (tmp_path / "faulty.yaml").write_text(yaml.safe_dump(model))
+    run("fly", SCENARIOS / "demo.yaml", "--model", tmp_path / "faulty.yaml", "--out", tmp_path / "f")
+    with (tmp_path / "f" / "flight.mcap").open("rb") as file:
+        rangings = [
+            json.loads(message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+            if channel.topic.startswith("/range/")
+        ]
+    raw = [each["raw"] for each in rangings if each["raw"] is not None]
+    assert sum(word < 20 or word > 765 for word in raw) >= 3
 
 
 @pytest.mark.slow

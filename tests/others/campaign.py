@@ -22,8 +22,8 @@ from msp_sim.model.model import Model, load_model
 from tests.others.flights import SENSORS, fly, write_airframe, write_scenario
 from tests.others.size import MECHANISMS, NullFlights, size_for
 
-FLIGHTS, SIZING = 8, 2
-"""Flights of a case, and null flights from which the size of its effect is computed."""
+FLIGHTS = 8
+"""Flights of a case. The size of its effect is computed from the same flights without it."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,12 @@ def run_case(folder: Path, seed: int, number: int, standard_errors: float, null:
     work.mkdir(parents=True)
     effect: str | None = None
     parameters: dict[str, float] = {}
+    airframe = write_airframe(work, None, None)
+    scenarios = [write_scenario(work / f"flight_{i}.yaml", airframe, rng) for i in range(FLIGHTS)]
     if not null:
-        effect, parameters = _hidden(work, sensor, number, standard_errors, rng)
-    entry = None if effect is None else {"name": effect, "parameters": parameters}
-    airframe = write_airframe(work, sensor, entry)
-    recordings = [
-        fly(write_scenario(work / f"flight_{i}.yaml", airframe, rng), int(rng.integers(2**31))) for i in range(FLIGHTS)
-    ]
+        effect, parameters = _hidden(work, scenarios, sensor, number, standard_errors, rng)
+        write_airframe(work, sensor, {"name": effect, "parameters": parameters})
+    recordings = [fly(each, int(rng.integers(2**31))) for each in scenarios]
     clock = SystemClock()
     started_s = clock.now()
     settings = Settings(str(work / "given.yaml"), seed=number + 1)
@@ -94,9 +93,9 @@ def run_case(folder: Path, seed: int, number: int, standard_errors: float, null:
         effect=effect,
         parameters=parameters,
         standard_errors=0.0 if null else standard_errors,
-        sensor_right=bool(own.named),
+        sensor_right=bool(own.named) or effect in _names(own),
         effect_right=effect in _names(own),
-        named={gap.sensor: list(gap.named) for gap in gaps},
+        named={gap.sensor: list(gap.named) if gap.doubted is None else [] for gap in gaps},
         seconds=round(clock.now() - started_s, 1),
     )
     path.write_text(json.dumps(asdict(case), indent=1) + "\n", encoding="utf-8")
@@ -106,13 +105,10 @@ def run_case(folder: Path, seed: int, number: int, standard_errors: float, null:
 
 
 def _hidden(
-    work: Path, sensor: str, number: int, standard_errors: float, rng: np.random.Generator
+    work: Path, scenarios: Sequence[Path], sensor: str, number: int, standard_errors: float, rng: np.random.Generator
 ) -> tuple[str, dict[str, float]]:
     """An effect of this size, by turns; one that cannot have it leaves its turn to the next."""
-    airframe = write_airframe(work, None, None)
-    null = [
-        fly(write_scenario(work / f"null_{i}.yaml", airframe, rng), int(rng.integers(2**31))) for i in range(SIZING)
-    ]
+    null = [fly(each, int(rng.integers(2**31))) for each in scenarios]
     given = load_model(work / "given.yaml")
     flights = _null_flights(null, given, sensor)
     for path in null:
@@ -140,13 +136,15 @@ def _null_flights(recordings: Sequence[Path], given: Model, sensor: str) -> Null
         {name: column for name, column in data.select(rows).columns.items() if name not in ("reading_cm", PREVIOUS)}
         for data in (truth, others)
     )
-    return NullFlights(truth_columns, other_columns, FLIGHTS // len(recordings))
+    return NullFlights(truth_columns, other_columns)
 
 
 def _names(gap: SensorGap) -> set[str]:
-    """Effects named at a sensor, and the alternatives to each that the data cannot tell from it."""
+    """Effects named at a sensor, and the alternatives to each that the data cannot tell from it; and numbers of the
+    base that are effects, which calibration finds."""
     said = [each for each in gap.findings.effects if each.verdict != "suggested"]
-    return {each.name for each in said} | {other.name for each in said for other in each.alternatives}
+    calibrated = {each.name.removeprefix("effects.") for each in gap.findings.calibration}
+    return {each.name for each in said} | {other.name for each in said for other in each.alternatives} | calibrated
 
 
 def table(cases: Sequence[Case], nulls: Sequence[Case]) -> str:

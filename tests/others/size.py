@@ -81,13 +81,10 @@ class NullFlights:
         Contexts with the true range, for drawing.
     reference
         The same rows with the other sensors' range.
-    copies
-        How many times as many readings the real flights have.
     """
 
     truth: Mapping[str, NDArray[Any]]
     reference: Mapping[str, NDArray[Any]]
-    copies: int
 
 
 def size_for(
@@ -140,4 +137,4 @@ def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: N
         # Without the effect from there too: a fit that ended too soon would count as evidence.
         again = refit(prepared, [], extended.base)
         gains.append(extended.log_likelihood - max(base.log_likelihood, again.log_likelihood))
-    return float(np.sqrt(max(2.0 * flights.copies * float(np.mean(gains)), 0.0)))
+    return float(np.sqrt(max(2.0 * float(np.mean(gains)), 0.0)))

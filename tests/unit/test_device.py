@@ -313,9 +313,9 @@ def test_a_random_generator_has_to_be_given(fault: Fault) -> None:
         EmulatedMB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])
 
 
-@pytest.mark.parametrize("reading_cm", [19, 766])
-def test_a_world_that_returns_no_reading_is_refused(reading_cm: int) -> None:
-    with pytest.raises(ValueError, match="expected 20 to 765"):
+@pytest.mark.parametrize("reading_cm", [-1, 0x10000])
+def test_a_world_that_returns_no_word_of_two_bytes_is_refused(reading_cm: int) -> None:
+    with pytest.raises(ValueError, match="expected what two bytes hold, 0 to 65535"):
         Bench([reading_cm]).ping()
 
 

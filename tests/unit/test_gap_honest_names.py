@@ -199,3 +199,29 @@ def test_a_number_that_is_held_at_its_bound_removes_no_evidence() -> None:
     assert best.variables == ("throttle",)
     assert best.gain > 30.0
     assert screened(problem, state).largest >= 0.0
+
+
+@pytest.mark.parametrize("location_cm", [43.0, 68.0, 118.0, 190.0])
+def test_clutter_is_found_wherever_it_is(location_cm: float) -> None:
+    contexts, rng = flown(11), np.random.default_rng(11)
+    contexts["true_range_cm"] = rng.uniform(220.0, 500.0, N)
+    of_leg = rng.random(N) < 0.02
+    reading_cm = np.where(of_leg, np.rint(rng.normal(location_cm, 2.0, N)), read(contexts, 11))
+    (effect,) = named(contexts, reading_cm).effects
+    assert effect.name == "clutter"
+    assert contains(effect.parameters["location_cm"], location_cm)
+
+
+def test_a_scale_is_a_scale_where_the_reference_knows_no_offset_of_a_run() -> None:
+    """The other sensors as reference, each run's mean difference taken off; the runs are at different heights."""
+    contexts, rng = flown(12), np.random.default_rng(12)
+    number = np.arange(N) * RUNS // N
+    true_cm = rng.uniform(80.0, 300.0, RUNS)[number] + rng.uniform(-40.0, 40.0, N)
+    contexts |= {"true_range_cm": true_cm, "reference": np.full(N, "others")}
+    reading_cm = read(contexts, 12, 0.02 * true_cm)
+    off_cm = np.where(np.abs(reading_cm - true_cm) < 20.0, reading_cm - true_cm, np.nan)
+    contexts["true_range_cm"] = true_cm + np.array([np.nanmean(off_cm[number == k]) for k in range(RUNS)])[number]
+    contexts["true_range_std_cm"] = np.full(N, 0.5)
+    (effect,) = named(contexts, reading_cm).effects
+    assert effect.name == "range_scale"
+    assert contains(effect.parameters["scale_pct"], 2.0)

@@ -190,41 +190,54 @@ def test_characterise_with_the_others_gets_the_sensors_spread(tmp_path: Path) ->
     assert any("on average over the runs" in each for each in loaded.messages) is False
 
 
+Named = tuple[str, float]
+
+
 class Compared:
     """The workflow of one sensor, with what it finds given in advance by how many sensors are no reference."""
 
-    def __init__(self, folder: Path, gains: dict[tuple[str, int], float]) -> None:
-        self.folder, self.gains = folder, gains
+    def __init__(self, folder: Path, found: dict[tuple[str, int], Named]) -> None:
+        self.folder, self.found = folder, found
 
     def all(self, paths: list[Path], settings: Settings, until: str) -> GapFindings:
         assert (until, settings.of) == ("add", (self.folder.name,))
-        gain = self.gains.get((self.folder.name, int(paths[0].stem[-1]) - 1))
-        named = (FoundEffect("latency", "named", {}, gain, 9.0),) if gain else ()
-        return GapFindings("explained", rows=100, runs=4, effects=named)
+        named = self.found.get((self.folder.name, int(paths[0].stem[-1]) - 1))
+        effects = (FoundEffect(named[0], "named", {}, named[1], 9.0),) if named else ()
+        return GapFindings("explained", rows=100, runs=4, effects=effects)
 
     def show(self) -> None:
         raise AssertionError("not asked")
 
 
+LARGE, SMALL = ("latency", 0.1), ("latency", 0.02)
+
+
 @pytest.mark.parametrize(
-    ("gains", "named", "without", "doubted"),
+    ("found", "named", "without", "doubted"),
     [
         ({}, [], [], []),
-        ({("b", 0): 0.1}, ["b"], [], []),
-        # What is left of b's effect in the others is gone without b.
-        ({("b", 0): 0.1, ("c", 0): 0.02}, ["b"], ["a", "c", "d"], []),
+        ({("b", 0): LARGE}, ["b"], [], []),
+        # What is left of b's effect in another is gone without b; one that had nothing is not asked by fewer others.
+        ({("b", 0): LARGE, ("c", 0): SMALL, ("a", 1): SMALL}, ["b"], ["c"], []),
+        # What has another name without b may be the fault of those that are left.
+        ({("b", 0): LARGE, ("c", 0): ("bend", 0.02), ("c", 1): SMALL}, ["b", "c"], ["c"], ["c"]),
         # A second one has too few others left to compare a third with.
-        ({("b", 0): 0.1, ("c", 0): 0.02, ("c", 1): 0.05, ("d", 1): 0.01}, ["b", "c", "d"], ["a", "c", "d"], ["d"]),
+        (
+            {("b", 0): LARGE, ("c", 0): SMALL, ("d", 0): SMALL, ("c", 1): ("latency", 0.05), ("d", 1): SMALL},
+            ["b", "c", "d"],
+            ["c", "d"],
+            ["d"],
+        ),
     ],
 )
 def test_the_one_that_differs_most_leaves_the_reference(
-    tmp_path: Path, gains: dict[tuple[str, int], float], named: list[str], without: list[str], doubted: list[str]
+    tmp_path: Path, found: dict[tuple[str, int], Named], named: list[str], without: list[str], doubted: list[str]
 ) -> None:
     columns = flown(240, 8)
     del columns["hidden_cm"]
     write_csv(tmp_path / "flight.csv", columns)
     settings = Settings("configs/sensors/mb1242_bench.yaml")
-    steps = cast(Callable[[Path], Steps], lambda folder: Compared(folder, gains))
+    steps = cast(Callable[[Path], Steps], lambda folder: Compared(folder, found))
     gaps, messages = compare_sensors([tmp_path / "flight.csv"], settings, tmp_path / "gap", steps, draw=False)
     assert [gap.sensor for gap in gaps if gap.named] == named
     assert [gap.sensor for gap in gaps if gap.without == ("b",)] == without

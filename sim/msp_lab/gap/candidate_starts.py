@@ -47,6 +47,32 @@ def shapes_of(candidate: CandidateEffect) -> list[dict[str, float]]:
     return [dict(zip(lines, each, strict=True)) for each in product(*values)] if numbers else []
 
 
+def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
+    """Ranges [cm] at which readings before the surface gather, those with the most beyond their neighbourhood first.
+
+    Of n readings within `rules.GATHERED_CM` of a place and m expected by those within ten times as much, the gain is
+    n log(n / m) - (n - m).
+    """
+    rows, sensor = fit.here.rows, prepared.scene.sensor
+    far = prepared.reading_cm < rows.centre_cm - rules.GATHERED_SIGMAS * rows.sigma_cm
+    near = np.sort(prepared.reading_cm[far & (prepared.reading_cm > sensor.minimum_cm)])
+    places = np.unique(near)
+
+    def within(cm: float) -> _Array:
+        counts: _Array = np.searchsorted(near, places + cm, "right") - np.searchsorted(near, places - cm, "left")
+        return counts.astype(np.float64)
+
+    own, expected = within(rules.GATHERED_CM), np.maximum(within(10.0 * rules.GATHERED_CM) / 10.0, 0.5)
+    gains = np.where(own > expected, own * np.log(own / expected) - (own - expected), 0.0)
+    found: list[float] = []
+    for i in np.argsort(-gains, kind="stable"):
+        if len(found) == rules.GATHERED_PLACES or gains[i] < rules.GATHERED_COST_NATS:
+            break
+        if all(abs(places[i] - each) > 2.0 * rules.GATHERED_CM for each in found):
+            found.append(float(places[i]))
+    return tuple(found)
+
+
 def _height(prepared: Prepared, fit: JointFit, term: Term, base: _Array) -> float:
     """Log likelihood of a fit with one more effect and another base, before any refit."""
     return float(prepared.log_prob(base, [*fit.effects, term]).sum())

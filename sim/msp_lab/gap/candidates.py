@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
-from msp_lab.readings.others import OTHERS
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import FIELDS, Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
@@ -103,6 +102,8 @@ class CandidateEffect:
     def cost_nats(self) -> float:
         """What the search over its shapes gains by random variation [nat]."""
         searched = sum(len(parameter.grid) > 1 for parameter in self.effect.parameters)
+        if self.effect.gathers:
+            return rules.GATHERED_COST_NATS
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)
 
     def moved_by(self, moved_cm: float, sensor: SensorModel) -> "CandidateEffect":
@@ -162,12 +163,14 @@ class SelectedTerm:
 
 
 def candidates_of(
-    model: Model, contexts: Mapping[str, Any]
+    model: Model, contexts: Mapping[str, Any], gathered_cm: tuple[float, ...] = ()
 ) -> tuple[tuple[CandidateEffect, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
     """Candidates that these contexts can show, and effects with the columns that are missing for them.
 
     An effect that the model already has is a candidate again: more of it may be there. What happens to sound only is no
-    candidate for a sensor that ranges with light, and a fault of bytes none for readings in millimetres.
+    candidate for a sensor that ranges with light, and a fault of bytes none for readings in millimetres. An effect that
+    gathers readings is searched at `gathered_cm`, the ranges at which they do, and at those of its own grid if there
+    are none.
     """
     of_others = bool(np.any(np.asarray(contexts.get(REFERENCE, "")) == OTHERS))
     found: list[CandidateEffect] = []
@@ -191,8 +194,14 @@ def candidates_of(
             continue
         shapes = [parameter for parameter in effect.parameters if parameter.neutral is None]
         numbers = [parameter for parameter in effect.parameters if parameter.neutral is not None]
+        grids = [
+            (gathered_cm if parameter.name == effect.gathers else ())
+            or parameter.grid
+            or (parameter.default or 0.0,)
+            for parameter in shapes
+        ]
         for word in words:
-            for tried in product(*(parameter.grid or (parameter.default or 0.0,) for parameter in shapes)):
+            for tried in product(*grids):
                 held = tuple((parameter.name, float(value)) for parameter, value in zip(shapes, tried, strict=True))
                 found.extend(CandidateEffect(effect, word, held, number) for number in numbers)
     return tuple(found), tuple(missing)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import curve_scan, rules
-from msp_lab.gap.candidate_starts import shapes_of, starts_of
+from msp_lab.gap.candidate_starts import gathered_cm, shapes_of, starts_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
@@ -65,6 +65,8 @@ class Problem:
         Effects that they cannot, with the columns that are missing.
     some, some_contexts, some_unit
         Every k-th reading, on which refits are made.
+    base
+        The base alone, refitted.
     alpha
         Probability of any false name.
     rng
@@ -84,6 +86,7 @@ class Problem:
     some: Prepared
     some_contexts: Mapping[str, Any]
     some_unit: NDArray[np.intp]
+    base: JointFit
     alpha: float
     rng: np.random.Generator
     report: Progress
@@ -101,15 +104,17 @@ class Problem:
         report: Progress = lambda what, share: None,
     ) -> "Problem":
         """Prepare the readings; the parameters are as the attributes."""
-        candidates, untestable = candidates_of(model, contexts)
         thin = _thin(reading_cm.size)
         some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
         some = Prepared.of(model, some_contexts, reading_cm[thin])
+        base = fit_base(some)
         if some.spacing_s is None:
-            neighbours = dependence(fit_base(some).here.by[:, 0], unit[thin], _time_s(some_contexts))
+            neighbours = dependence(base.here.by[:, 0], unit[thin], _time_s(some_contexts))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in some_contexts:
                 some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
+                base = fit_base(some)
+        candidates, untestable = candidates_of(model, contexts, gathered_cm(some, base))
         return cls(
             model,
             contexts,
@@ -120,15 +125,11 @@ class Problem:
             some,
             some_contexts,
             unit[thin],
+            base,
             alpha,
             rng,
             report,
         )
-
-    @cached_property
-    def base(self) -> JointFit:
-        """The base alone, refitted."""
-        return fit_base(self.some)
 
     @cached_property
     def curves(self) -> CurveWeights:

@@ -178,6 +178,16 @@ gains half a nat more than with one, and the best of several shapes a little mor
 PLACE_COST_NATS = 2.0
 """The same for the place at which a component gathers readings. About the logarithm of the number of places that
 differ. Lower: components are named for a few readings at one place."""
+GATHERED_COST_NATS = 4.0
+"""The same for a place that was chosen where readings gather: the logarithm of some fifty places of 8 cm. Lower:
+clutter is named for the largest of many random clumps; higher: clutter needs more readings."""
+GATHERED_SIGMAS = 4.0
+"""Readings nearer than the hit by so many sigma are looked at for places where they gather. Lower: tails of the hits
+gather before a surface that stays where it is."""
+GATHERED_CM = 4.0
+"""They gather within so much of a place [cm], twice the scatter that clutter starts with. Wider: two legs are one."""
+GATHERED_PLACES = 4
+"""At most so many places are searched: the legs of a quadrotor. More: slower."""
 COLLINEAR = 1e-3
 """A candidate of which the base and the accepted terms leave a smaller share of its information is not tested. Its
 number would rest on rounding. Lower: names that are the base's own."""

@@ -37,7 +37,8 @@ class SensorGap:
     without
         Sensors that were no reference for it, since something was named at them before.
     doubted
-        The sensor that differs most from the rest was part of its reference: what is named here may be that one's.
+        The sensor that differs most from the rest. It was part of this one's reference, or without it something else is
+        named: what is named here may be that one's.
     """
 
     sensor: str
@@ -51,6 +52,12 @@ class SensorGap:
         effects = [each.name for each in self.findings.effects if each.verdict != "suggested"]
         unknown = [f"unknown {each.channel} of {' and '.join(each.variables)}" for each in self.findings.unknown]
         return (*effects, *unknown)
+
+    @property
+    def words(self) -> frozenset[str]:
+        """What was named, and what the readings cannot tell from it."""
+        said = [each for each in self.findings.effects if each.verdict != "suggested"]
+        return frozenset({*self.named, *(other.name for each in said for other in each.alternatives)})
 
     @property
     def evidence_nats(self) -> float:
@@ -97,11 +104,15 @@ def compare_sensors(
     without: list[str] = []
     while True:
         table, sensors, messages = _with_reference(paths, settings, folder, without)
-        todo = [each for each in settings.of or sensors if each not in without]
+        # Fewer others know less: they are asked whether what was named holds without the one that is off.
+        todo = [each for each in settings.of or sensors if each not in without and (not without or found[each].named)]
         for each in todo:
             findings = steps(folder / each).all([table], replace(settings, of=(each,), run_column=None, map=()), "add")
-            found[each] = SensorGap(each, findings, tuple(without))
-        named = [found[each] for each in todo if found[each].named]
+            gap = SensorGap(each, findings, tuple(without))
+            if without and gap.named and not gap.words & found[each].words:
+                gap = replace(gap, doubted=without[-1])
+            found[each] = gap
+        named = [found[each] for each in todo if found[each].named and found[each].doubted is None]
         if not named:
             break
         without.append(max(named, key=lambda each: each.evidence_nats).sensor)

@@ -96,7 +96,7 @@ def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Pa
         if each.without:
             out.print(f"  compared without {', '.join(each.without)}, which differs from the rest", highlight=False)
         if each.doubted:
-            out.print(f"  perhaps only because {each.doubted} is part of its reference", highlight=False)
+            out.print(f"  perhaps the fault of {each.doubted}, which differs most from the rest", highlight=False)
     for message in messages:
         out.print(f"note: {message}", style="dim", highlight=False)
     out.print(f"in {folder}: a folder for each sensor, and sensors.json", highlight=False, soft_wrap=True)

@@ -19,7 +19,6 @@ from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.column_map import ColumnMap, read_mapped
 from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
-from msp_lab.readings.others import OTHERS
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
@@ -28,7 +27,7 @@ from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
-from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
+from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
 from msp_sim.model.derived import DERIVED, derived_columns
 from msp_sim.model.model import Model
 

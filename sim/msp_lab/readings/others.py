@@ -18,13 +18,11 @@ from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.geometry import Matrix
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
-from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
+from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
 
-OTHERS = "others"
-"""What the column `reference` says of such a true range."""
 FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm"})
 """Columns that only a simulator or a real reference knows; they are left out."""
 MIN_OTHERS = 2
@@ -142,6 +140,8 @@ def _reference(
     excess_cm2 = np.zeros(len(names))
     fits = np.ones(time_s.size, dtype=bool)
     found: dict[str, Column] = {}
+    calibrated = Model(model.sensor)
+    of_effects_cm = np.zeros(time_s.size)
     for _ in range(ROUNDS):
         views = [_view(*each) for each in zip(mounted, rotations, state, strict=True)]
         geometry, offset_m = _linear(views, state)
@@ -161,7 +161,9 @@ def _reference(
             fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
         # Readings are whole centimetres.
         excess_cm2 = _excess(off_cm, std_cm2 + own_cm2 + 1.0 / 12.0, sensor, usable & known, len(names))
-        std_cm = np.sqrt(std_cm2 + np.maximum(excess_cm2[sensor], 0.0))
+        # Rough ground scatters all of them; what one has beyond that is its own, and no doubt of the reference.
+        rough_cm2 = np.median(excess_cm2[np.asarray(trusted)])
+        std_cm = np.sqrt(std_cm2 + max(float(rough_cm2), 0.0))
         of_own = seen.mean[here]
         rate = 100.0 * np.array([view.by_height for view in views]) * of_own[:, CLIMB]
         incidence = [_incidence_deg(*each) for each in zip(mounted, rotations, of_own, strict=True)]
@@ -170,13 +172,20 @@ def _reference(
             REFERENCE_STD: np.where(known, std_cm, np.nan),
             "range_rate_cm_s": np.where(known, rate, np.nan),
             "incidence_deg": np.where(known, incidence, np.nan),
-            REFERENCE: np.full(time_s.size, OTHERS),
         }
-        expected = model.rows({**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)})
+        contexts = {**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)}
+        expected = model.rows(contexts)
+        of_effects_cm = np.nan_to_num(expected.centre_cm - calibrated.rows(contexts).centre_cm)
         bias_cm = np.where(np.isfinite(expected.centre_cm), expected.centre_cm - true_cm, 0.0)
         own_cm2 = np.broadcast_to(expected.sigma_cm**2, time_s.shape)
-    offsets_cm = _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
-    return found | {TRUE_RANGE: found[TRUE_RANGE] + offsets_cm[sensor]}, offsets_cm
+    found[REFERENCE] = np.full(time_s.size, OTHERS)
+
+    def mean_of(off_cm: _Array) -> _Array:
+        return _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
+
+    # The mean of the model's own effects goes with it: they count about their mean as well (`Scene.about_run_mean`).
+    found[TRUE_RANGE] = found[TRUE_RANGE] + mean_of(off_cm + of_effects_cm)[sensor]
+    return found, mean_of(off_cm)
 
 
 def _offsets(

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 CLOCK_FAULT_BIT = 0x8000
 """What a read too early sets in a 16-bit answer."""
+LARGEST_CODE = 0xFFFF
+"""What two bytes hold."""
 
 
 class NotAcknowledged(Exception):
@@ -123,8 +125,8 @@ class RangeFinder:
     now
         The time [s].
     echo
-        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, from the sensor's
-        shortest to `no_echo_cm`, which says that there was no echo.
+        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, `no_echo_cm` where there
+        was no echo. One below the sensor's shortest is a word with a lost byte.
     timing
         How long it is busy; None: as its kind is.
     faults
@@ -229,8 +231,8 @@ class RangeFinder:
 
     def _ping(self, now_s: float) -> None:
         reading_cm = self._echo(now_s)
-        if not self.minimum_cm <= reading_cm <= self.no_echo_cm:
-            raise ValueError(f"echo returned {reading_cm} cm: expected {self.minimum_cm} to {self.no_echo_cm}")
+        if not 0 <= reading_cm <= LARGEST_CODE:
+            raise ValueError(f"echo returned {reading_cm} cm: expected what two bytes hold, 0 to {LARGEST_CODE}")
         if self.faults:
             reading_cm = self._misrange(reading_cm, now_s)
         self.pings += 1

@@ -110,7 +110,8 @@ def within_limits(echo: Callable[[float], int], model: SensorModel, kind: Emulat
     """Readings of a model as a device of this kind can answer them.
 
     A model of another sensor may read less or more than the device: what is below the device's shortest reading is
-    that, and no echo or more than its longest is its code for no echo.
+    that, and no echo or more than its longest is its code for no echo. What is below the model's own shortest is a
+    word with a lost byte, and arrives as it is.
     """
     if kind.minimum_cm <= model.minimum_cm and model.maximum_cm == kind.no_echo_cm:
         return echo
@@ -119,7 +120,7 @@ def within_limits(echo: Callable[[float], int], model: SensorModel, kind: Emulat
         reading_cm = echo(ping_s)
         if reading_cm >= min(model.maximum_cm, kind.no_echo_cm):
             return kind.no_echo_cm
-        return max(reading_cm, kind.minimum_cm)
+        return reading_cm if reading_cm < model.minimum_cm else max(reading_cm, kind.minimum_cm)
 
     return limited
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.reading_model.sensor_model import Medium, SensorModel
@@ -24,6 +25,8 @@ Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "com
 TRUE_RANGE = "true_range_cm"
 REFERENCE_STD = "true_range_std_cm"
 REFERENCE = "reference"
+OTHERS = "others"
+"""Of `REFERENCE`, where the true range is what the other sensors say; each run's mean difference is taken off it."""
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 """Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 
@@ -88,6 +91,7 @@ class Scene:
         self.sensor = sensor
         self._contexts = contexts
         self._known: dict[str, Any] = {}
+        self._run: NDArray[np.intp] | None = None
         self.kept: dict[Any, Any] = {}
         """Cache for what an effect computes once for all values of its parameters."""
 
@@ -114,6 +118,20 @@ class Scene:
         if known is True or known is False:
             return self._contexts[column] if known else otherwise
         return np.where(known, self._contexts[column], otherwise)
+
+    def about_run_mean(self, bias_cm: Any) -> Any:
+        """A bias [cm] as it shows against the reference: where that knows no constant offset of a run, about its mean.
+
+        Else a scale would have to explain that it shifts no run as a whole, and a bent curve would be the better name.
+        """
+        if self._run is None:
+            own = np.any(np.asarray(self._contexts.get(REFERENCE, "")) == OTHERS) and "run" in self._contexts
+            self._run = np.unique(self._contexts["run"], return_inverse=True)[1] if own else np.zeros(0, dtype=np.intp)
+        if not self._run.size:
+            return bias_cm
+        known = np.isfinite(bias_cm) & np.isfinite(self.range_cm)
+        counts = np.maximum(np.bincount(self._run, known), 1.0)
+        return bias_cm - (np.bincount(self._run, np.where(known, bias_cm, 0.0)) / counts)[self._run]
 
     def known(self, column: str) -> Any:
         """Rows in which a column is known: an array, or True for all rows, or False if the column is absent."""
@@ -197,6 +215,8 @@ class Effect:
         What the sensors range with that it happens to.
     moves
         Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not.
+    gathers
+        Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not.
     any_step
         Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres.
     finding
@@ -219,6 +239,7 @@ class Effect:
     equivalent_causes: tuple[str, ...] = ()
     media: tuple[Medium, ...] = get_args(Medium)
     moves: str = ""
+    gathers: str = ""
     any_step: bool = False
     finding: str = ""
 

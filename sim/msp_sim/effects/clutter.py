@@ -29,4 +29,5 @@ CLUTTER = Effect(
     experiment="the sensor on its vehicle, pointed at the open sky",
     apply=_apply,
     optional=("true_range_cm",),
+    gathers="location_cm",
 )

@@ -55,7 +55,10 @@ class Term:
     def change(self, scene: Scene) -> Contribution:
         """What it changes; where its contexts make no sense, NaN without a warning."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            return self.effect.apply(scene, self.values)
+            change = self.effect.apply(scene, self.values)
+            if change.bias_cm is None:
+                return change
+            return change._replace(bias_cm=scene.about_run_mean(change.bias_cm))
 
 
 @dataclass(frozen=True)
