@@ -44,8 +44,8 @@ def test_integrated_offsets_are_those_of_the_normal_theory() -> None:
 
     best = minimize(lambda at: -density(*np.exp(at)), np.zeros(2), method="Nelder-Mead")
     alone = density(float((residual**2).mean()), 0.0)
-    assert offset_nats(fit(residual), unit, 1.0) == pytest.approx(-best.fun - alone, abs=0.02)
-    assert offset_nats(fit(noise(1)), UNIT, 1.0) < 1.0
+    assert offset_nats(fit(residual), unit) == pytest.approx(-best.fun - alone, abs=0.02)
+    assert offset_nats(fit(noise(1)), UNIT) < 1.0
 
 
 def test_a_gain_inside_runs_counts_whole_whatever_the_runs_share() -> None:
@@ -54,8 +54,8 @@ def test_a_gain_inside_runs_counts_whole_whatever_the_runs_share() -> None:
     larger, smaller = fit(noise(4) + offset), fit(noise(4) + offset + inside)
     assert share_between(smaller, larger, UNIT) < 0.05
     plain = larger.log_likelihood - smaller.log_likelihood
-    assert evidence_nats(smaller, larger, None, 1.0) == pytest.approx(plain)
-    assert evidence_nats(smaller, larger, UNIT, 1.0) > plain
+    assert evidence_nats(smaller, larger, None) == pytest.approx(plain)
+    assert evidence_nats(smaller, larger, UNIT) > plain
 
 
 def test_a_gain_between_runs_counts_by_the_runs() -> None:
@@ -64,7 +64,7 @@ def test_a_gain_between_runs_counts_by_the_runs() -> None:
     smaller, larger = fit(noise(6) + offset), fit(noise(6) + 0.5 * offset)
     assert share_between(smaller, larger, UNIT) == pytest.approx(1.0)
     assert larger.log_likelihood - smaller.log_likelihood > 200.0
-    assert 0.0 < evidence_nats(smaller, larger, UNIT, 1.0) < 6.0
+    assert 0.0 < evidence_nats(smaller, larger, UNIT) < 6.0
 
 
 def test_of_two_fits_that_differ_in_some_runs_only_neither_leads_by_much() -> None:
@@ -82,7 +82,7 @@ def test_of_two_fits_that_differ_in_some_runs_only_neither_leads_by_much() -> No
 
 def test_what_explains_all_that_runs_differ_by_has_large_evidence() -> None:
     offset = np.repeat(2.0 * np.random.default_rng(7).standard_normal(RUNS), ROWS)
-    assert evidence_nats(fit(noise(8) + offset), fit(noise(8)), UNIT, 1.0) > 10.0
+    assert evidence_nats(fit(noise(8) + offset), fit(noise(8)), UNIT) > 10.0
 
 
 def test_a_gain_that_follows_a_wander_counts_for_less_and_a_fast_one_does_not() -> None:
@@ -104,7 +104,7 @@ def test_inside_runs_a_gain_that_follows_a_wander_counts_by_the_blocks() -> None
     inflation = wander_inflation(smaller, larger, UNIT)
     assert plain > 20.0
     assert inflation > 5.0
-    assert evidence_nats(smaller, larger, UNIT, 1.0) == pytest.approx(plain / inflation, rel=0.1)
+    assert evidence_nats(smaller, larger, UNIT) == pytest.approx(plain / inflation, rel=0.1)
 
 
 def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> None:
@@ -119,9 +119,9 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
     variance = (np.bincount(unit, gain) ** 2).sum() / (gain**2).sum()
     p_value = student.sf(np.sqrt(2.0 * plain / variance), 40 - 2)
     by_scatter = 0.5 * norm.isf(p_value) ** 2
-    by_offsets = plain + offset_nats(larger, unit, 1.0) - offset_nats(smaller, unit, 1.0)
+    by_offsets = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
     assert by_scatter > by_offsets + 1.0
-    assert evidence_nats(smaller, larger, unit, 1.0) == pytest.approx(by_scatter, rel=1e-6)
+    assert evidence_nats(smaller, larger, unit) == pytest.approx(by_scatter, rel=1e-6)
 
 
 def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> None:

@@ -218,11 +218,11 @@ def test_noise_that_follows_the_errors_is_also_tried_with_half_of_its_correlatio
     latency, noise = (
         next(each for each in problem.candidates if each.effect.name == name) for name in ("latency", "heavy_tails")
     )
-    (start,) = _less_correlated(problem.some, latency, state.fit)
+    (start,) = _less_correlated(problem.readings, latency, state.fit)
     assert start[correlation] == pytest.approx(state.fit.base[correlation] / 2.0)
     steps = [np.exp(2.0 * base[log_sigma]) * (1.0 - base[correlation] ** 2) for base in (start, state.fit.base)]
     assert steps[0] == pytest.approx(steps[1])
-    assert not list(_less_correlated(problem.some, noise, state.fit))
+    assert not list(_less_correlated(problem.readings, noise, state.fit))
     found = with_candidate(problem, state.fit, latency, 50.0)
     assert found.effects[0].values["delay_ms"] == pytest.approx(350.0, abs=10.0)
     assert found.base[correlation] < 0.3
@@ -241,7 +241,7 @@ def test_a_step_of_rounding_is_one_of_the_usual_ones_and_leaves_the_other_number
     assert fit.effects[0].values["step_cm"] == 4.0
     assert fit.effects[0].values["share"] == pytest.approx(0.5, abs=0.1)
     tails = make_term("heavy_tails", None, {"share": 0.02, "wider": 5.0})
-    both = refit(problem.some, [*fit.effects, tails], fit.base)
-    alone = refit(problem.some, [tails], base.base)
+    both = refit(problem.readings, [*fit.effects, tails], fit.base)
+    alone = refit(problem.readings, [tails], base.base)
     assert both.effects[1].values["wider"] == pytest.approx(alone.effects[0].values["wider"], rel=0.2)
     assert both.held[both.names.index("0.step_cm")]

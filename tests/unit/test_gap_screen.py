@@ -278,12 +278,11 @@ def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: 
     asked = np.array([j for j, each in enumerate(tested) if each.is_rare and not each.is_base and acts[j]], np.intp)
     unit = np.arange(800) % 3
     monkeypatch.setattr("msp_lab.gap.prepared.CHUNK", 300)
-    monkeypatch.setattr("msp_lab.gap.rules.PRODUCT_ROWS", 400)
     readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
     sums = score_sums(readings, tested, unit, information, prior=0.01)
     prior = np.append(0.01 * base * 800 / 3, np.zeros(len(tested)))
     assert sums.by_unit == pytest.approx(np.array([scores[unit == k].sum(axis=0) - prior for k in range(3)]))
-    assert sums.products == pytest.approx(2.0 * scores[::2].T @ scores[::2])
+    assert sums.products == pytest.approx(scores.T @ scores)
     gains, best = sums.profile(asked)
     here = prepared.log_prob(base, []).sum()
     odds = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])

@@ -91,7 +91,7 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
     splits = draw_splits(contexts, np.random.default_rng(1))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (latency,) = [each for each in problem.candidates if each.effect.name == "latency"]
-    unit, parts = problem.some_unit, Parts(problem, splits)
+    unit, parts = problem.unit, Parts(problem, splits)
     with_it, without_it = problem.refit([latency.at(20.0)], np.zeros(8)), problem.refit([], np.zeros(8))
 
     def readings_of(rows: NDArray[np.bool_]) -> Prepared:
@@ -139,20 +139,20 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (one_run,) = [each for each in problem.candidates if each.key == ("session_offset", "run03")]
     fit = problem.refit([one_run.at(0.5)], np.zeros(8))
-    offset = SumsByRun(fit, problem.some_unit, 12)
+    offset = SumsByRun(fit, problem.unit, 12)
     left_out = np.arange(12) == 3
     assert offset.learnt(left_out, ["0.offset_cm"])[3] < 1e-4
     assert offset.learnt(np.arange(12) == 4, ["0.offset_cm"])[3] == pytest.approx(1.0, abs=0.02)
     # It stays as it is then, whatever the rounding of sums: a part without the run has no opinion of it.
     rounded = replace(fit, slopes=lambda: fit.at._replace(information=fit.information * (1.0 + 1e-12)))
-    assert SumsByRun(rounded, problem.some_unit, 12).step(~left_out)[-1] == 0.0
+    assert SumsByRun(rounded, problem.unit, 12).step(~left_out)[-1] == 0.0
     # Of the end of a curve that one run alone reaches as little; of the rest the others know nearly all.
     far = np.where(contexts["run"] == "run03", 500.0, contexts["true_range_cm"])
     contexts = {**contexts, "true_range_cm": far}
     reading_cm = np.array(sensor().readings(far.tolist(), 6))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     curve = make_curve_term("bias", ("true_range_cm",), ((60.0, 200.0, 350.0, 500.0),), [0.1, 0.0, 0.1, 0.2])
-    sums = SumsByRun(problem.refit([curve], np.zeros(8)), problem.some_unit, 12)
+    sums = SumsByRun(problem.refit([curve], np.zeros(8)), problem.unit, 12)
     values = [f"0.value_{k}" for k in range(4)]
     assert sums.learnt(left_out, values)[3] < rules.LEARNT_SHARE
     others = sums.learnt(np.arange(12) == 4, values)

@@ -169,6 +169,24 @@ def test_tilt_and_position_come_from_the_vehicle() -> None:
     assert np.sqrt(np.nanmean((level["true_range_cm"] - true_cm) ** 2)) > 5.0
 
 
+def test_the_models_own_effects_agree_with_a_reference_that_has_no_offset() -> None:
+    """In cold air readings are 5 % long, 10 cm between 160 and 440 cm: the model says so of every reading."""
+    cold = Model.of(load_sensor_model("configs/sensors/mb1242.yaml"))
+    columns = flown(1600, 9)
+    columns |= {"air_temperature_c": np.full(1600, -8.0), "run": np.full(1600, "cold")}
+    context = {"true_range_cm": columns["hidden_cm"], "air_temperature_c": columns["air_temperature_c"]}
+    columns["reading_cm"] = cold.sample(context, np.random.default_rng(9))
+    found = with_others_as_reference(MeasuredData(columns), cold, side_by_side(NAMES)).data
+    for name in NAMES:
+        own = found.select(np.flatnonzero((found["sensor"] == name) & ~np.isnan(found["true_range_cm"])))
+        off_cm = own["reading_cm"] - cold.rows(own.columns).centre_cm
+        hits = np.abs(off_cm) < 10.0
+        assert hits.mean() > 0.9
+        assert abs(off_cm[hits].mean()) < 0.5
+        low, high = (off_cm[hits & ((own["true_range_cm"] > 300.0) == far)].mean() for far in (False, True))
+        assert abs(high - low) < 1.0
+
+
 def test_two_sensors_are_too_few() -> None:
     columns = {name: column[flown(80, 5)["sensor"] < "c"] for name, column in flown(80, 5).items()}
     with pytest.raises(RecordingError, match="found 1 other downward sensors to compare a with, expected at least 2"):

@@ -35,7 +35,7 @@ TRIED_READINGS = 60
 depend on it."""
 MARGIN = 1.1
 """A session gets so many times the readings that are needed: the nats per reading are known to about a tenth."""
-MOST_READINGS = 2 * rules.TRAINING_ROWS
+MOST_READINGS = 2 * rules.READINGS
 """Readings of a session at most: over an hour of reading or flying. The gap workflow compares alternatives on half of
 so many. More: longer sessions are tried, for effects that may be absent."""
 VISITS = (1, 2, 4)

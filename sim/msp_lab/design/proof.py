@@ -63,7 +63,7 @@ def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -
     effects = [each.answer.effect for each in answers if each.answer.effect is not None]
     required = {column for each in effects for column in each.requires}
     rows = int(old.columns["reading_cm"].size)
-    most = rules.TRAINING_ROWS if len(effects) > 1 else 2 * rules.TRAINING_ROWS
+    most = rules.READINGS if len(effects) > 1 else 2 * rules.READINGS
     return required <= {*old.columns} and rows + new_rows <= most
 
 

@@ -74,10 +74,10 @@ class Separation:
         Correlated readings count as fewer; runs that have offsets of their own count as ``1 / (1 + n offsets)``. Where
         these show, `gap` takes the run as the unit of evidence: it integrates the offsets out and compares alternatives
         by the scatter of what is left of their lead over runs (Vuong 1989), as `msp_lab.gap.evidence.lead_nats` does.
-        Alternatives are compared on every k-th reading beyond `rules.TRAINING_ROWS`.
+        Alternatives are compared on every k-th reading beyond `rules.READINGS`.
         """
         if self.run_scatter is not None:
-            readings //= max(ceil(readings / rules.TRAINING_ROWS), 1)
+            readings //= max(ceil(readings / rules.READINGS), 1)
         independent = readings * (1.0 - self.correlation) / (1.0 + self.correlation)
         in_run = independent / max(runs, 1)
         nats = independent * (self.within_nats + self.between_nats / (1.0 + in_run * self.offsets))

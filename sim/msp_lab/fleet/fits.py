@@ -7,7 +7,7 @@ long an answer takes and nothing else, since each follows from what it is asked 
 import pickle
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from msp_lab.gap.problem import Problem, with_candidate
 from msp_lab.gap.refit import JointFit, fit_base
 from msp_lab.gap.runs import numbered
 from msp_range.errors import UserError
-from msp_sim.effects.base import Scene
 from msp_sim.model.model import Model
 
 KEPT_UNITS = 32
@@ -74,15 +73,12 @@ class UnitReadings:
     Attributes
     ----------
     problem
-        The readings that are fitted, at most 20,000.
-    scale
-        Readings for each of those.
+        The readings that are fitted.
     messages
         What was noticed about them.
     """
 
     problem: Problem
-    scale: float
     messages: tuple[str, ...]
 
 
@@ -118,21 +114,7 @@ def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
         raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
     rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode())])
     problem = Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng)
-    return UnitReadings(_of_fits(problem), problem.scale, readings.messages)
-
-
-def _of_fits(problem: Problem) -> Problem:
-    """Without the readings on which it is not fitted."""
-    contexts = {name: np.array(column) for name, column in problem.some_contexts.items()}
-    some = replace(problem.some, scene=Scene(problem.model.sensor, contexts), reading_cm=problem.some.reading_cm.copy())
-    return replace(
-        problem,
-        contexts=contexts,
-        reading_cm=some.reading_cm,
-        unit=problem.some_unit,
-        some=some,
-        some_contexts=contexts,
-    )
+    return UnitReadings(problem, readings.messages)
 
 
 def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
@@ -143,7 +125,7 @@ def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
     problem = _readings(pickled, unit).problem
-    return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.some)
+    return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
 
 
 def with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:

@@ -150,12 +150,12 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         return np.column_stack([at.scores, *of_candidates])
 
     rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode()), 1])
-    rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.some), REPLICATE_ROWS))
+    rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.readings), REPLICATE_ROWS))
     drawn = replicate(
-        problem.model, fit.base, fit.effects, problem.some_contexts, rng, rows, spacing_s=problem.some.spacing_s
+        problem.model, fit.base, fit.effects, problem.contexts, rng, rows, spacing_s=problem.readings.spacing_s
     )
     rare = RareReadings(drawn, fit, candidates, rng)
-    expected, measured = scores(rare.prepared), scores(problem.some)
+    expected, measured = scores(rare.prepared), scores(problem.readings)
     of_numbers, values = list(range(len(BASE_NUMBERS))), list(fit.base[: len(BASE_NUMBERS)])
     for k, term in enumerate(terms):
         of_numbers.append(fit.names.index(f"{k}.{term.number}"))
@@ -168,9 +168,9 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     is_linear = np.append(np.zeros(len(of_numbers), dtype=bool), linear)
     bounded, bounded_here = _bounded(expected, fitted, linear), _bounded(measured, fitted, linear)
     turned = _explained(weight * expected / len(drawn), expected, bounded, places, free)
-    sessions = [each for each in unit.sessions if each in set(problem.some_contexts["run"].tolist())]
+    sessions = [each for each in unit.sessions if each in set(problem.contexts["run"].tolist())]
     session_of = {name: k for k, name in enumerate(sessions)}
-    here = np.array([session_of[each] for each in problem.some_contexts["run"].tolist()])
+    here = np.array([session_of[each] for each in problem.contexts["run"].tolist()])
     there = np.array([session_of[each] for each in drawn.scene["run"].tolist()])
     readings = np.bincount(here, minlength=len(sessions))
     score, information, variance = sums_over_sessions(
@@ -186,7 +186,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         len(sessions),
     )
     # What the other numbers explain nearly all of says nothing.
-    own_information = (weight * bounded[:, places] * expected[:, places]).mean(axis=0) * len(problem.some)
+    own_information = (weight * bounded[:, places] * expected[:, places]).mean(axis=0) * len(problem.readings)
     total = information.sum(axis=0)
     clear = (own_information > 0.0) & (total > rules.COLLINEAR * own_information)
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
@@ -195,16 +195,15 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     variance = np.where(information > 0.0, variance, 0.0)
     score = np.where(information > 0.0, score, 0.0)
     value = np.array([*values, *np.zeros(len(candidates))])
-    scale = known.scale
     return UnitScores(
         columns,
         tuple(sessions),
-        np.asarray(readings * scale, dtype=np.intp),
+        readings,
         value,
         places < fitted,
-        score * scale,
-        information * scale,
-        variance * scale,
+        score,
+        information,
+        variance,
         problem.untestable,
         known.messages,
     )
@@ -217,7 +216,7 @@ def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetT
     found = []
     for term in tried:
         best = with_term(known.problem, fit, term)
-        gained = (best.log_likelihood - fit.log_likelihood) * known.scale - candidate_of(term).cost_nats
+        gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
         found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found
 

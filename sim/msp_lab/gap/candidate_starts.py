@@ -59,8 +59,8 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     places = np.unique(near)
 
     def within(cm: float) -> _Array:
-        counts: _Array = np.searchsorted(near, places + cm, "right") - np.searchsorted(near, places - cm, "left")
-        return counts.astype(np.float64)
+        first, after = np.searchsorted(near, places - cm, "left"), np.searchsorted(near, places + cm, "right")
+        return (after - first).astype(np.float64)
 
     own, expected = within(rules.GATHERED_CM), np.maximum(within(10.0 * rules.GATHERED_CM) / 10.0, 0.5)
     gains = np.where(own > expected, own * np.log(own / expected) - (own - expected), 0.0)

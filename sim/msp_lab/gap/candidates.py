@@ -195,9 +195,7 @@ def candidates_of(
         shapes = [parameter for parameter in effect.parameters if parameter.neutral is None]
         numbers = [parameter for parameter in effect.parameters if parameter.neutral is not None]
         grids = [
-            (gathered_cm if parameter.name == effect.gathers else ())
-            or parameter.grid
-            or (parameter.default or 0.0,)
+            (gathered_cm if parameter.name == effect.gathers else ()) or parameter.grid or (parameter.default or 0.0,)
             for parameter in shapes
         ]
         for word in words:

@@ -53,8 +53,8 @@ class Parts:
     def readings(self, split: int, part: int, fitted: bool) -> Prepared:
         """Readings of a part, or those that are fitted without it."""
         if (split, part, fitted) not in self.prepared:
-            mask, some = (self.runs(split, part) ^ fitted)[self.problem.some_unit], self.problem.some
-            contexts = {name: np.asarray(column)[mask] for name, column in self.problem.some_contexts.items()}
+            mask, some = (self.runs(split, part) ^ fitted)[self.problem.unit], self.problem.readings
+            contexts = {name: np.asarray(column)[mask] for name, column in self.problem.contexts.items()}
             prepared = Prepared.of(self.problem.model, contexts, some.reading_cm[mask], some.spacing_s)
             self.prepared[split, part, fitted] = prepared
         return self.prepared[split, part, fitted]

@@ -32,7 +32,7 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     problem.report("searching what no effect explains", 0.5)
     for _ in range(min(most, rules.MAX_CURVES)):
         # As for effects, runs count in the evidence after a refit: of few runs a scan over them asks more than that.
-        forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.some_unit))
+        forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.unit))
         singles = sum(len(each.variables) == 1 for each in forms)
         found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
         far = far_curves(problem, state)[: rules.FAR_REFITTED]
@@ -49,7 +49,7 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
 
 def _likeliest_ripple(problem: Problem, state: State) -> State | None:
     """With the likeliest ripple, if it is unlikely by random variation; no curve can describe one."""
-    found = ripples(problem.some_contexts, state.fit.here)
+    found = ripples(problem.contexts, state.fit.here)
     return _likeliest_curve(problem, state, found, len(found))
 
 
@@ -76,13 +76,13 @@ def _better(problem: Problem, state: State, one: State | None, other: State | No
 
 def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCurve:
     """A step at the likeliest place between the two that were asked next to it by their scores; others as they are."""
-    column = np.asarray(problem.some_contexts[form.variables[0]])
+    column = np.asarray(problem.contexts[form.variables[0]])
     if form.start or column.dtype.kind != "f" or not curve_scan.is_step(form, column):
         return form
     at = float(np.mean(column[np.isfinite(column)] <= np.mean(np.asarray(form.knots[0]))))
     near = curve_scan.steps_of(column, max(at - 1.0 / rules.STEPS, 0.0), min(at + 1.0 / rules.STEPS, 1.0))
-    asked = curve_scan.weights_of(problem.some_contexts, [(form.variables, (each,)) for each in near])
-    best = curve_scan.scan(asked, state.fit, problem.some_unit if state.by_run else None, (form.channel,))
+    asked = curve_scan.weights_of(problem.contexts, [(form.variables, (each,)) for each in near])
+    best = curve_scan.scan(asked, state.fit, problem.unit if state.by_run else None, (form.channel,))
     return best[0] if best and best[0].log_p < form.log_p else form
 
 
@@ -93,7 +93,7 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
         if _has_few_places(problem, form) or not _is_unlikely(form, asked):
             continue
         there = _with_curve(problem, state, form)
-        gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) * problem.scale / form.degrees
+        gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) / form.degrees
         left = max(problem.runs - 2 - form.degrees, 1)
         if problem.dependence(there.fit).independent and fdtrc(form.degrees, left, gained) < rules.CURVE_P / asked:
             return replace(there, by_run=False)
@@ -102,7 +102,7 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
 
 def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
     """Whether a curve moves whole runs more than readings inside them."""
-    return share_between(state.fit, there.fit, problem.some_unit) > rules.CURVE_OF_RUNS_SHARE
+    return share_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
 
 
 def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
@@ -112,12 +112,12 @@ def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
 
 def _places(problem: Problem, form: CandidateCurve) -> int:
     """At how many different places of a curve the runs are: those at one place say nothing of its form."""
-    counts = np.maximum(np.bincount(problem.some_unit), 1)
+    counts = np.maximum(np.bincount(problem.unit), 1)
     places = []
     for name in form.variables:
-        column = np.asarray(problem.some_contexts[name])
+        column = np.asarray(problem.contexts[name])
         values = np.unique(column, return_inverse=True)[1] if column.dtype.kind == "U" else np.nan_to_num(column)
-        means = np.bincount(problem.some_unit, values) / counts
+        means = np.bincount(problem.unit, values) / counts
         places.append(np.rint(means / max(rules.ONE_PLACE * float(np.ptp(means)), 1e-12)))
     return int(np.unique(np.column_stack(places), axis=0).shape[0])
 

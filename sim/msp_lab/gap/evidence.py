@@ -46,7 +46,7 @@ class _Offsets:
     slope_removed: _Array
 
 
-def _offsets(fit: JointFit, unit: NDArray[np.intp], scale: float) -> _Offsets:
+def _offsets(fit: JointFit, unit: NDArray[np.intp]) -> _Offsets:
     slope = fit.here.by[:, 0]
     counts = np.bincount(unit).astype(float)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
@@ -54,18 +54,18 @@ def _offsets(fit: JointFit, unit: NDArray[np.intp], scale: float) -> _Offsets:
     within = float((slope**2).sum() - between.sum())
     if within <= 0.0:
         return _Offsets(0.0, np.zeros(counts.size))
-    shrunk = 1.0 + scale * RATIO_GRID[:, None] * counts
+    shrunk = 1.0 + RATIO_GRID[:, None] * counts
     spread = within + (between / shrunk).sum(axis=1)
-    gained = scale * slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
+    gained = slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
     best = int(gained.argmax())
     if gained[best] <= 0.0:
         return _Offsets(0.0, np.zeros(counts.size))
     return _Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
 
 
-def offset_nats(fit: JointFit, unit: NDArray[np.intp], scale: float) -> float:
+def offset_nats(fit: JointFit, unit: NDArray[np.intp]) -> float:
     """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
-    return _offsets(fit, unit, scale).nats
+    return _offsets(fit, unit).nats
 
 
 def _log_p_beside_offsets(fit: JointFit, unit: NDArray[np.intp], offsets: _Offsets) -> _Array:
@@ -149,7 +149,7 @@ def blocks_of(unit: NDArray[np.intp], parts: int = rules.WANDER_BLOCKS) -> NDArr
 
 
 def evidence_nats(
-    smaller: JointFit, larger: JointFit, unit: NDArray[np.intp] | None, scale: float, left: Dependence | None = None
+    smaller: JointFit, larger: JointFit, unit: NDArray[np.intp] | None, left: Dependence | None = None
 ) -> float:
     """Gain of the larger fit over the smaller one [nat].
 
@@ -159,16 +159,14 @@ def evidence_nats(
         Fits of the same readings.
     unit
         Run of each reading; None: readings are independent, and the gain is that of the log-likelihood.
-    scale
-        Readings for each of those that were fitted.
     left
         Dependence inside runs that the larger fit leaves: the gain counts by as many independent readings.
     """
-    plain = (larger.log_likelihood - smaller.log_likelihood) * scale
+    plain = larger.log_likelihood - smaller.log_likelihood
     if unit is None:
         return plain
     runs = int(np.unique(unit).size)
-    gained = plain + offset_nats(larger, unit, scale) - offset_nats(smaller, unit, scale)
+    gained = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
     if gained > 0.0:
         inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
         gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
@@ -188,7 +186,7 @@ def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> 
     plain = one.log_likelihood - other.log_likelihood
     if unit is None:
         return plain
-    of_one, of_other = (_offsets(fit, unit, 1.0) for fit in (one, other))
+    of_one, of_other = (_offsets(fit, unit) for fit in (one, other))
     nats = plain + of_one.nats - of_other.nats
     gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
     runs = int(np.unique(unit).size)

@@ -123,10 +123,9 @@ def _in_its_place(
     others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
     last = len(less.terms)
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
-    own /= problem.scale
     separations = [float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - each**2, 0.0))) for each in correlations]
     # On the readings that are refitted: more readings make two that are alike no more certain than they are.
-    unit = problem.some_unit if state.by_run else None
+    unit = problem.unit if state.by_run else None
     ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
 
     # Offsets of runs excuse a worse name where runs differ, and no name that explains the readings much less.
@@ -159,7 +158,7 @@ def _in_its_place(
         better = less.having(best.fit, [*less.terms, best.term])
         return better.logging(f"{best.term.label} in place of {term.label}"), ()
     lost = [
-        max(own - problem.evidence_nats(less.fit, each.fit, state.by_run) / problem.scale, -nats)
+        max(own - problem.evidence_nats(less.fit, each.fit, state.by_run), -nats)
         for each, nats in zip(others, ahead, strict=True)
     ]
     return None, tuple(

@@ -45,15 +45,15 @@ def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternat
 def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
     best: tuple[float, str] | None = None
     for column in sorted((own.effect.columns | other.effect.columns) - WORD_COLUMNS):
-        if column not in SPANS or column not in problem.some_contexts:
+        if column not in SPANS or column not in problem.contexts:
             continue
         low, high, unit = SPANS[column]
-        values = np.asarray(problem.some_contexts[column], dtype=float)
+        values = np.asarray(problem.contexts[column], dtype=float)
         middle = float(np.clip(np.nanmedian(values), low, high))
         for share in SHARES:
             start, end = middle - share * (middle - low), middle + share * (high - middle)
             drawn = start + (end - start) * _even(values.size)
-            if _separation(problem, base, own, other, {**problem.some_contexts, column: drawn}) >= rules.SEPARABLE_Z:
+            if _separation(problem, base, own, other, {**problem.contexts, column: drawn}) >= rules.SEPARABLE_Z:
                 if best is None or share < best[0]:
                     text = f"vary {column} evenly from {start:.3g} to {end:.3g} {unit}".rstrip()
                     now = float(np.nanmax(values) - np.nanmin(values))
@@ -73,7 +73,7 @@ def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contex
     scene = Scene(problem.model.sensor, contexts)
     weights = np.sqrt(np.mean(base.here.by[:, : len(CHANNELS)] ** 2, axis=0))
     one, two = _templates(scene, own, weights), _templates(scene, other, weights)
-    size = float(np.sqrt(problem.scale) * np.linalg.norm(one))
+    size = float(np.linalg.norm(one))
     if size == 0.0 or not np.any(two):
         return 0.0
     correlation = float((one * two).sum() / (np.linalg.norm(one) * np.linalg.norm(two)))

@@ -19,7 +19,7 @@ _Array = NDArray[np.float64]
 
 def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
     """Curves over one column with a knot whose readings are far off, the least likely by random variation first."""
-    rows, reading_cm = problem.some.at(state.fit.base, state.fit.effects), problem.some.reading_cm
+    rows, reading_cm = problem.readings.at(state.fit.base, state.fit.effects), problem.readings.reading_cm
     with np.errstate(invalid="ignore"):
         usual = (reading_cm > rows.minimum_cm) & (reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
     off_cm = (reading_cm - rows.centre_cm)[usual]
@@ -31,12 +31,12 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
     for variables, knots in problem.curves.curves:
         if len(variables) > 1:
             continue
-        column = np.asarray(problem.some_contexts[variables[0]])
+        column = np.asarray(problem.contexts[variables[0]])
         start_cm = _medians(column[usual], knots[0], off_cm, far)
         if start_cm is None:
             continue
         term = make_curve_term("bias", variables, knots, start_cm)
-        gain = float(problem.some.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
+        gain = float(problem.readings.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
         if gain > 0.0:
             log_p = log_p_of(2.0 * gain, len(start_cm))
             found.append(CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p, start=start_cm))

@@ -183,7 +183,7 @@ def name_effects(
     report("validating on splits of the runs", 0.85)
     selection, kept = _validated(problem, selection, splits, max_terms)
     report("fitting all runs", 0.92)
-    return _named(problem, selection, kept, splits)
+    return _named(problem, selection, kept, AllReadings(contexts, reading_cm, splits))
 
 
 def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms: int) -> tuple[Selection, Validated]:
@@ -214,28 +214,42 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
-def _named(problem: Problem, selection: Selection, kept: Validated, splits: Splits) -> NamedModel:
-    model, by_run = problem.model, kept.state.by_run
+@dataclass(frozen=True)
+class AllReadings:
+    """All readings with their splits, for the values that are reported."""
+
+    contexts: Mapping[str, Any]
+    reading_cm: _Array
+    splits: Splits
+
+    def prepared(self, problem: Problem, rows: NDArray[np.intp]) -> Prepared:
+        """Some of them."""
+        contexts = {key: np.asarray(column)[rows] for key, column in self.contexts.items()}
+        return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s)
+
+
+def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
+    model, by_run, splits = problem.model, kept.state.by_run, whole.splits
     fit, base = kept.state.fit, selection.base.fit.base
     held_out_rows = _rows(np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
-    training = _prepared(problem, _rows(np.flatnonzero(splits.training), rules.TRAINING_ROWS))
-    held_out = _prepared(problem, held_out_rows)
+    training = whole.prepared(problem, _rows(np.flatnonzero(splits.training), rules.READINGS))
+    held_out = whole.prepared(problem, held_out_rows)
     of_training = refit(training, fit.effects, fit.base)
     found = kept.state.terms or selection.run_offset_cm > 0.0
     as_given = not found and _score(held_out, of_training.base) <= _score(held_out, np.zeros(len(BASE)))
-    readings, unit = problem.some, problem.some_unit
+    readings, unit = problem.readings, problem.unit
     if as_given:
         # No fit starts with the numbers of the model itself: those of correlated readings start off 0.
         base = np.zeros(len(BASE))
         fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
-    elif problem.scale > 1.0:
-        rows = _rows(np.arange(problem.reading_cm.size), rules.FINAL_ROWS)
-        readings, unit = _prepared(problem, rows), problem.unit[rows]
+    elif len(readings) < whole.reading_cm.size:
+        rows = _rows(np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
+        readings, unit = whole.prepared(problem, rows), splits.unit[rows]
         fit = refit(readings, fit.effects, fit.base)
     final = FinalFit.of(readings, fit, unit, by_run)
     effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)
     after, before = held_out.log_prob(of_training.base, of_training.effects), held_out.log_prob(base, [])
-    gained = gain(after, before, problem.unit[held_out_rows])
+    gained = gain(after, before, splits.unit[held_out_rows])
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
     parts = {"training": (of_training.base, of_training.effects), "final": (fit.base, fit.effects)}
@@ -250,8 +264,8 @@ def _named(problem: Problem, selection: Selection, kept: Validated, splits: Spli
             }
     return NamedModel(
         ExtendedModels(
-            extended(model, *parts["training"], problem.some.spacing_s),
-            extended(model, *parts["final"], problem.some.spacing_s),
+            extended(model, *parts["training"], problem.readings.spacing_s),
+            extended(model, *parts["final"], problem.readings.spacing_s),
             path,
         ),
         tuple(effects),
@@ -278,18 +292,13 @@ def _rows(readings: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return readings[:: max(1, -(-readings.size // most))]
 
 
-def _prepared(problem: Problem, rows: NDArray[np.intp]) -> Prepared:
-    contexts = {key: np.asarray(column)[rows] for key, column in problem.contexts.items()}
-    return Prepared.of(problem.model, contexts, problem.reading_cm[rows], problem.some.spacing_s)
-
-
 def _score(prepared: Prepared, base: _Array) -> float:
     return float(prepared.log_prob(base, []).sum())
 
 
 def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelStep, ...]:
     """The given model, the calibrated one, and one more for each term."""
-    fit, model, spacing_s = selection.base.fit, problem.model, problem.some.spacing_s
+    fit, model, spacing_s = selection.base.fit, problem.model, problem.readings.spacing_s
     steps = [ModelStep("", model), ModelStep("calibration", extended(model, fit.base, [], spacing_s))]
     for k, term in enumerate(state.terms):
         last = k == len(state.terms) - 1

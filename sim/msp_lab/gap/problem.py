@@ -57,16 +57,18 @@ class Problem:
     ----------
     model
         The given model.
-    contexts, reading_cm, unit
-        All readings; unit is the number of their run.
+    contexts, unit
+        Of every k-th reading, at most `rules.READINGS`; unit is the number of its run.
+    readings
+        These readings, prepared.
+    moved_cm
+        How far each one's true range is from that of the reading before it, of all readings, (n,).
+    base
+        The base alone, refitted.
     candidates
         Effects that these contexts can show.
     untestable
         Effects that they cannot, with the columns that are missing.
-    some, some_contexts, some_unit
-        Every k-th reading, on which refits are made.
-    base
-        The base alone, refitted.
     alpha
         Probability of any false name.
     rng
@@ -79,14 +81,12 @@ class Problem:
 
     model: Model
     contexts: Mapping[str, Any]
-    reading_cm: _Array
     unit: NDArray[np.intp]
+    readings: Prepared
+    moved_cm: _Array
+    base: JointFit
     candidates: tuple[CandidateEffect, ...]
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
-    some: Prepared
-    some_contexts: Mapping[str, Any]
-    some_unit: NDArray[np.intp]
-    base: JointFit
     alpha: float
     rng: np.random.Generator
     report: Progress
@@ -103,70 +103,54 @@ class Problem:
         alpha: float = 0.01,
         report: Progress = lambda what, share: None,
     ) -> "Problem":
-        """Prepare the readings; the parameters are as the attributes."""
-        thin = _thin(reading_cm.size)
-        some_contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
-        some = Prepared.of(model, some_contexts, reading_cm[thin])
-        base = fit_base(some)
-        if some.spacing_s is None:
-            neighbours = dependence(base.here.by[:, 0], unit[thin], _time_s(some_contexts))
+        """Prepare every k-th of these readings; the parameters are as the attributes."""
+        thin = slice(None, None, max(1, -(-reading_cm.size // rules.READINGS)))
+        true_cm = np.asarray(contexts[TRUE_RANGE], dtype=np.float64)
+        moved_cm, between_s = np.abs(true_cm - previous(contexts, true_cm))[thin], spacing_s(contexts)
+        contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
+        reading_cm, unit = reading_cm[thin], unit[thin]
+        readings = Prepared.of(model, contexts, reading_cm)
+        base = fit_base(readings)
+        if readings.spacing_s is None:
+            neighbours = dependence(base.here.by[:, 0], unit, _time_s(contexts))
             # Neighbouring readings have the error of the other sensors in common.
-            if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in some_contexts:
-                some = Prepared.of(model, some_contexts, reading_cm[thin], spacing_s(contexts))
-                base = fit_base(some)
-        candidates, untestable = candidates_of(model, contexts, gathered_cm(some, base))
-        return cls(
-            model,
-            contexts,
-            reading_cm,
-            unit,
-            candidates,
-            untestable,
-            some,
-            some_contexts,
-            unit[thin],
-            base,
-            alpha,
-            rng,
-            report,
-        )
+            if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in contexts:
+                readings = Prepared.of(model, contexts, reading_cm, between_s)
+                base = fit_base(readings)
+        candidates, untestable = candidates_of(model, contexts, gathered_cm(readings, base))
+        return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, alpha, rng, report)
 
     @cached_property
     def curves(self) -> CurveWeights:
         """Curves that can be asked for."""
-        return curve_scan.curves_of(self.some_contexts, self.some_unit)
-
-    @property
-    def scale(self) -> float:
-        """Readings for each of those that are refitted."""
-        return self.reading_cm.size / len(self.some)
+        return curve_scan.curves_of(self.contexts, self.unit)
 
     @property
     def runs(self) -> int:
         """How many runs there are."""
-        return int(np.unique(self.some_unit).size)
+        return int(np.unique(self.unit).size)
 
     @property
     def prior(self) -> _Array:
         """Precision of the base's prior for each reading that is refitted, (8,)."""
-        return 1.0 / (rules.BASE_DEVIATION**2 * len(self.some))
+        return 1.0 / (rules.BASE_DEVIATION**2 * len(self.readings))
 
     def information(self, fit: JointFit) -> _Array:
         """Information per reading at a fit, from simulated readings and the base's prior."""
-        drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.some.spacing_s)
+        drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.readings.spacing_s)
         information = information_of(drawn, fit.base, fit.effects, self.candidates)
         information[: len(BASE), : len(BASE)] += np.diag(self.prior)
         return information
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
-        return dependence(fit.here.by[:, 0], self.some_unit, _time_s(self.some_contexts))
+        return dependence(fit.here.by[:, 0], self.unit, _time_s(self.contexts))
 
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
         if not by_run:
-            return evidence_nats(smaller, larger, None, self.scale)
-        return evidence_nats(smaller, larger, self.some_unit, self.scale, self.dependence(larger))
+            return evidence_nats(smaller, larger, None)
+        return evidence_nats(smaller, larger, self.unit, self.dependence(larger))
 
     def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
         """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
@@ -174,12 +158,10 @@ class Problem:
         A sensor before a wall that stands still repeats itself, whether it reports old readings or not. A reading
         counts for `rules.ROW_NATS` at most: where the truth jumps by an error of its own, one would decide.
         """
-        true_cm = np.asarray(self.contexts[TRUE_RANGE], dtype=np.float64)
-        moved_cm = np.abs(true_cm - previous(self.contexts, true_cm))[_thin(true_cm.size)]
         with np.errstate(invalid="ignore"):
-            moves = moved_cm >= self.some.rows.sigma_cm
+            moves = self.moved_cm >= self.readings.rows.sigma_cm
         gained = np.clip(larger.here.log_p - smaller.here.log_p, -rules.ROW_NATS, rules.ROW_NATS)
-        return self.scale * float(gained[moves].sum())
+        return float(gained[moves].sum())
 
     def candidate_nats(self, smaller: JointFit, larger: JointFit, candidate: CandidateEffect, by_run: bool) -> float:
         """Evidence for a candidate, the last effect of the larger fit [nat], without the cost of the search."""
@@ -187,12 +169,12 @@ class Problem:
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
         if candidate.effect.per == "run" and not by_run:
-            gained = of_one_run(gained, larger, self.some_unit, np.asarray(self.some_contexts["run"]) == candidate.of)
+            gained = of_one_run(gained, larger, self.unit, np.asarray(self.contexts["run"]) == candidate.of)
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
             slope = larger.scores[:, larger.names.index(f"{len(larger.effects) - 1}.{candidate.parameter.name}")]
-            if self.scale * share * slope[slope > 0.0].sum() < rules.MIN_EXPLAINED:
+            if share * slope[slope > 0.0].sum() < rules.MIN_EXPLAINED:
                 return 0.0
             gained /= self._clumping(larger, slope)
         return gained - self._gain_between_steps(smaller, larger)
@@ -202,29 +184,29 @@ class Problem:
 
         Nothing rounds to them. Where values come again for another reason, some of them are multiples of any step.
         """
-        fault = larger.effects[-1].change(self.some.scene).fault
+        fault = larger.effects[-1].change(self.readings.scene).fault
         if not isinstance(fault, Coarser):
             return 0.0
         rows, most = larger.here.rows, 0.0
         for other in fault.between():
             faults = tuple(each._replace(fault=other) if each.fault == fault else each for each in rows.faults)
-            log_p = log_prob(replace(rows, faults=faults), self.some.reading_cm)
+            log_p = log_prob(replace(rows, faults=faults), self.readings.reading_cm)
             most = max(most, float((log_p - smaller.here.log_p).sum()))
-        return self.scale * most
+        return most
 
     def _clumping(self, fit: JointFit, slope: _Array) -> float:
         """How far the readings come in clumps that the last effect of a fit explains, by their slopes by its share."""
-        fault, alike = fit.effects[-1].change(self.some.scene).fault, None
+        fault, alike = fit.effects[-1].change(self.readings.scene).fault, None
         if fault is not None:
-            received = fault.arrives(self.some.reading_cm)
+            received = fault.arrives(self.readings.reading_cm)
             if np.array_equal(fault.arrives(received), received):
                 alike = received
-        run = self.some_contexts["run"] if "run" in self.some_contexts else np.zeros(len(self.some))
+        run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
         return clumping(slope, np.unique(run, return_inverse=True)[1], alike)
 
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
-        return refit(self.some, terms, base)
+        return refit(self.readings, terms, base)
 
 
 @dataclass(frozen=True)
@@ -234,7 +216,7 @@ class State:
     Attributes
     ----------
     fit
-        Of base and terms, on the problem's `some` readings.
+        Of base and terms.
     terms
         In order of their acceptance; their values are those of the fit.
     information
@@ -266,11 +248,6 @@ class State:
         return frozenset(each.key for each in self.terms)
 
 
-def _thin(readings: int) -> slice:
-    """Every k-th of so many readings, at most `TRAINING_ROWS`."""
-    return slice(None, None, max(1, -(-readings // rules.TRAINING_ROWS)))
-
-
 def _time_s(contexts: Mapping[str, Any]) -> _Array | None:
     return np.asarray(contexts["time_s"], dtype=np.float64) if "time_s" in contexts else None
 
@@ -299,9 +276,11 @@ def screened(problem: Problem, state: State, by_run: bool | None = None, sums: S
 
 
 def scores_at(problem: Problem, state: State) -> ScoreSums:
-    """Sums of the scores of all readings by run, at a state."""
-    fit, spacing_s = state.fit, problem.some.spacing_s
-    readings = ReadingsAtFit(problem.model, fit.base, fit.effects, problem.contexts, problem.reading_cm, spacing_s)
+    """Sums of the scores by run, at a state."""
+    fit, spacing_s = state.fit, problem.readings.spacing_s
+    readings = ReadingsAtFit(
+        problem.model, fit.base, fit.effects, problem.contexts, problem.readings.reading_cm, spacing_s
+    )
     return score_sums(readings, problem.candidates, problem.unit, state.information, problem.prior)
 
 
@@ -324,7 +303,7 @@ class CandidateFit:
     Attributes
     ----------
     gain_nats
-        Evidence of all readings, less the cost of the search.
+        Evidence, less the cost of the search.
     term, fit
         The new term, and the joint fit with it.
     """
@@ -377,16 +356,16 @@ def _replaces_base(problem: Problem, fit: JointFit, candidate: CandidateEffect) 
     replaced the base, or a fault leaves most hits as they are."""
     if fit.effects[-1].values[candidate.parameter.name] <= rules.MAX_COMPONENT_SHARE:
         return False
-    fault = fit.effects[-1].change(problem.some.scene).fault
+    fault = fit.effects[-1].change(problem.readings.scene).fault
     if fault is None:
         return True
-    hit_cm = np.rint(np.nan_to_num(problem.some.rows.centre_cm))
+    hit_cm = np.rint(np.nan_to_num(problem.readings.rows.centre_cm))
     return float(np.mean(fault.arrives(hit_cm) != hit_cm)) < 0.5
 
 
 def _moves_little(problem: Problem, fit: JointFit) -> bool:
     """Whether the last effect of a fit moves hits by less than their own scatter: that is a form of the noise."""
-    component = fit.effects[-1].change(problem.some.scene).component
+    component = fit.effects[-1].change(problem.readings.scene).component
     if not (fit.effects[-1].effect.moves and isinstance(component, Normal)):
         return False
     sigma_cm = float(np.median(fit.here.rows.sigma_cm))
@@ -420,11 +399,11 @@ def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
 
 def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:
     """A joint fit with one more effect, from the best of some values and shapes."""
-    starts = starts_of(problem.some, fit, candidate, start)
+    starts = starts_of(problem.readings, fit, candidate, start)
     shapes = shapes_of(candidate)
     if shapes and not candidate.linear:
         placed = [replace(candidate, shape=tuple(each.items())) for each in shapes]
-        starts.append((best_by_score(problem.some, fit, placed), fit.base))
+        starts.append((best_by_score(problem.readings, fit, placed), fit.base))
     fits = [problem.refit([*fit.effects, term], base) for term, base in starts]
     if shapes and not candidate.linear:
         fits = [_to_the_end(problem, each) for each in fits]
@@ -452,26 +431,26 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     bases = (state.fit.base, problem.base.base)
     key = (state.fit.base.tobytes(), *((each.stream, each.shape, *each.values.values()) for each in active))
     if key not in problem.kept:
-        heights = [float(problem.some.log_prob(each, active).sum()) for each in bases]
+        heights = [float(problem.readings.log_prob(each, active).sum()) for each in bases]
         problem.kept[key] = problem.refit(active, bases[int(np.argmax(heights))])
     return state.having(problem.kept[key], terms)
 
 
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
-    """Evidence of all readings that a smaller fit loses [nat]."""
+    """Evidence that a smaller fit loses [nat]."""
     return problem.evidence_nats(smaller, state.fit, state.by_run)
 
 
 def bias_cm(problem: Problem, term: Term) -> _Array:
     """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
-    scene = problem.some.scene
+    scene = problem.readings.scene
     added_cm = np.nan_to_num(np.where(applies(scene, term), term.change(scene).bias_cm, 0.0))
-    return np.broadcast_to(added_cm, (len(problem.some),))
+    return np.broadcast_to(added_cm, (len(problem.readings),))
 
 
 def free_curves(
     problem: Problem, state: State, channels: Sequence[CurveChannel] = CHANNELS, by_run: bool | None = None
 ) -> list[CandidateCurve]:
     """Curves that explain what is left, the least likely by random variation first."""
-    unit = problem.some_unit if (state.by_run if by_run is None else by_run) else None
+    unit = problem.unit if (state.by_run if by_run is None else by_run) else None
     return curve_scan.scan(problem.curves, state.fit, unit, channels)

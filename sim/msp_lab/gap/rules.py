@@ -200,13 +200,11 @@ SCREEN_DRAWS = 2_000
 REPLICATE_ROWS = 6_000
 """Information per reading comes from so many simulated readings. Outliers of 1 % are then known to 13 %. More:
 slower."""
-PRODUCT_ROWS = 20_000
-"""Products of scores are taken of every k-th reading beyond so many. As `TRAINING_ROWS`. More: slower."""
 
 # Refits.
 
-TRAINING_ROWS = 20_000
-"""Refits use every k-th training reading beyond so many. At 20,000 a bias of 0.03 sigma is certain. More: slower, and
+READINGS = 20_000
+"""Effects are named on every k-th reading beyond so many. At 20,000 a bias of 0.03 sigma is certain. More: slower, and
 smaller effects."""
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0])
 """The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the

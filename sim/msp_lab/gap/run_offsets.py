@@ -34,14 +34,14 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     left = problem.dependence(fit)
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
-    if p_beyond_wander(fit.here.by[:, 0], problem.some_unit) > rules.BEYOND_WANDER_P:
+    if p_beyond_wander(fit.here.by[:, 0], problem.unit) > rules.BEYOND_WANDER_P:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
-    rows = problem.some.at(fit.base, fit.effects)
+    rows = problem.readings.at(fit.base, fit.effects)
     if rows.run_offsets:
         # The offsets that the model already has scatter from one set of runs to the next.
         whole_cm2, known_cm2 = float(np.median(rows.sigma_cm**2)), float(np.median(rows.between_cm2))
-        of_mean_cm2 = whole_cm2 * problem.runs / len(problem.some)
+        of_mean_cm2 = whole_cm2 * problem.runs / len(problem.readings)
         times = (share * whole_cm2 + of_mean_cm2) / (known_cm2 + of_mean_cm2)
         if float(chdtrc(problem.runs - 1, times * (problem.runs - 1))) > rules.RUN_OFFSETS_P:
             return 0.0
@@ -50,7 +50,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     within = whole + 0.5 * float(np.log1p(-share))
     if abs(whole) < abs(within):
         return 0.0
-    sigma_cm = float(np.median(problem.some.rows.sigma_cm)) * float(np.exp(whole))
+    sigma_cm = float(np.median(problem.readings.rows.sigma_cm)) * float(np.exp(whole))
     return sigma_cm * float(np.sqrt(share))
 
 

@@ -38,7 +38,7 @@ class ScoreSums:
     by_unit
         (units, 8 + candidates).
     products
-        (8 + candidates, 8 + candidates): of the scores with each other, over single readings; of many from a part.
+        (8 + candidates, 8 + candidates): of the scores with each other, over single readings.
     rows
         Readings.
     profile
@@ -67,12 +67,10 @@ def score_sums(
     units, rows = int(unit.max()) + 1, readings.reading_cm.size
     total = np.zeros((units, len(BASE) + len(candidates)))
     products = np.zeros((total.shape[1], total.shape[1]))
-    stride = max(1, rows // rules.PRODUCT_ROWS)
     for part, prepared, here in readings.parts():
         scores = _matrix(prepared.scene, prepared.reading_cm, here, candidates)
         total += sums_by(unit[part], scores, units)
-        some = scores[::stride]
-        products += stride * (some.T @ some)
+        products += scores.T @ scores
     total[:, : len(BASE)] -= prior * readings.base * rows / units
 
     def profile(asked: NDArray[np.intp]) -> Gains:

@@ -155,7 +155,7 @@ class _Crossed:
 
     @classmethod
     def of(cls, parts: Parts, state: State) -> "_Crossed":
-        return cls(parts, SumsByRun(state.fit, parts.problem.some_unit, parts.splits.names.size))
+        return cls(parts, SumsByRun(state.fit, parts.problem.unit, parts.splits.names.size))
 
     @cached_property
     def steps(self) -> dict[tuple[int, int], _Array]:
@@ -176,10 +176,10 @@ class _Crossed:
 
 def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _Agreement:
     """In which splits a term holds: by the fits of the others the parts gain, recalibrated or not."""
-    whole, scale = crossed.sums, parts.problem.scale
+    whole = crossed.sums
     if whole.fit.effects[k].effect.per == "run":
         return _inside_its_run(parts, k, whole, smaller.sums)
-    counts = np.bincount(whole.unit, minlength=whole.runs) * scale
+    counts = np.bincount(whole.unit, minlength=whole.runs)
     numbers = _strength(whole.fit, k)
     excess = _Excess(whole.unit, whole.runs)
     fits_left = rules.SPLITS_FITTED
@@ -209,12 +209,12 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
             after.append(more)
             before.append(less)
         runs = known > 0.0
-        recalibrated_nats = scale * (recalibrated(after, runs) - recalibrated(before, runs))
-        found = gain_of_runs(limited * scale, counts)
+        recalibrated_nats = recalibrated(after, runs) - recalibrated(before, runs)
+        found = gain_of_runs(limited, counts)
         ahead = min(found.nats, recalibrated_nats)
         holds.append(ahead >= rules.VALIDATED_NATS and found.z >= rules.VALIDATED_Z)
-        of_runs.append(gained * scale)
-        limited_of_runs.append(limited * scale)
+        of_runs.append(gained)
+        limited_of_runs.append(limited)
         recalibrated_of_splits.append(recalibrated_nats)
     return _Agreement(
         np.array(holds),
@@ -229,7 +229,7 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
 
     Its strength without a stretch is that of all less one step of Newton.
     """
-    fit, scale = whole.fit, parts.problem.scale
+    fit = whole.fit
     (name,) = _strength(fit, k)
     score = fit.scores[:, fit.names.index(name)]
     rows = np.flatnonzero(score)
@@ -243,7 +243,7 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
         slope, information = (np.bincount(part, each, rules.PARTS) for each in (score, score**2))
         step = -slope / np.maximum(information.sum() - information, 1e-300)
         gained = np.bincount(part, difference, rules.PARTS) + slope * step - 0.5 * information * step**2
-        found.append(gain_of_runs(scale * gained, scale * np.bincount(part, minlength=rules.PARTS)))
+        found.append(gain_of_runs(gained, np.bincount(part, minlength=rules.PARTS)))
     holds = [each.nats >= rules.VALIDATED_NATS and each.z >= rules.VALIDATED_Z for each in found]
     least = min(found, key=lambda each: each.nats)
     return _Agreement(np.array(holds), least, least, least.nats)

@@ -23,7 +23,7 @@ from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
 
-FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm"})
+FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm", REFERENCE})
 """Columns that only a simulator or a real reference knows; they are left out."""
 MIN_OTHERS = 2
 """A sensor is compared with at least so many others: of two that differ nobody knows which one is off."""
@@ -179,13 +179,12 @@ def _reference(
         bias_cm = np.where(np.isfinite(expected.centre_cm), expected.centre_cm - true_cm, 0.0)
         own_cm2 = np.broadcast_to(expected.sigma_cm**2, time_s.shape)
     found[REFERENCE] = np.full(time_s.size, OTHERS)
-
-    def mean_of(off_cm: _Array) -> _Array:
-        return _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
-
+    offsets_cm = _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
     # The mean of the model's own effects goes with it: they count about their mean as well (`Scene.about_run_mean`).
-    found[TRUE_RANGE] = found[TRUE_RANGE] + mean_of(off_cm + of_effects_cm)[sensor]
-    return found, mean_of(off_cm)
+    rows = np.maximum(np.bincount(sensor[known], minlength=len(names)), 1)
+    means_cm = np.bincount(sensor[known], of_effects_cm[known], len(names)) / rows
+    found[TRUE_RANGE] = found[TRUE_RANGE] + (offsets_cm + means_cm)[sensor]
+    return found, offsets_cm
 
 
 def _offsets(

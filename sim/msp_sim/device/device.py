@@ -125,8 +125,8 @@ class RangeFinder:
     now
         The time [s].
     echo
-        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, `no_echo_cm` where there
-        was no echo. One below the sensor's shortest is a word with a lost byte.
+        Called exactly once a ping, with its time [s]; returns the reading in whole centimetres, `no_echo_cm` where
+        there was no echo. One below the sensor's shortest is a word with a lost byte.
     timing
         How long it is busy; None: as its kind is.
     faults

@@ -19,7 +19,15 @@ from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE, WORD_COLUMNS, Contribution, Effect, Scene
+from msp_sim.effects.base import (
+    REFERENCE,
+    REFERENCE_STD,
+    TRUE_RANGE,
+    WORD_COLUMNS,
+    Contribution,
+    Effect,
+    Scene,
+)
 from msp_sim.effects.curve import CURVE, MAX_VALUE, Knots, Ripple, curve
 from msp_sim.effects.own import find_effect
 from msp_sim.model.history import HISTORY_COLUMNS, History
@@ -189,7 +197,9 @@ class Model:
             yield part, self._rows({name: column[part] for name, column in columns.items()})
 
     def _columns(self, contexts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        columns = {name: _column(name, contexts[name]) for name in self.columns if name in contexts}
+        # With them the scene knows where the reference leaves the offset of a run open.
+        about_runs = {REFERENCE, "run"} if REFERENCE in contexts else set()
+        columns = {name: _column(name, contexts[name]) for name in self.columns | about_runs if name in contexts}
         if TRUE_RANGE not in columns:
             raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
         sizes = {name: column.size for name, column in columns.items()}
