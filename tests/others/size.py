@@ -6,7 +6,7 @@ count, and the base's numbers are free.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -117,7 +117,7 @@ def size_for(
 
 
 def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: NullFlights, seed: int) -> float:
-    term = make_term(mechanism.name, None, mechanism.parameters(size))
+    term = replace(make_term(mechanism.name, None, mechanism.parameters(size)), is_added=True)
     changed = Model(model.sensor, (*model.effects, term))
     run = flights.truth["run"]
     before, _ = History.of(flights.truth, len(run), 0.0, 1.0).before(np.ones(len(run), dtype=bool))
@@ -125,8 +125,8 @@ def _standard_errors(mechanism: Mechanism, size: float, model: Model, flights: N
     for draw in range(DRAWS):
         reading_cm = sample_in_order(changed, flights.truth, seed + draw)
         true_cm = flights.reference["true_range_cm"].copy()
-        # As the intake does, each run's mean difference is taken off.
-        off_cm = reading_cm - true_cm
+        # As the intake does, each run's mean difference from the given model is taken off.
+        off_cm = reading_cm - model.rows(flights.reference).centre_cm
         for each in np.unique(run):
             own = run == each
             true_cm[own] += off_cm[own & (np.abs(off_cm) < HIT_CM)].mean()

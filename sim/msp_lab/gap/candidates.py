@@ -116,7 +116,7 @@ class CandidateEffect:
     def at(self, value: float) -> Term:
         """The effect with this value of its number."""
         values = {**self.effect.neutral_values(), **dict(self.shape), self.parameter.name: value}
-        return Term(self.effect, values, self.of)
+        return Term(self.effect, values, self.of, is_added=True)
 
 
 @dataclass(frozen=True)

@@ -190,7 +190,7 @@ def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
 def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
     values = form.start or [0.0] * int(np.prod([len(each) for each in form.knots]))
-    active = make_curve_term(form.channel, form.variables, form.knots, values)
+    active = replace(make_curve_term(form.channel, form.variables, form.knots, values), is_added=True)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]
     fit = problem.refit([each.active for each in terms], state.fit.base)

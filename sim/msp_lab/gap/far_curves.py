@@ -5,6 +5,8 @@ Where most readings of a place are far from their hits, as over a box on the flo
 score says that they would all be hits of a surface elsewhere.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,7 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
         start_cm = _medians(column[usual], knots[0], off_cm, far)
         if start_cm is None:
             continue
-        term = make_curve_term("bias", variables, knots, start_cm)
+        term = replace(make_curve_term("bias", variables, knots, start_cm), is_added=True)
         gain = float(problem.readings.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
         if gain > 0.0:
             log_p = log_p_of(2.0 * gain, len(start_cm))

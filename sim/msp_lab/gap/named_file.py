@@ -57,17 +57,18 @@ def read_named(folder: Path) -> tuple[ExtendedModels, GapFindings]:
     path = folder / NAMED
     try:
         content = json.loads(read_text(path, LARGEST_BYTES))
+        given = len(_model(content["path"][0]["model"]).effects)
         models = ExtendedModels(
-            _model(content["training_fit"]),
-            _model(content["final_fit"]),
-            tuple(ModelStep(each["added"], _model(each["model"])) for each in content["path"]),
+            _model(content["training_fit"]).added_from(given),
+            _model(content["final_fit"]).added_from(given),
+            tuple(ModelStep(each["added"], _model(each["model"]).added_from(given)) for each in content["path"]),
         )
         return models, findings_form().validate_python(content["findings"])
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; run 'msp-lab name {folder}' first") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValidationError, ValueError, KeyError, TypeError):
+    except (ValidationError, ValueError, KeyError, IndexError, TypeError):
         raise ConfigError(f"{path}: not written by msp-lab name; run 'msp-lab name {folder}' again") from None
 
 

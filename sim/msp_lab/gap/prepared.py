@@ -112,7 +112,7 @@ class Prepared:
         if each.shape is not None:
             # Linear in its values: the weights of this knot.
             weights = knot_weights(self.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
-            if each.shape[0] == "bias":
+            if each.shape[0] == "bias" and each.is_added:
                 weights = self.scene.about_run_mean(weights)
             return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
         one, other = each.change(self.scene), there.change(self.scene)

@@ -140,7 +140,8 @@ class Steps:
             for path in (self.folder / TRAINING_FIT, self.folder / MODEL)
         )
         self.report("drawing", 0.97)
-        models = ReportModels(comparison.model, training_fit, final_fit)
+        given = len(comparison.model.effects)
+        models = ReportModels(comparison.model, training_fit.added_from(given), final_fit.added_from(given))
         write_report(findings, models, comparison.held_out, self.folder)
 
     def _written(self, findings: GapFindings, started_s: float) -> GapFindings:

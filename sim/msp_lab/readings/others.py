@@ -140,8 +140,6 @@ def _reference(
     excess_cm2 = np.zeros(len(names))
     fits = np.ones(time_s.size, dtype=bool)
     found: dict[str, Column] = {}
-    calibrated = Model(model.sensor)
-    of_effects_cm = np.zeros(time_s.size)
     for _ in range(ROUNDS):
         views = [_view(*each) for each in zip(mounted, rotations, state, strict=True)]
         geometry, offset_m = _linear(views, state)
@@ -173,17 +171,12 @@ def _reference(
             "range_rate_cm_s": np.where(known, rate, np.nan),
             "incidence_deg": np.where(known, incidence, np.nan),
         }
-        contexts = {**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)}
-        expected = model.rows(contexts)
-        of_effects_cm = np.nan_to_num(expected.centre_cm - calibrated.rows(contexts).centre_cm)
+        expected = model.rows({**columns, **found, TRUE_RANGE: true_cm, REFERENCE_STD: np.zeros(time_s.size)})
         bias_cm = np.where(np.isfinite(expected.centre_cm), expected.centre_cm - true_cm, 0.0)
         own_cm2 = np.broadcast_to(expected.sigma_cm**2, time_s.shape)
     found[REFERENCE] = np.full(time_s.size, OTHERS)
     offsets_cm = _offsets(off_cm, std_cm2 + 1e4 * variance_m2, sensor, is_range & known, len(names))
-    # The mean of the model's own effects goes with it: they count about their mean as well (`Scene.about_run_mean`).
-    rows = np.maximum(np.bincount(sensor[known], minlength=len(names)), 1)
-    means_cm = np.bincount(sensor[known], of_effects_cm[known], len(names)) / rows
-    found[TRUE_RANGE] = found[TRUE_RANGE] + (offsets_cm + means_cm)[sensor]
+    found[TRUE_RANGE] = found[TRUE_RANGE] + offsets_cm[sensor]
     return found, offsets_cm
 
 

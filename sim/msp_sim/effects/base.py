@@ -120,9 +120,11 @@ class Scene:
         return np.where(known, self._contexts[column], otherwise)
 
     def about_run_mean(self, bias_cm: Any) -> Any:
-        """A bias [cm] as it shows against the reference: where that knows no constant offset of a run, about its mean.
+        """What was added to a bias [cm], as it shows against the reference.
 
-        Else a scale would have to explain that it shifts no run as a whole, and a bent curve would be the better name.
+        The other sensors do not know a constant offset of a run, and what the readings differ by from the given model
+        is taken off them. So it counts about its mean: else a scale would have to explain that it shifts no run as a
+        whole, and a bent curve would be the better name.
         """
         if self._run is None:
             own = np.any(np.asarray(self._contexts.get(REFERENCE, "")) == OTHERS) and "run" in self._contexts

@@ -50,6 +50,8 @@ class Term:
     of: str | None = None
     shape: tuple[str, tuple[str, ...], tuple[Knots, ...]] | None = None
     """For a curve: channel, variables and knots."""
+    is_added: bool = False
+    """It was added to the model with which the true range was found (`Scene.about_run_mean`)."""
 
     @property
     def stream(self) -> str:
@@ -64,7 +66,7 @@ class Term:
         """What it changes; where its contexts make no sense, NaN without a warning."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             change = self.effect.apply(scene, self.values)
-            if change.bias_cm is None:
+            if change.bias_cm is None or not self.is_added:
                 return change
             return change._replace(bias_cm=scene.about_run_mean(change.bias_cm))
 
@@ -119,6 +121,11 @@ class Model:
     def adding(self, name: str, of: str | None = None, **values: float) -> "Model":
         """A copy with one more effect of the catalogue; omitted shape parameters have their defaults."""
         return replace(self, effects=(*self.effects, make_term(name, of, values)))
+
+    def added_from(self, given: int) -> "Model":
+        """The same model, whose effects from this place on were added to a given one."""
+        effects = (replace(each, is_added=i >= given) for i, each in enumerate(self.effects))
+        return replace(self, effects=tuple(effects))
 
     @cached_property
     def base(self) -> ReadingModel:
