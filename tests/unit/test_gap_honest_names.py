@@ -212,6 +212,15 @@ def test_clutter_is_found_wherever_it_is(location_cm: float) -> None:
     assert contains(effect.parameters["location_cm"], location_cm)
 
 
+def test_a_hump_of_short_readings_is_no_clutter() -> None:
+    """Short readings over a metre, more of them in its middle, as a robot between furniture has them."""
+    contexts, rng = flown(13), np.random.default_rng(13)
+    contexts["true_range_cm"] = rng.uniform(220.0, 500.0, N)
+    in_between = rng.random(N) < 0.1
+    reading_cm = np.where(in_between, np.rint(rng.normal(110.0, 30.0, N)), read(contexts, 13))
+    assert "clutter" not in [each.name for each in named(contexts, np.maximum(reading_cm, 20.0)).effects]
+
+
 def test_a_scale_is_a_scale_where_the_reference_knows_no_offset_of_a_run() -> None:
     """The other sensors as reference, each run's mean difference taken off; the runs are at different heights."""
     contexts, rng = flown(12), np.random.default_rng(12)

@@ -66,7 +66,7 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     gains = np.where(own > expected, own * np.log(own / expected) - (own - expected), 0.0)
     found: list[float] = []
     for i in np.argsort(-gains, kind="stable"):
-        if len(found) == rules.GATHERED_PLACES or gains[i] < rules.GATHERED_COST_NATS:
+        if len(found) == rules.GATHERED_PLACES or gains[i] < rules.GATHERED_LEAST_NATS:
             break
         if all(abs(places[i] - each) > 2.0 * rules.GATHERED_CM for each in found):
             found.append(float(places[i]))

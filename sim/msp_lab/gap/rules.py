@@ -181,6 +181,9 @@ differ. Lower: components are named for a few readings at one place."""
 GATHERED_COST_NATS = 4.0
 """The same for a place that was chosen where readings gather: the logarithm of some fifty places of 8 cm. Lower:
 clutter is named for the largest of many random clumps; higher: clutter needs more readings."""
+GATHERED_LEAST_NATS = 8.0
+"""A place has to stand out of its neighbourhood by so much: that cost, and what a name needs. Lower: a hump of short
+readings that is wider than the base model has it counts as clutter (robot_hcsr04 of docs/real_data.md: 4.1)."""
 GATHERED_SIGMAS = 4.0
 """Readings nearer than the hit by so many sigma are looked at for places where they gather. Lower: tails of the hits
 gather before a surface that stays where it is."""
