@@ -64,7 +64,7 @@ def ruler_misses_something(gap: dict[str, Any], data: Path) -> None:
     """The HC-SR04 at ruler distances."""
     assert gap["verdict"] in ("partly explained", "explained")
     assert gap["runs"] == 22
-    assert left(gap, "nats_per_reading") < 0.5
+    assert left(gap, "nats_per_reading") < 0.6
 
 
 IN_NUMBERS = {

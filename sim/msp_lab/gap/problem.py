@@ -62,7 +62,7 @@ class Problem:
     readings
         These readings, prepared.
     moved_cm
-        How far each one's true range is from that of the reading before it, of all readings, (n,).
+        Computes how far each one's true range is from that of the reading before it, of all readings [cm], (n,).
     base
         The base alone, refitted.
     candidates
@@ -83,7 +83,7 @@ class Problem:
     contexts: Mapping[str, Any]
     unit: NDArray[np.intp]
     readings: Prepared
-    moved_cm: _Array
+    moved_cm: Callable[[], _Array]
     base: JointFit
     candidates: tuple[CandidateEffect, ...]
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
@@ -105,9 +105,7 @@ class Problem:
     ) -> "Problem":
         """Prepare every k-th of these readings; the parameters are as the attributes."""
         thin = slice(None, None, max(1, -(-reading_cm.size // rules.READINGS)))
-        true_cm = np.asarray(contexts[TRUE_RANGE], dtype=np.float64)
-        moved_cm, between_s = np.abs(true_cm - previous(contexts, true_cm))[thin], spacing_s(contexts)
-        contexts = {name: np.asarray(column)[thin] for name, column in contexts.items()}
+        whole, contexts = contexts, {name: np.asarray(column)[thin] for name, column in contexts.items()}
         reading_cm, unit = reading_cm[thin], unit[thin]
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
@@ -115,9 +113,14 @@ class Problem:
             neighbours = dependence(base.here.by[:, 0], unit, _time_s(contexts))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in contexts:
-                readings = Prepared.of(model, contexts, reading_cm, between_s)
+                readings = Prepared.of(model, contexts, reading_cm, spacing_s(whole))
                 base = fit_base(readings)
         candidates, untestable = candidates_of(model, contexts, gathered_cm(readings, base))
+
+        def moved_cm() -> _Array:
+            true_cm = np.asarray(whole[TRUE_RANGE], dtype=np.float64)
+            return np.abs(true_cm - previous(whole, true_cm))[thin]
+
         return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, alpha, rng, report)
 
     @cached_property
@@ -159,7 +162,7 @@ class Problem:
         counts for `rules.ROW_NATS` at most: where the truth jumps by an error of its own, one would decide.
         """
         with np.errstate(invalid="ignore"):
-            moves = self.moved_cm >= self.readings.rows.sigma_cm
+            moves = self.moved_cm() >= self.readings.rows.sigma_cm
         gained = np.clip(larger.here.log_p - smaller.here.log_p, -rules.ROW_NATS, rules.ROW_NATS)
         return float(gained[moves].sum())
 
