@@ -1,17 +1,20 @@
 """A wrong name is given up for the right one, a needless one goes, and one that does as well is a rival."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.gap import naming
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import _at_others
-from msp_lab.gap.problem import CandidateFit, Problem, _has_its_form, first_state, screened, without
+from msp_lab.gap.problem import CandidateFit, Problem, State, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled
+from msp_lab.gap.validation import Validated
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
@@ -247,6 +250,21 @@ def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
     (name,) = names_of(more)
     assert name != "latency"
     assert "range_rate_cm_s" in name
+
+
+def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of((200.0, 240.0), 25.0)
+
+    def without_latency(problem: Problem, state: State, splits: object) -> Validated:
+        if "latency" not in [term.key[0] for term in state.terms]:
+            return Validated(state, {}, {})
+        return Validated(first_state(problem), {}, {}, (("latency", "for this test"),))
+
+    monkeypatch.setattr(naming, "validated", without_latency)
+    selection, kept = naming._validated(problem, select(problem, 1), cast(Any, None), 1)
+    (name,) = names_of(selection)
+    assert "range_rate_cm_s" in name
+    assert kept.dropped == (("latency", "for this test"),)
 
 
 def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:

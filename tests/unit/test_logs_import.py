@@ -139,12 +139,13 @@ def test_an_invalid_signal_of_px4_or_a_reading_below_its_minimum_is_no_answer() 
 
 def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     height = Series("z", np.arange(10.0), np.arange(10.0))
-    flags = Series("cs_rng_hgt", np.array([0.0, 6.5]), np.array([0.0, 1.0]))
+    stamps = np.array([0, 6_500_000])
+    flags = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
     kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
     assert refused == ""
     assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
-    assert px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
-    assert "may be fused" in px4._without_fused(height, None, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
+    assert px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
+    assert "may be fused" in px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
 
 
 def old_px4(flags: list[int]) -> dict[str, dict[str, Any]]:
@@ -173,6 +174,24 @@ def test_old_logs_of_px4_have_the_throttle_among_the_controls() -> None:
     assert throttle is not None
     assert throttle.source == "actuator_controls_0.control[3]"
     assert throttle.values == pytest.approx(np.full(10, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("log", "column", "expected"),
+    [
+        ("px4.ulg", "vehicle_local_position.z*-1", "cs_rng_hgt is set for 93 % of the time"),
+        ("px4.ulg", "vehicle_local_position.dist_bottom", "is what a range finder of this vehicle reads"),
+        ("px4.ulg", "distance_sensor.current_distance", "sensor:NAME compares with another one"),
+        ("arducopter.BIN", "RFND.Dist", "the log has RNGFND1"),
+        ("arducopter.BIN", "CTUN.SAlt", "is what a range finder of this vehicle reads"),
+    ],
+)
+def test_a_column_into_which_the_range_is_fused_is_refused_too(
+    tmp_path: Path, log: str, column: str, expected: str
+) -> None:
+    done = run("import", LOGS / log, "--truth", f"column:{column}", "--out", tmp_path / "set")
+    assert done.exit_code == 3, done.output
+    assert expected in " ".join(done.output.split())
 
 
 def test_heights_into_which_the_range_is_fused_are_known_by_parameters() -> None:
@@ -481,6 +500,14 @@ def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str],
     assert done.exit_code == 3, done.output
     assert expected in done.output
     assert done.output.count("\n") == 1
+
+
+def test_every_file_of_no_known_kind_is_named(tmp_path: Path) -> None:
+    for name in ("one.png", "two.png"):
+        (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n")
+    done = run("import", tmp_path / "one.png", LOGS / "px4.ulg", tmp_path / "two.png", "--out", tmp_path / "set")
+    assert done.exit_code == 3
+    assert [line.count(".png: no log that is known") for line in done.output.splitlines()] == [1, 1]
 
 
 def test_a_run_is_added_once(tmp_path: Path) -> None:

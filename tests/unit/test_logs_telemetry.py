@@ -39,6 +39,16 @@ def test_readings_context_and_reference(tmp_path: Path) -> None:
     assert "EK3_SRC1_POSZ is 2" in refused.refused
 
 
+def test_heights_of_an_ekf_are_refused_in_a_column_by_the_parameters(tmp_path: Path) -> None:
+    named = "GLOBAL_POSITION_INT.relative_alt"
+    for posz, begins in ((1.0, ""), (2.0, "EK3_SRC1_POSZ is 2")):
+        path = write_telemetry(tmp_path / f"{posz:g}.tlog", telemetry(posz=posz))
+        found = read_telemetry(path, nothing, named).references
+        column = next(each for each in found if each.kind == "column")
+        assert column.refused.startswith(begins)
+        assert bool(column.refused) == bool(begins)
+
+
 def with_gps(late_s: float = 0.0) -> Messages:
     """The flight with an altitude above the sea: a fixed RTK solution in every other message."""
     fixes: Messages = [

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.logs.dataflash import Messages, Progress, read_messages
-from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3
+from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
     RTK_FIXED,
@@ -72,7 +72,8 @@ def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> Veh
     }
     references = [*_references(found, parameters)]
     if field and (column := _first(found, message, field)) is not None:
-        references.append(TruthSource("column", column))
+        by_ekf = by_ekf2_of_ardupilot if "EK2_ALT_SOURCE" in parameters and "XKF1" not in found else by_ekf3
+        references.append(TruthSource("column", column, refused=by_ekf(parameters) if is_estimate(named_field) else ""))
     return VehicleLog(
         path,
         f"ArduPilot dataflash log, {_version(found)}",

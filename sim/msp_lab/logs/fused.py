@@ -2,13 +2,41 @@
 
 EKF3 decides by EK3_SRCn_POSZ = 2 and EK3_RNG_USE_HGT > 0 (AP_NavEKF3_PosVelFusion.cpp, selectHeightForFusion), EKF2 of
 PX4 by EKF2_HGT_REF = 2 and EKF2_RNG_CTRL > 0 (range_height_control.cpp), before 1.14 by EKF2_HGT_MODE = 2 and
-EKF2_RNG_AID = 1. Each function returns the reason, or nothing.
+EKF2_RNG_AID = 1. Each function ``by_`` returns the reason, or nothing.
 """
 
 from collections.abc import Mapping
 
 _RANGE_FINDER = 2
 """AP_NavEKF_Source::SourceZ::RANGEFINDER, and PX4's EKF2_HGT_REF and EKF2_HGT_MODE."""
+_ESTIMATES = (
+    *("XKF1.", "NKF1.", "CTUN.Alt", "POS.", "AHR2.", "PSCD.", "QTUN.Alt"),  # ArduPilot's messages
+    *("vehicle_local_position.", "vehicle_global_position.", "vehicle_odometry.", "estimator_"),  # PX4's topics
+    *("GLOBAL_POSITION_INT.", "LOCAL_POSITION_NED.", "VFR_HUD.alt", "ALTITUDE.", "ODOMETRY."),  # MAVLink's messages
+)
+"""How fields begin that an autopilot's estimate of its height is logged in."""
+_RANGES = (
+    *("RFND.", "CTUN.SAlt", "CTUN.DSAlt", "CTUN.TAlt", "XKF5.HAGL", "XKF5.rng", "NKF5.HAGL", "NKF5.rng"),
+    *("distance_sensor", "vehicle_local_position.dist_bottom", "estimator_aid_src_rng_hgt"),
+    *("DISTANCE_SENSOR.", "RANGEFINDER.", "ALTITUDE.bottom_clearance", "ALTITUDE.altitude_terrain"),
+)
+"""How fields begin that a range finder's readings are logged in, or a height above ground that is made of them."""
+
+
+def is_estimate(field: str) -> bool:
+    """True for a field, as ``--truth column:`` names it, with an autopilot's height: the range may be fused into it."""
+    return field.startswith(_ESTIMATES)
+
+
+def is_range(field: str) -> bool:
+    """True for a field with what a range finder of the vehicle reads.
+
+    Examples
+    --------
+    >>> is_range("RFND.Dist"), is_range("CTUN.BAlt")
+    (True, False)
+    """
+    return field.startswith(_RANGES)
 
 
 def by_ekf3(parameters: Mapping[str, float]) -> str:

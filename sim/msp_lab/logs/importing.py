@@ -244,10 +244,16 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
     Raises
     ------
     RecordingError
-        A file is of no known kind, or the dataset has a run of this name already; nothing is imported.
+        Files are of no known kind, or the dataset has a run of this name already; nothing is imported.
     """
+    unknown = []
     for path in paths:
-        kind_of(path)
+        try:
+            kind_of(path)
+        except RecordingError as error:
+            unknown.append(str(error))
+    if unknown:
+        raise RecordingError("\n".join(unknown))
     names = file_names(paths)
     known = origin(common.out)
     taken = [name for name in names if name in known]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 from pyulog.core import ULogException
 
-from msp_lab.logs.fused import by_px4
+from msp_lab.logs.fused import by_px4, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
     RTK_FIXED,
@@ -71,24 +71,25 @@ _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
 def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
     """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``topic.field``."""
-    topic, _, field = named_field.partition(".")
+    topic = named_field.partition(".")[0]
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
-            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if field else [])])
+            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if topic else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:
         raise RecordingError(f"{path}: no ULog, or damaged at its beginning: {error}") from None
     progress(1.0)
     try:
-        return _log(path, log, topic, field)
+        return _log(path, log, named_field)
     except KeyError as error:
         raise RecordingError(f"{path}: damaged at its beginning: a topic has no field {error}") from None
 
 
-def _log(path: Path, log: ULog, topic: str, field: str) -> VehicleLog:
+def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     """What was read, as a `VehicleLog`; raises KeyError where a topic lacks a field that every version has."""
+    topic, _, field = named_field.partition(".")
     found: dict[str, Mapping[str, NDArray[Any]]] = {}
     for each in log.data_list:
         found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = each.data
@@ -102,7 +103,8 @@ def _log(path: Path, log: ULog, topic: str, field: str) -> VehicleLog:
     }
     references = _references(found, parameters)
     if field and (column := _field(found, topic, field)) is not None:
-        references.append(TruthSource("column", column))
+        kept, refused = _without_fused(column, found, parameters) if is_estimate(named_field) else (column, "")
+        references.append(TruthSource("column", kept, refused=refused))
     notes = []
     if log.file_corruption:
         notes.append("The file is damaged; what could be read is here.")
@@ -175,16 +177,16 @@ def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSour
         if seen is not None:
             references.append(TruthSource("mocap", seen))
     if (height := _field(found, "vehicle_local_position", "z", -1.0)) is not None:
-        flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
-        kept, refused = _without_fused(height, flags, parameters)
+        kept, refused = _without_fused(height, found, parameters)
         references.append(TruthSource("ekf", kept, refused=refused))
     if (pressure := _field(found, "vehicle_air_data", "baro_alt_meter")) is not None:
         references.append(TruthSource("barometer", pressure))
     return references
 
 
-def _without_fused(height: Series, flags: Series | None, parameters: Mapping[str, Any]) -> tuple[Series, str]:
+def _without_fused(height: Series, found: _Topics, parameters: Mapping[str, Any]) -> tuple[Series, str]:
     """EKF2's height while the range is not fused into it, and why it is refused where it always is."""
+    flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
     if flags is None or not len(flags):
         return height, by_px4(parameters)
     # Flags are logged when they change, and once a second.

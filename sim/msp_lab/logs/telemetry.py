@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.logs.fused import by_any
+from msp_lab.logs.fused import by_any, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
     RTK_FIXED,
@@ -102,7 +102,8 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
         notes.append(f"{bad} bytes that belong to no message are left out.")
     references = _references(flight, parameters)
     if field and message in flight:
-        references.append(TruthSource("column", _series(flight, message, field)))
+        refused = by_any(parameters) if is_estimate(named_field) else ""
+        references.append(TruthSource("column", _series(flight, message, field), refused=refused))
     return VehicleLog(
         path, "telemetry log (MAVLink)", tuple(_rangers(distances)), _context(flight), tuple(references), tuple(notes)
     )

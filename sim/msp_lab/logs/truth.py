@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from msp_lab.logs.fused import is_range
 from msp_lab.logs.log import Series, TruthSource, VehicleLog
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
@@ -110,6 +111,11 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
         return None
     if truth.kind == "sensor":
         return _other_sensor(log, truth.name)
+    if truth.kind == "column" and is_range(truth.name):
+        raise RecordingError(
+            f"{log.path}: --truth column:{truth.name}: that is what a range finder of this vehicle reads, and it would "
+            f"be compared with itself; sensor:NAME compares with another one, and the log has {_names(log)}"
+        )
     refused = next((each.refused for each in log.references if each.kind == truth.kind and each.refused), "")
     if truth.kind not in usable:
         there = ", ".join(sorted(usable)) or "none"
@@ -148,8 +154,11 @@ def is_same(one: Series, other: Series) -> bool:
 def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
     ranger = next((each for each in log.rangers if each.name == name), None)
     if ranger is None:
-        there = ", ".join(each.name for each in log.rangers) or "none"
-        raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {there}")
+        raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {_names(log)}")
     series = ranger.series
     range_m = np.where(series.values < ranger.maximum_cm, series.values / 100.0, np.nan)
     return TruthSource("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True, ranger=name)
+
+
+def _names(log: VehicleLog) -> str:
+    return ", ".join(each.name for each in log.rangers) or "none"
