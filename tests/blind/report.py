@@ -88,6 +88,7 @@ def counts(scored: Group) -> list[Count]:
     group = [each for each in scored if each.kind == "confounded"]
     row("two indistinguishable effects: resolved wrongly", group, lambda o: o.resolved_wrongly)
     row("two indistinguishable effects: both named, with the experiment", group, lambda o: o.both)
+    row("two indistinguishable effects: a wrong name besides", group, lambda o: o.wrong)
     row("all tables: a wrong name", scored, lambda o: o.wrong)
     return rows
 

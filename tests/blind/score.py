@@ -70,7 +70,7 @@ class Outcome:
     found_unknown
         Called unknown, with the right channel and variable, and no wrong name with it.
     resolved_wrongly
-        A name is given, alone or with others, and what is hidden is not among them.
+        Names are given, and what is hidden is among none of them. A wrong name beside the right one is `wrong`.
     both
         Of a confounded pair: both are in one class, and the experiment that would separate them is named.
     class_sizes
@@ -127,7 +127,7 @@ def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str,
         met=tuple(met),
         separable=tuple(separable),
         found_unknown=found_unknown and not wrong,
-        resolved_wrongly=any(not any(each & accepted for accepted in wanted) for each in classes),
+        resolved_wrongly=bool(classes) and not any(each & accepted for accepted in wanted for each in classes),
         both=both,
         class_sizes=tuple(len(each) for each in classes),
         reported=(

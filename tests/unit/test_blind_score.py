@@ -35,6 +35,8 @@ def test_a_name_is_right_alone_or_in_a_class() -> None:
     assert judge(ANSWER, gap_of(OTHER), NAMES).wrong == ("latency",)
     assert judge(ANSWER, gap_of(OTHER), NAMES).resolved_wrongly
     assert not judge(ANSWER, gap_of(with_rival(0.99)), NAMES).resolved_wrongly
+    # A wrong name besides is another matter.
+    assert not judge(ANSWER, gap_of(with_rival(0.99), OTHER), NAMES).resolved_wrongly
     assert judge({"kind": "null", "hidden": []}, gap_of(), NAMES).exact
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_lab.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share
+from msp_lab.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share, usual_spread
 from tests.support.known import contains, width
 
 
@@ -38,6 +38,25 @@ def test_share_is_wilsons() -> None:
     # Brown, Cai and DasGupta 2001, their formula (4), for 0 of 20: upper end z^2 / (n + z^2).
     found = share(0, 20)
     assert (found.low, found.high) == pytest.approx((0.0, 3.8415 / 23.8415), rel=1e-4)
+
+
+@pytest.mark.parametrize("strays", [[], [50.0], [49.0, 51.0, 60.0]])
+def test_a_mean_between_two_steps_is_not_moved_by_strays(strays: list[float]) -> None:
+    rng = np.random.default_rng(5)
+    true_ones_cm = (54.3, 54.5, 54.7, 54.9)
+    groups = [np.concatenate([np.rint(rng.normal(each, 0.19, 400)), strays]) for each in true_ones_cm]
+    usual = usual_spread(groups, 1.0)
+    assert usual == pytest.approx(0.19, abs=0.02)
+    for true_cm, values in zip(true_ones_cm, groups, strict=True):
+        found = mean_and_spread(values, step=1.0, usual_spread=usual)
+        assert found.mean.value == pytest.approx(true_cm, abs=0.06)
+        assert contains(found.mean, true_cm)
+        assert found.spread.value < 0.26
+
+
+def test_two_groups_of_readings_are_no_strays() -> None:
+    found = mean_and_spread(np.repeat([50.0, 58.0], [80, 100]), step=1.0)
+    assert found.mean.value == pytest.approx((80 * 50 + 100 * 58) / 180)
 
 
 def test_holm_is_the_published_one() -> None:

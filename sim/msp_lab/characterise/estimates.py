@@ -22,6 +22,20 @@ _LIKELIHOOD_DROP = Z**2 / 2
 DITHERED = 0.6
 """Readings that scatter by more than this many of their steps lose nothing by rounding: the average's bias is then
 under exp(-2 pi^2 0.36) / pi = 0.0003 steps."""
+STRAY = 1e-4
+"""Chance that a reading that is not of the surface is in any one step of those near it: of the 1 % that a sensor in
+order has, spread over a hundred steps. At 0 one such reading widens the spread of readings that are nearly all alike,
+and their mean moves by a tenth of a step with it; larger, tails count as strays."""
+NEAR_STEPS, MOST_NEAR = 3.0, 0.9
+"""Readings within so many steps of the median decide whether they scatter by more than `DITHERED`, where they are at
+least this share of all: the others are strays then, and no second group."""
+GROUPS = 3
+"""Set-ups with readings of two steps or more that a spread of all is taken from."""
+USUAL_WITHIN = 0.3
+"""Standard deviation of the logarithm of a set-up's spread about that of all. Larger: the mean of readings of two steps
+is less certain; smaller: a set-up that scatters more has a mean that is too certain."""
+_SPREADS = (0.02, 2.0)
+"""Spreads that are tried for rounded values [steps]."""
 BATCH = 15
 """Readings in a batch, at least: those a batch apart are taken to be independent."""
 _Array = NDArray[np.float64]
@@ -189,7 +203,7 @@ class MeanAndSpread(NamedTuple):
     spread: IntervalEstimate
 
 
-def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpread:
+def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread: float | None = None) -> MeanAndSpread:
     """Mean and standard deviation that a normal variable had before it was rounded.
 
     Parameters
@@ -200,12 +214,15 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpr
         Of the rounding, in the values' unit.
     unit
         For the estimates.
+    usual_spread
+        That of other such values, from `usual_spread`: where these are all of two steps, a mean near the boundary with
+        a small spread is as likely as one far from it with a large spread. None: not known.
 
     Returns
     -------
     MeanAndSpread
-        Where the values scatter little, by the likelihood of the rounded values; its interval ends where the profile
-        log likelihood is 1.92 below its top. Otherwise by average and variance, less step^2 / 12.
+        Where the values scatter little, by the likelihood of the rounded values, strays among them; its interval ends
+        where the profile log likelihood is 1.92 below its top. Otherwise by average and variance, less step^2 / 12.
 
     Examples
     --------
@@ -215,10 +232,10 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpr
     >>> print(f"{found.mean.low:.1f} to {found.mean.high:.1f}, spread up to {found.spread.high:.1f}")
     99.5 to 100.5, spread up to 0.4
     """
+    if _is_of_few_steps(values, step):
+        return _of_rounded(values, step, unit, None if usual_spread is None else usual_spread / step)
     n = values.size
     average, std = float(values.mean()), float(values.std(ddof=1)) if n > 1 else 0.0
-    if step > 0.0 and std < DITHERED * step:
-        return _of_rounded(values, step, unit)
     if n < 2:
         return MeanAndSpread(IntervalEstimate(average, None, None, unit, n), IntervalEstimate(0.0, None, None, unit, n))
     half = student(std / math.sqrt(n), n - 1)
@@ -228,15 +245,43 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm") -> MeanAndSpr
     return MeanAndSpread(mean, IntervalEstimate(value, low, high, unit, n))
 
 
-def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:
+def usual_spread(groups: Sequence[_Array], step: float) -> float | None:
+    """Standard deviation before rounding that groups of values about different means have in common.
+
+    None where fewer than `GROUPS` of them show anything of it: values of two steps or more that scatter little.
+    """
+    few = [each for each in groups if _is_of_few_steps(each, step)]
+    shown = [each for each in few if np.unique(each).size > 1]
+    if len(shown) < GROUPS:
+        return None
+    spreads = np.geomspace(*_SPREADS, 41)
+    total = np.zeros(spreads.size)
+    for values in few:
+        steps, counts = np.unique(np.rint(values / step), return_counts=True)
+        means = float(np.median(values)) / step + np.linspace(-1.0, 1.0, 81)
+        total += _log_likelihood(steps, counts, means, spreads).max(axis=0)
+    return step * float(spreads[total.argmax()])
+
+
+def _is_of_few_steps(values: _Array, step: float) -> bool:
+    """Whether rounded values scatter so little that their average is not their mean before rounding."""
+    if step <= 0.0:
+        return False
+    near = values[np.abs(values - np.median(values)) <= NEAR_STEPS * step]
+    return bool(near.size >= MOST_NEAR * values.size and near.std() < DITHERED * step)
+
+
+def _of_rounded(values: _Array, step: float, unit: str, usual: float | None) -> MeanAndSpread:
     steps, counts = np.unique(np.rint(values / step), return_counts=True)
-    average = float(steps @ counts) / values.size
-    mean_ends, spread_ends = (average - 1.0, average + 1.0), (0.02, 2.0)
+    middle = float(np.median(values)) / step
+    mean_ends, spread_ends = (middle - 1.0, middle + 1.0), _SPREADS
     # Three looks, each at what the one before found likely.
     for _ in range(3):
         means = np.linspace(*mean_ends, 41)
         spreads = np.geomspace(*spread_ends, 41)
         log_likelihood = _log_likelihood(steps, counts, means, spreads)
+        if usual is not None:
+            log_likelihood -= 0.5 * (np.log(spreads / usual) / USUAL_WITHIN) ** 2
         by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
         top = float(log_likelihood.max())
         mean_low, mean_high = _where_likely(means, by_mean, top)
@@ -257,7 +302,7 @@ def _of_rounded(values: _Array, step: float, unit: str) -> MeanAndSpread:
 
 
 def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spreads: _Array) -> _Array:
-    """Of rounded values, shape (means, spreads)."""
+    """Of rounded values, shape (means, spreads); each may be a stray."""
     total = np.zeros((means.size, spreads.size))
     for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
         a = (step - 0.5 - means[:, None]) / spreads
@@ -265,7 +310,7 @@ def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spr
         right = a > 0.0
         upper, lower = log_ndtr(np.where(right, -a, b)), log_ndtr(np.where(right, -b, a))
         with np.errstate(divide="ignore"):
-            total += count * (upper + np.log(-np.expm1(lower - upper)))
+            total += count * np.logaddexp(upper + np.log(-np.expm1(lower - upper)), np.log(STRAY))
     return total
 
 

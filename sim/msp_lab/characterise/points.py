@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread
+from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread, usual_spread
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.readings.resolution import step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
@@ -87,6 +87,8 @@ class PointReadings:
         Of the readings.
     rows
         Their row numbers in the data.
+    usual_spread_cm
+        Standard deviation of the readings of all points with nothing varied, where these are nearly all of two steps.
     """
 
     condition: str
@@ -102,6 +104,7 @@ class PointReadings:
     sensor_model: SensorModel
     step_cm: float
     rows: NDArray[np.int64]
+    usual_spread_cm: float | None = None
 
     @cached_property
     def range_cm(self) -> float:
@@ -187,7 +190,7 @@ class PointReadings:
         # Readings are whole steps, and errors too where the truth is one number.
         truth, is_fixed = float(self.true_range_cm[0]), self.is_fixed
         found = self.reading_cm[self.is_hit] - (0.0 if is_fixed else self.true_range_cm[self.is_hit])
-        mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0)
+        mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0, usual_spread=self.usual_spread_cm)
         reference_cm2 = 0.0 if is_fixed else float(np.mean(self.reference_std_cm[self.is_hit] ** 2))
         return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), _without(spread, reference_cm2))
 
@@ -263,7 +266,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     step_cm = step_of(known["reading_cm"])
     members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
-    return [
+    points = [
         PointReadings(
             condition=str(condition[first[i]]),
             sensor=str(words["sensor"][first[i]]),
@@ -281,6 +284,9 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
         )
         for i, member in sorted(enumerate(members), key=lambda each: first[each[0]])
     ]
+    alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
+    usual_cm = usual_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
+    return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
 
 
 def conditions(data: MeasuredData) -> NDArray[np.str_]:

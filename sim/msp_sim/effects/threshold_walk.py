@@ -1,5 +1,7 @@
 """Effect: a weak echo crosses the detection threshold late."""
 
+from typing import Any
+
 import numpy as np
 
 from msp_range.acoustics.absorption import absorption_db_per_m
@@ -10,9 +12,25 @@ HALF_POWER_DEG = 18.0
 """One-way half-power angle [deg] of a piston of 13.6 mm, which fits the report's angles, at a wavelength of 8.2 mm."""
 
 
+def _absorption_db_per_m(scene: Scene) -> Any:
+    """Of the air of each reading; where it is unknown it is the usual one. At 0 deg C it is a third of that at 20."""
+    if "absorption" not in scene.kept:
+        usual = Atmosphere()
+        temperature_c = scene.optional("air_temperature_c", usual.temperature_c)
+        humidity_percent = scene.optional("humidity_pct", usual.humidity_percent)
+
+        def of_air(c: float, percent: float) -> float:
+            return absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere(c, percent))
+
+        scene.kept["absorption"] = np.vectorize(of_air, otypes=[float])(
+            np.clip(temperature_c, -20.0, 50.0), np.clip(humidity_percent, 0.0, 100.0)
+        )
+    return scene.kept["absorption"]
+
+
 def _apply(scene: Scene, values: Values) -> Contribution:
     range_m = np.maximum(scene.range_cm, 1.0) / 100.0
-    absorption = absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere())
+    absorption = _absorption_db_per_m(scene)
     off_axis = scene.optional("incidence_deg", 0.0) / HALF_POWER_DEG
     # Relative to a wall at 1 m on the axis: spreading as from a mirror image, two-way absorption, two-way directivity.
     weaker_db = 20.0 * np.log10(range_m) + 2.0 * absorption * (range_m - 1.0) + 6.0 * off_axis**2
@@ -29,7 +47,7 @@ THRESHOLD_WALK = Effect(
         "an envelope of amplitude A that rises as A t^n crosses a fixed threshold at a time proportional to A^-e with "
         "e = 1 / n: 1 for one resonator, 0.5 for two, and 0 for an "
         "exponential rise, with a delay proportional to the loss in dB; "
-        "loss for a wall: 20 log z, absorption, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
+        "loss for a wall: 20 log z, absorption by the air of the reading, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
     ),
     source="time walk of leading-edge discriminators; levels: msp_range.acoustics",
     parameters=(
@@ -43,5 +61,5 @@ THRESHOLD_WALK = Effect(
     experiment="a carpet and a plate at the same range, one after the other: the carpet gives the larger reading",
     apply=_apply,
     media=("sound",),
-    optional=("incidence_deg",),
+    optional=("incidence_deg", "air_temperature_c", "humidity_pct"),
 )
