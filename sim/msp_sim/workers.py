@@ -9,6 +9,7 @@ that runs. It replaces a worker that died and does its items again. With one job
 `fleet` is not needed.
 """
 
+import gc
 import hashlib
 import logging
 import pickle
@@ -290,14 +291,18 @@ def _connected(address: str) -> Iterator[Any]:
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(SILENT)
+    client, reason = None, ""
     try:
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    if client is None:
+        # What there is of it ends now. While another cluster starts, it would wait for a lock that its own thread has.
+        gc.collect()
         raise ConfigError(
             f"--scheduler {address}: no Dask scheduler answered within {CONNECT_S:g} s ({reason}). Start one with "
             "'dask scheduler', and 'dask worker tcp://HOST:8786 --nthreads 1' on each machine (docs/fleets.md)"
-        ) from None
+        )
     with client:
         found = client.scheduler_info(n_workers=-1)["workers"]
         if not found:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.acoustics.absorption import absorption_db_per_m
+from msp_range.acoustics.absorption import absorption_of_air
 from msp_range.acoustics.atmosphere import Atmosphere
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
@@ -18,13 +18,7 @@ def _absorption_db_per_m(scene: Scene) -> Any:
         usual = Atmosphere()
         temperature_c = scene.optional("air_temperature_c", usual.temperature_c)
         humidity_percent = scene.optional("humidity_pct", usual.humidity_percent)
-
-        def of_air(c: float, percent: float) -> float:
-            return absorption_db_per_m(scene.sensor.frequency_hz, Atmosphere(c, percent))
-
-        scene.kept["absorption"] = np.vectorize(of_air, otypes=[float])(
-            np.clip(temperature_c, -20.0, 50.0), np.clip(humidity_percent, 0.0, 100.0)
-        )
+        scene.kept["absorption"] = absorption_of_air(scene.sensor.frequency_hz, temperature_c, humidity_percent)
     return scene.kept["absorption"]
 
 
